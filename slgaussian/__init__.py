@@ -1,0 +1,47 @@
+"""SLGaussian: two posed photographs in, a 3D scene of Gaussians that answers words out.
+
+>>> import slgaussian as slg
+>>> sample = slg.datasets.load("stereo").sample(context=["left", "right"])
+>>> field = slg.build_field(sample)
+>>> hit = field.render(sample.context[0].camera).query("red")
+"""
+
+from importlib import import_module
+from typing import Any
+
+import slgaussian.threads  # noqa: F401  (chooses Numba's threading layer before Numba starts)
+
+__version__ = "0.1.0"
+
+# Loaded on first use, so that `slgaussian --help` does not wait for torch.
+_PUBLIC = {
+    "Camera": "slgaussian.scene",
+    "View": "slgaussian.scene",
+    "Scene": "slgaussian.scene",
+    "Sample": "slgaussian.scene",
+    "Gaussians": "slgaussian.gaussians",
+    "LabelMaps": "slgaussian.labels",
+    "MemoryBank": "slgaussian.language.bank",
+    "SemanticField": "slgaussian.field",
+    "build_field": "slgaussian.build",
+    "rasterize": "slgaussian.rasterize",
+    "load_predictor": "slgaussian.predict",
+    "InputError": "slgaussian.errors",
+    "SpecError": "slgaussian.errors",
+    "SLGaussianError": "slgaussian.errors",
+}
+_MODULES = {"datasets", "benchmark", "masks", "language", "predict", "semantic", "store"}
+
+__all__ = sorted([*_PUBLIC, *_MODULES, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    if name in _MODULES:
+        return import_module(f"slgaussian.{name}")
+    raise AttributeError(f"module 'slgaussian' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

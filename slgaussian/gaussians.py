@@ -1,0 +1,179 @@
+"""Gaussians: one structure of arrays, the geometry and colour of a scene.
+
+Spherical harmonics follow the standard 3D Gaussian splatting convention (Kerbl et al. 2023):
+``rgb = 0.5 + sum_k Y_k(d) sh_k``, so a degree-0 coefficient is ``(rgb - 0.5) / SH_C0``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+SH_C0 = 0.28209479177387814
+"""Value of the constant spherical harmonic, 1 / (2 sqrt(pi))."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N anisotropic Gaussians in world space.
+
+    Attributes
+    ----------
+    means : float32 [N, 3]
+        Centres, scene units.
+    scales : float32 [N, 3]
+        Standard deviations along the local axes, scene units, positive.
+    quats : float32 [N, 4]
+        Rotations local-to-world, wxyz, unit length.
+    opacities : float32 [N]
+        In [0, 1].
+    sh : float32 [N, K, 3]
+        Spherical-harmonic colour, K = (degree + 1)^2.
+    source : int32 [N]
+        Flat index ``(view * H + row) * W + column`` of the context pixel each Gaussian came from.
+    features : float32 [N, D] or None
+        Semantic features: the ID code of the object, D = 3 in the paper.
+
+    Raises
+    ------
+    InputError
+        If shapes disagree; :meth:`check_finite` looks at the numbers.
+    """
+
+    means: torch.Tensor
+    scales: torch.Tensor
+    quats: torch.Tensor
+    opacities: torch.Tensor
+    sh: torch.Tensor
+    source: torch.Tensor
+    features: torch.Tensor | None = None
+
+    def __post_init__(self) -> None:
+        n = self.means.shape[0]
+        tails = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "source": ()}
+        for name, tail in tails.items():
+            shape = tuple(getattr(self, name).shape)
+            if shape != (n, *tail):
+                raise InputError(f"gaussians {name}: found shape {shape}, expected {(n, *tail)}")
+        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[2] != 3:
+            raise InputError(f"gaussians sh: found {tuple(self.sh.shape)}, expected ({n}, K, 3)")
+        if self.features is not None and self.features.shape[0] != n:
+            raise InputError(f"gaussians features: {self.features.shape[0]} rows, expected {n}")
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def __getitem__(self, keep: torch.Tensor) -> Gaussians:
+        """The Gaussians chosen by a boolean mask [N] or an index tensor."""
+        return replace(self, **{name: value[keep] for name, value in self.items()})
+
+    def items(self) -> list[tuple[str, torch.Tensor]]:
+        """The (name, tensor) pairs that are present."""
+        pairs = ((f.name, getattr(self, f.name)) for f in fields(self))
+        return [(name, value) for name, value in pairs if value is not None]
+
+    def check_finite(self) -> None:
+        """Raise :class:`InputError` naming the first field and index that is NaN or infinite."""
+        for name, value in self.items():
+            bad = ~torch.isfinite(value.reshape(len(self), -1)).all(1) if len(self) else None
+            if bad is not None and bool(bad.any()):
+                index = int(torch.nonzero(bad)[0, 0])
+                raise InputError(f"gaussians {name}[{index}]: holds NaN or infinity")
+
+    def colors(self) -> torch.Tensor:
+        """View-independent RGB, float [N, 3]: the degree-0 part of ``sh``."""
+        return self.sh[:, 0] * SH_C0 + 0.5
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """NumPy arrays by field name, as stored in ``gaussians.npz``."""
+        return {name: value.detach().cpu().numpy() for name, value in self.items()}
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, np.ndarray]) -> Gaussians:
+        """Inverse of :meth:`to_arrays`."""
+        return Gaussians(**{name: torch.from_numpy(np.array(a)) for name, a in arrays.items()})
+
+
+def rgb_to_sh(rgb: torch.Tensor) -> torch.Tensor:
+    """Degree-0 coefficients [N, 1, 3] of view-independent colours [N, 3] in [0, 1]."""
+    return ((rgb - 0.5) / SH_C0)[:, None]
+
+
+def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
+    """Rotation matrices [N, 3, 3] of quaternions wxyz [N, 4], normalised here."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, -1).reshape(*quats.shape[:-1], 3, 3)
+
+
+def covariances(gaussians: Gaussians) -> torch.Tensor:
+    """World-space covariance R S S^T R^T of each Gaussian, [N, 3, 3]."""
+    factor = rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
+    return factor @ factor.mT
+
+
+def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
+    """Depth maps of the context views, from the Gaussian that each pixel gave birth to.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+    cameras : sequence of V Camera
+        The context cameras, in order, all of one size.
+
+    Returns
+    -------
+    float32 [V, H, W]
+        z-depth in scene units; 0 where a pixel has no Gaussian (left).
+    """
+    H, W = cameras[0].height, cameras[0].width
+    depths = np.zeros(len(cameras) * H * W, np.float32)
+    source = gaussians.source.numpy()
+    means = gaussians.means.numpy().astype(np.float64)
+    for index, camera in enumerate(cameras):
+        mine = source // (H * W) == index
+        depths[source[mine]] = camera.project(means[mine])[1]
+    return depths.reshape(len(cameras), H, W)
+
+
+def save_ply(gaussians: Gaussians, path: str | Path) -> None:
+    """Write a standard 3DGS ``.ply`` that common viewers open.
+
+    Property names and their non-linear forms (log scale, logit opacity) are those of the reference
+    implementation of Kerbl et al. 2023; features are added as ``f_sem_*``.
+    """
+    from plyfile import PlyData, PlyElement
+
+    arrays = gaussians.to_arrays()
+    n = len(gaussians)
+    opacity = np.clip(arrays["opacities"].astype(np.float64), 1e-6, 1 - 1e-6)
+    rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(n, -1)
+    columns: dict[str, np.ndarray] = {}
+
+    def add(names: Sequence[str], values: np.ndarray) -> None:
+        columns.update(zip(names, values.T, strict=True))
+
+    add(["x", "y", "z"], arrays["means"])
+    add(["nx", "ny", "nz"], np.zeros((n, 3)))
+    add([f"f_dc_{i}" for i in range(3)], arrays["sh"][:, 0])
+    add([f"f_rest_{i}" for i in range(rest.shape[1])], rest)
+    add(["opacity"], np.log(opacity / (1 - opacity))[:, None])
+    add([f"scale_{i}" for i in range(3)], np.log(arrays["scales"]))
+    add([f"rot_{i}" for i in range(4)], arrays["quats"])
+    if "features" in arrays:
+        add([f"f_sem_{i}" for i in range(arrays["features"].shape[1])], arrays["features"])
+    table = np.empty(n, dtype=[(name, "<f4") for name in columns])
+    for name, values in columns.items():
+        table[name] = values
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))

@@ -1,0 +1,51 @@
+"""Label maps: which object every pixel of every view belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class LabelMaps:
+    """Object ids that agree across views (the S_i of the paper, section 3.2).
+
+    Attributes
+    ----------
+    labels : int32 [V, H, W]
+        Object ids above 0; 0 is unassigned. An id means the same object in every view.
+    margin : float32 [V, H, W]
+        By how much the vote was won: (votes for the winner - votes for the runner-up) / replicas,
+        in [0, 1].
+    """
+
+    labels: np.ndarray
+    margin: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.labels.ndim != 3 or self.labels.dtype != np.int32:
+            raise InputError(
+                f"label maps: found {self.labels.dtype} {self.labels.shape}, expected int32 [V,H,W]"
+            )
+        if self.margin.shape != self.labels.shape:
+            raise InputError(
+                f"label maps: margin is {self.margin.shape}, labels are {self.labels.shape}"
+            )
+        if self.labels.size and self.labels.min() < 0:
+            raise InputError(f"label maps: negative id {self.labels.min()}; ids start at 1")
+
+    @property
+    def ids(self) -> np.ndarray:
+        """Sorted object ids in use, int32 [N]."""
+        ids = np.unique(self.labels)
+        return ids[ids > 0]
+
+    def areas(self) -> np.ndarray:
+        """Pixels of each object in each view, int64 [N, V], rows in the order of :attr:`ids`."""
+        ids = self.ids
+        top = int(ids[-1]) + 1 if len(ids) else 1
+        counts = [np.bincount(view.ravel(), minlength=top)[ids] for view in self.labels]
+        return np.stack(counts, 1)

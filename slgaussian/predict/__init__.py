@@ -1,0 +1,27 @@
+"""From context photographs to Gaussians: the predictors and how to get one by name."""
+
+from typing import Any, Protocol
+
+from slgaussian.gaussians import Gaussians
+from slgaussian.registry import resolve
+from slgaussian.scene import Sample
+
+PREDICTORS = {"planesweep": "slgaussian.predict.planesweep:PlaneSweep"}
+
+
+class GaussianPredictor(Protocol):
+    """Anything that turns the context views of a sample into Gaussians."""
+
+    def __call__(self, sample: Sample) -> Gaussians:
+        """Predict Gaussians in the world frame of the sample; targets must not be read."""
+
+
+def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:
+    """Make the predictor called ``name``; ``settings`` are its own (see its class).
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    return resolve("predictor", PREDICTORS, name)(**settings)

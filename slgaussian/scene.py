@@ -1,0 +1,341 @@
+"""Cameras, views, scenes and samples: what every reader produces and everything else consumes.
+
+Convention, fixed here for the whole project: OpenCV axes (x right, y down, z forward),
+camera-to-world poses, intrinsics in pixels, and pixel centres at +0.5, so that the top-left pixel
+covers [0, 1] x [0, 1] and its centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from slgaussian.errors import InputError
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    Attributes
+    ----------
+    K : float64 [3, 3]
+        Intrinsics in pixels; pixel centres at +0.5.
+    c2w : float64 [4, 4]
+        Camera-to-world, OpenCV axes.
+    width, height : int
+        Image size in pixels.
+    near, far : float or None
+        Depth range along z in scene units, where the user knows it.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, the pose is not a rotation and a translation, the focal length
+        or size is not positive, or near and far are out of order.
+    """
+
+    K: np.ndarray
+    c2w: np.ndarray
+    width: int
+    height: int
+    near: float | None = None
+    far: float | None = None
+
+    def __post_init__(self) -> None:
+        K = np.asarray(self.K, dtype=np.float64)
+        c2w = np.asarray(self.c2w, dtype=np.float64)
+        if K.shape != (3, 3):
+            raise InputError(f"camera K: found shape {K.shape}, expected (3, 3)")
+        if c2w.shape != (4, 4):
+            raise InputError(f"camera c2w: found shape {c2w.shape}, expected (4, 4)")
+        for name, matrix in (("K", K), ("c2w", c2w)):
+            if not np.isfinite(matrix).all():
+                raise InputError(f"camera {name}: holds NaN or infinity, expected finite numbers")
+        if K[0, 0] <= 0 or K[1, 1] <= 0:
+            raise InputError(f"camera K: focal lengths {K[0, 0]:g}, {K[1, 1]:g} must be positive")
+        R = c2w[:3, :3]
+        error = float(np.abs(R.T @ R - np.eye(3)).max())
+        if error > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise InputError(
+                f"camera c2w: its 3x3 part is not a rotation (orthogonality error {error:.3g}, "
+                f"determinant {np.linalg.det(R):.3g}); give a camera-to-world pose without scale"
+            )
+        if not np.allclose(c2w[3], (0, 0, 0, 1)):
+            raise InputError(f"camera c2w: last row is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"camera size {self.width}x{self.height} must be at least 1x1")
+        if self.near is not None and not 0 < self.near < np.inf:
+            raise InputError(f"camera near: found {self.near}, expected a positive number")
+        if self.far is not None and not (self.near or 0) < self.far < np.inf:
+            raise InputError(f"camera far: found {self.far}, expected a number above near")
+        object.__setattr__(self, "K", K)
+        object.__setattr__(self, "c2w", c2w)
+        object.__setattr__(self, "width", int(self.width))
+        object.__setattr__(self, "height", int(self.height))
+
+    @property
+    def w2c(self) -> np.ndarray:
+        """World-to-camera, float64 [4, 4]."""
+        R, t = self.c2w[:3, :3], self.c2w[:3, 3]
+        out = np.eye(4)
+        out[:3, :3] = R.T
+        out[:3, 3] = -R.T @ t
+        return out
+
+    @property
+    def center(self) -> np.ndarray:
+        """Position of the camera in the world, float64 [3]."""
+        return self.c2w[:3, 3]
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project world points [..., 3] to pixels [..., 2] and depths along z [...], float64.
+
+        Points at or behind the camera get depth <= 0 and meaningless pixels.
+        """
+        local = points @ self.w2c[:3, :3].T + self.w2c[:3, 3]
+        z = local[..., 2]
+        safe = np.where(np.abs(z) > 1e-12, z, 1e-12)
+        pixels = local @ self.K.T
+        return pixels[..., :2] / safe[..., None], z
+
+    def rays(self) -> np.ndarray:
+        """World-space ray through every pixel centre, scaled to z = 1: float64 [H, W, 3]."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        local = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(self.K).T
+        return local @ self.c2w[:3, :3].T
+
+    def unproject(self, depth: np.ndarray) -> np.ndarray:
+        """World points float64 [H, W, 3] of a z-depth map [H, W] in scene units."""
+        return self.center + self.rays() * np.asarray(depth, np.float64)[..., None]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with its image stretched to ``width`` x ``height``."""
+        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        return replace(self, K=K, width=width, height=height)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The same camera seen through a window of its image."""
+        K = self.K.copy()
+        K[0, 2] -= left
+        K[1, 2] -= top
+        return replace(self, K=K, width=width, height=height)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photograph with its camera and, where the data has them, its truths.
+
+    Attributes
+    ----------
+    name : str
+        Unique within the scene, usually the file path relative to the scene folder.
+    camera : Camera
+    image : uint8 [H, W, 3]
+        RGB, undistorted.
+    depth : float32 [H, W] or None
+        True z-depth in scene units, 0 where unknown. For evaluation only: no method may read it.
+    instances : int32 [H, W] or None
+        True object ids, 0 where none. For evaluation only.
+    """
+
+    name: str
+    camera: Camera
+    image: np.ndarray
+    depth: np.ndarray | None = None
+    instances: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        if self.image.dtype != np.uint8 or self.image.shape != (*size, 3):
+            raise InputError(
+                f"view {self.name!r}: image is {self.image.dtype} {self.image.shape}, its camera "
+                f"expects uint8 {(*size, 3)}; check w and h in the camera file"
+            )
+        for name in ("depth", "instances"):
+            truth = getattr(self, name)
+            if truth is not None and truth.shape != size:
+                raise InputError(f"view {self.name!r}: {name} is {truth.shape}, expected {size}")
+
+    def resized(self, height: int, width: int) -> View:
+        """Scale to cover ``height`` x ``width``, then crop the centre; the camera follows.
+
+        The image is area-averaged when shrunk; truths take the nearest pixel.
+        """
+        camera = self.camera
+        if (camera.height, camera.width) == (height, width):
+            return self
+        scale = max(height / camera.height, width / camera.width)
+        full_w = max(width, round(camera.width * scale))
+        full_h = max(height, round(camera.height * scale))
+        left, top = (full_w - width) // 2, (full_h - height) // 2
+        window = np.s_[top : top + height, left : left + width]
+
+        def fit(array: np.ndarray, how: int) -> np.ndarray:
+            return np.ascontiguousarray(
+                cv2.resize(array, (full_w, full_h), interpolation=how)[window]
+            )
+
+        smooth = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        return replace(
+            self,
+            camera=camera.resized(full_w, full_h).cropped(left, top, width, height),
+            image=fit(self.image, smooth),
+            depth=None if self.depth is None else fit(self.depth, cv2.INTER_NEAREST),
+            instances=None if self.instances is None else fit(self.instances, cv2.INTER_NEAREST),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What a predictor sees (context views) and what it is judged on (target views).
+
+    Attributes
+    ----------
+    scene : str
+        Scene id; seeds and store paths derive from it.
+    context : tuple of View
+        Two or more photographs of the same size.
+    targets : tuple of View
+        Held-out views, possibly none.
+    phrases : mapping int -> str
+        What each true instance id is called, where the truth is known.
+
+    Raises
+    ------
+    InputError
+        If context views have different sizes, share one position (no baseline), or cannot see a
+        common point.
+    """
+
+    scene: str
+    context: tuple[View, ...]
+    targets: tuple[View, ...] = ()
+    phrases: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.context) < 2:
+            raise InputError(
+                f"scene {self.scene!r}: {len(self.context)} context view(s), expected at least two"
+            )
+        first, *others = self.context
+        for view in others:
+            if view.image.shape != first.image.shape:
+                (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
+                raise InputError(
+                    f"scene {self.scene!r}: {first.name!r} is {w0}x{h0} and {view.name!r} is "
+                    f"{w1}x{h1}; context views must have one size (resize them, or pass a size)"
+                )
+        for i, a in enumerate(self.context):
+            for b in self.context[i + 1 :]:
+                _check_pair(self.scene, a, b)
+
+    def resized(self, height: int, width: int) -> Sample:
+        """All views scaled and centre-cropped to one size."""
+        return replace(
+            self,
+            context=tuple(view.resized(height, width) for view in self.context),
+            targets=tuple(view.resized(height, width) for view in self.targets),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A set of posed photographs, read one by one when asked for.
+
+    Attributes
+    ----------
+    name : str
+    cameras : mapping str -> Camera
+        Every view's camera by view name, in the data set's own order.
+    read : callable str -> View
+        Reads and undistorts one view.
+    phrases : mapping int -> str
+        What each true instance id is called, where known.
+    """
+
+    name: str
+    cameras: Mapping[str, Camera]
+    read: Callable[[str], View]
+    phrases: Mapping[int, str] = field(default_factory=dict)
+
+    def find(self, name: str) -> str:
+        """The full view name for ``name``, which may leave out folders and the extension.
+
+        Raises
+        ------
+        InputError
+            If no view, or more than one, answers to it.
+        """
+        if name in self.cameras:
+            return name
+        hits = [full for full in self.cameras if _answers_to(full, name)]
+        if len(hits) == 1:
+            return hits[0]
+        if hits:
+            raise InputError(
+                f"scene {self.name!r}: view {name!r} is ambiguous: {', '.join(hits[:4])}"
+            )
+        few = ", ".join(list(self.cameras)[:4])
+        raise InputError(
+            f"scene {self.name!r}: the camera file has no view {name!r}; it has "
+            f"{len(self.cameras)}, such as {few}"
+        )
+
+    def sample(
+        self,
+        context: Sequence[str],
+        targets: Sequence[str] = (),
+        size: tuple[int, int] | None = None,
+    ) -> Sample:
+        """Read the named views; ``size`` (height, width) scales and centre-crops them."""
+        views = [self.read(self.find(name)) for name in (*context, *targets)]
+        if size is not None:
+            views = [view.resized(*size) for view in views]
+        n = len(context)
+        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
+
+
+def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
+    """Share of ``a``'s image, 0 to 1, that lands inside ``b`` if all of it lies at ``depth``.
+
+    ``depth`` is a scalar or a [9, 9] map of z-depths on a regular grid over ``a``'s image.
+    """
+    n = 9
+    u, v = np.meshgrid((np.arange(n) + 0.5) / n * a.width, (np.arange(n) + 0.5) / n * a.height)
+    local = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(a.K).T
+    points = a.center + (local * np.broadcast_to(depth, u.shape)[..., None]) @ a.c2w[:3, :3].T
+    pixels, z = b.project(points)
+    inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (b.width, b.height)).all(-1)
+    return float(inside.mean())
+
+
+def _check_pair(scene: str, a: View, b: View) -> None:
+    baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
+    size = max(float(np.abs(a.camera.center).max()), float(np.abs(b.camera.center).max()), 1e-12)
+    if baseline <= 1e-9 * size:
+        raise InputError(
+            f"scene {scene!r}: {a.name!r} and {b.name!r} were taken from the same position (no "
+            "baseline), so depth cannot be found; choose two photographs taken some way apart"
+        )
+    # The depth is unknown here, so try all that a two-view method could resolve.
+    depths = baseline * np.geomspace(0.5, 1e4, 40)
+    seen = max(
+        min(shared_view(a.camera, b.camera, d), shared_view(b.camera, a.camera, d)) for d in depths
+    )
+    if seen == 0:
+        raise InputError(
+            f"scene {scene!r}: {a.name!r} and {b.name!r} do not overlap at any depth; choose views "
+            "that see the same things, and check that poses are camera-to-world with OpenCV axes"
+        )
+
+
+def _answers_to(full: str, name: str) -> bool:
+    stem = full.rsplit(".", 1)[0]
+    return any(candidate == name or candidate.endswith("/" + name) for candidate in (full, stem))

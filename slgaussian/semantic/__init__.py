@@ -1,0 +1,27 @@
+"""Give every Gaussian its semantic feature: the liftings and how to get one by name."""
+
+from typing import Any, Protocol
+
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.registry import resolve
+
+LIFTINGS = {"hard": "slgaussian.semantic.hard:HardIndex"}
+
+
+class Lifting(Protocol):
+    """Turns label maps and codes into a feature a Gaussian (the paper's f_i, section 3.1)."""
+
+    def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
+        """The same Gaussians with ``features`` [N, 4]: code times weight, and the weight.
+
+        The weight is the share of the Gaussian that belongs to a known object, so that a rendered
+        feature divided by its last channel is a mixture of codes only: what is unlabelled, and
+        what is empty, does not pull it towards the code (0, 0, 0).
+        """
+
+
+def load_lifting(name: str = "hard", **settings: Any) -> Lifting:
+    """Make the lifting called ``name``; raises InputError if there is none."""
+    return resolve("lifting", LIFTINGS, name)(**settings)

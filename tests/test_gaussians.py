@@ -1,0 +1,83 @@
+"""Gaussians: rotations, covariances, depth maps and the standard file."""
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians, covariances, rgb_to_sh, save_ply, source_depths
+from slgaussian.scene import Camera
+
+
+def some(n=7, seed=0) -> Gaussians:
+    g = torch.Generator().manual_seed(seed)
+    quats = torch.randn(n, 4, generator=g)
+    return Gaussians(
+        means=torch.randn(n, 3, generator=g),
+        scales=torch.rand(n, 3, generator=g) + 0.1,
+        quats=quats / quats.norm(dim=1, keepdim=True),
+        opacities=torch.rand(n, generator=g),
+        sh=rgb_to_sh(torch.rand(n, 3, generator=g)),
+        source=torch.arange(n, dtype=torch.int32),
+    )
+
+
+def test_covariance_has_the_squared_scales_as_eigenvalues():
+    made = some()
+    eigenvalues = torch.linalg.eigvalsh(covariances(made).double())
+    expected = (made.scales.double() ** 2).sort(dim=1).values
+    assert (eigenvalues - expected).abs().max() < 1e-6  # float32 products, values up to 1.2
+
+
+def test_a_quarter_turn_about_z_swaps_x_and_y():
+    made = some(1)
+    made.scales[0] = torch.tensor([3.0, 1.0, 1.0])
+    made.quats[0] = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5])
+    assert covariances(made)[0].diagonal().tolist() == pytest.approx([1, 9, 1], abs=1e-5)
+
+
+def test_colours_survive_the_harmonics():
+    rgb = torch.rand(5, 3, generator=torch.Generator().manual_seed(1))
+    made = some(5)
+    made.sh[:] = rgb_to_sh(rgb)
+    assert (made.colors() - rgb).abs().max() < 1e-6
+
+
+def test_arrays_round_trip_and_selection_keeps_rows_together():
+    made = some()
+    again = Gaussians.from_arrays(made.to_arrays())
+    assert all(
+        torch.equal(a, b) for (_, a), (_, b) in zip(made.items(), again.items(), strict=True)
+    )
+    assert made[made.source > 3].source.tolist() == [4, 5, 6]
+
+
+def test_source_depths_puts_each_depth_at_its_pixel():
+    cam = Camera(np.array([[4.0, 0, 2], [0, 4, 1.5], [0, 0, 1]]), np.eye(4), 4, 3)
+    depth = np.arange(1, 13, dtype=np.float64).reshape(3, 4)
+    made = some(12)
+    made.means[:] = torch.from_numpy(cam.unproject(depth).reshape(-1, 3))
+    made.source[:] = torch.arange(12) + 12
+    kept = made[made.source != 17]
+    depths = source_depths(kept, [cam, cam])
+    assert depths[0].max() == 0
+    depth[1, 1] = 0
+    np.testing.assert_allclose(depths[1], depth, rtol=1e-6)
+
+
+def test_ply_has_the_standard_properties(tmp_path):
+    made = some()
+    save_ply(made, tmp_path / "scene.ply")
+    vertex = PlyData.read(str(tmp_path / "scene.ply"))["vertex"]
+    np.testing.assert_allclose(np.exp(vertex["scale_1"]), made.scales[:, 1], rtol=1e-5)
+    opacity = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
+    np.testing.assert_allclose(opacity, made.opacities, atol=1e-6)
+    np.testing.assert_allclose(vertex["f_dc_2"], made.sh[:, 0, 2])
+    np.testing.assert_allclose(vertex["rot_0"], made.quats[:, 0])
+
+
+def test_shapes_that_disagree_are_refused():
+    made = some()
+    with pytest.raises(InputError, match=r"scales: found shape \(6, 3\), expected \(7, 3\)"):
+        Gaussians(made.means, made.scales[:6], made.quats, made.opacities, made.sh, made.source)

@@ -1,0 +1,31 @@
+"""What importing the library may and may not do."""
+
+import subprocess
+import sys
+
+import pytest
+
+import slgaussian
+
+CHECK = """
+import sys
+import slgaussian
+for name in slgaussian.__all__:
+    getattr(slgaussian, name)
+bad = {"prefect", "flows", "tasks", "torchvision"} & set(sys.modules)
+assert not bad, bad
+"""
+
+
+def test_the_library_never_imports_the_pipeline():
+    subprocess.run([sys.executable, "-c", CHECK], check=True)
+
+
+def test_importing_the_package_is_light():
+    heavy = "import sys, slgaussian; assert not {'torch', 'numba', 'cv2'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", heavy], check=True)
+
+
+def test_an_unknown_attribute_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        _ = slgaussian.no_such_thing

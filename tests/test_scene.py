@@ -1,0 +1,138 @@
+"""Cameras, views and samples: conventions, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Sample, Scene, View, shared_view
+
+
+def pose(x=0.0, y=0.0, z=0.0, yaw=0.0) -> np.ndarray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    c2w = np.eye(4)
+    c2w[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    c2w[:3, 3] = x, y, z
+    return c2w
+
+
+def camera(width=32, height=24, focal=30.0, **where) -> Camera:
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    return Camera(K, pose(**where), width, height)
+
+
+def view(name="a", cam=None) -> View:
+    cam = cam or camera()
+    ramp = np.arange(cam.height * cam.width * 3) % 255
+    return View(name, cam, ramp.reshape(cam.height, cam.width, 3).astype(np.uint8))
+
+
+def test_the_top_left_pixel_centre_is_at_one_half():
+    cam = camera()
+    pixels, z = cam.project(cam.unproject(np.full((24, 32), 2.0)))
+    np.testing.assert_allclose(pixels[0, 0], (0.5, 0.5), atol=1e-9)
+    np.testing.assert_allclose(z, 2.0)
+
+
+def test_axes_are_opencv():
+    """x right, y down, z forward: a point right of and below the axis lands there."""
+    pixels, z = camera().project(np.array([1.0, 1.0, 5.0]))
+    assert pixels[0] > 16
+    assert pixels[1] > 12
+    assert z == 5
+
+
+@given(st.floats(-3, 3), st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 50))
+def test_unproject_inverts_project(yaw, x, z, depth):
+    cam = camera(x=x, z=z, yaw=yaw)
+    pixels, seen = cam.project(cam.unproject(np.full((24, 32), depth)))
+    np.testing.assert_allclose(seen, depth, rtol=1e-9)
+    np.testing.assert_allclose(pixels[5, 7], (7.5, 5.5), atol=1e-7)
+
+
+def test_resizing_and_cropping_move_the_image_with_the_camera():
+    cam = camera()
+    point = np.array([0.4, -0.2, 3.0])
+    before, _ = cam.project(point)
+    after, _ = cam.resized(64, 72).cropped(3, 5, 40, 50).project(point)
+    np.testing.assert_allclose(after, before * (2, 3) - (3, 5))
+
+
+def test_a_resized_view_covers_the_new_size_without_stretching():
+    small = view().resized(20, 20)
+    assert small.image.shape == (20, 20, 3)
+    assert small.camera.K[0, 0] / small.camera.K[1, 1] == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"c2w": np.diag([2.0, 2, 2, 1])}, "not a rotation"),
+        ({"c2w": np.diag([-1.0, 1, 1, 1])}, "not a rotation"),
+        ({"c2w": np.full((4, 4), np.nan)}, "NaN"),
+        ({"c2w": np.eye(3)}, r"expected \(4, 4\)"),
+        ({"c2w": np.vstack([np.eye(4)[:3], [0, 0, 1, 1]])}, "last row"),
+        ({"K": np.full((3, 3), np.inf)}, "NaN or infinity"),
+        ({"K": np.diag([-5.0, 5, 1])}, "must be positive"),
+        ({"width": 0}, "at least 1x1"),
+        ({"near": -1.0}, "near"),
+        ({"near": 2.0, "far": 1.0}, "above near"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(change, sentence):
+    good = {"K": camera().K, "c2w": np.eye(4), "width": 32, "height": 24}
+    with pytest.raises(InputError, match=sentence):
+        Camera(**{**good, **change})
+
+
+def test_an_image_of_another_size_than_its_camera_is_refused():
+    with pytest.raises(InputError, match="check w and h"):
+        View("a", camera(), np.zeros((10, 10, 3), np.uint8))
+
+
+def test_views_of_different_sizes_are_refused():
+    with pytest.raises(InputError, match="must have one size"):
+        Sample("s", (view("a"), view("b", camera(width=40, x=1))))
+
+
+def test_two_identical_cameras_are_refused():
+    with pytest.raises(InputError, match="no baseline"):
+        Sample("s", (view("a"), view("b", camera(yaw=0.2))))
+
+
+def test_views_that_look_apart_are_refused():
+    with pytest.raises(InputError, match="do not overlap"):
+        Sample("s", (view("a"), view("b", camera(x=1, yaw=np.pi))))
+
+
+def test_one_view_is_not_enough():
+    with pytest.raises(InputError, match="at least two"):
+        Sample("s", (view("a"),))
+
+
+def test_the_share_seen_by_both_shrinks_with_the_baseline():
+    shares = [shared_view(camera(), camera(x=x), 4.0) for x in (0, 1, 2, 8)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] == 1
+    assert shares[-1] == 0
+
+
+class TestFind:
+    scene = Scene(
+        "room",
+        {n: camera() for n in ("images/a.png", "images/b.png", "left/c.png", "right/c.png")},
+        view,
+    )
+
+    @pytest.mark.parametrize("name", ["images/a.png", "a.png", "a", "images/a"])
+    def test_a_view_answers_to_its_short_names(self, name):
+        assert self.scene.find(name) == "images/a.png"
+
+    def test_an_ambiguous_name_is_refused(self):
+        with pytest.raises(InputError, match="ambiguous"):
+            self.scene.find("c.png")
+
+    def test_a_missing_name_is_refused_with_some_that_exist(self):
+        with pytest.raises(InputError, match=r"no view 'd.png'.*images/a.png"):
+            self.scene.find("d.png")
