@@ -1,16 +1,42 @@
-"""The sizes of all thread pools, and Numba's threading layer, in one place.
+"""The sizes of all thread pools, and what Numba must know before it starts, in one place.
 
 PyTorch, Numba and OpenCV each bring a pool as large as the machine. Importing this module, which
-must happen before Numba starts its first parallel loop, chooses Numba's ``omp`` layer: its default
-where OpenMP is missing, ``workqueue``, aborts the process when two threads call it at once.
-Each worker of a program that runs several calls :func:`share`.
+the package does first of all, chooses Numba's ``omp`` layer: its default where OpenMP is missing,
+``workqueue``, aborts the process when two threads call it at once. It also chooses where compiled
+kernels are kept. Each worker of a program that runs several calls :func:`share`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
+from pathlib import Path
+
+
+def kernel_folder() -> Path:
+    """Folder in the user's cache for the compiled kernels of exactly this source code.
+
+    Numba recompiles a function when its own file changes, and not when a function that it calls
+    from another file does: after an update it would go on with old code. So the folder's name is a
+    digest of all the package's sources that use Numba.
+    """
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        source = file.read_bytes()
+        if b"numba" in source:
+            digest.update(str(file.relative_to(package)).encode() + b"\0" + source)
+    caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(caches).expanduser() / "slgaussian" / "kernels" / digest.hexdigest()[:16]
+
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
+if "NUMBA_CACHE_DIR" not in os.environ:
+    # Without a home that can be written, Numba keeps its own default, beside the sources.
+    with contextlib.suppress(OSError):
+        kernel_folder().mkdir(parents=True, exist_ok=True)
+        os.environ["NUMBA_CACHE_DIR"] = str(kernel_folder())
 
 
 def share(workers: int = 1) -> int:

@@ -1,0 +1,281 @@
+"""nerfstudio's ``transforms.json``: photographs, intrinsics, lens distortion, poses and depth.
+
+The format is https://docs.nerf.studio/quickstart/data_conventions.html. Its poses are
+camera-to-world with OpenGL axes (y up, z backward); its principal point counts from the corner of
+the image, with pixel centres at +0.5, as here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+
+FILE = "transforms.json"
+EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG")
+"""Tried in this order where a ``file_path`` leaves its extension out."""
+
+PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+FISHEYE = "OPENCV_FISHEYE"
+
+DEPTH_UNIT = 0.001
+"""Scene units in one unit of a depth file, where ``depth_unit_scale_factor`` does not say."""
+
+
+def read(path: str | Path) -> Scene:
+    """Read a scene; photographs are opened, and undistorted once, when a view is asked for.
+
+    Views are named by their ``file_path``. Every number may stand at the top or in a frame, which
+    wins. ``fl_y`` defaults to ``fl_x`` and that to ``camera_angle_x``; ``cx`` and ``cy`` to the
+    image's middle; ``w`` and ``h`` to the size of the first photograph that exists. Undistorted
+    views keep their K, and what the lens did not see is black, with depth 0.
+
+    Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
+    black; an EXIF orientation is not applied, as poses and intrinsics belong to the stored pixels.
+    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resized to the
+    image by nearest pixel, and 0 where it is not a positive number; a view whose depth file is
+    missing has no depth, as no method needs it.
+
+    Parameters
+    ----------
+    path : path
+        ``transforms.json`` or the folder that holds it; other paths are relative to that folder.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or a frame of it cannot be used. A missing or unreadable
+        photograph is an error only of its own view.
+    """
+    path = Path(path)
+    file = path / FILE if path.is_dir() else path
+    meta = _load(file)
+    frames: dict[str, _Frame] = {}
+    for number, entry in enumerate(meta["frames"]):
+        name = entry.get("file_path") if isinstance(entry, dict) else None
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{file}: frame {number} has no file_path; add the photograph's path")
+        if name in frames:
+            raise InputError(f"{file}: two frames have the file_path {name!r}; remove one")
+        frames[name] = _Frame(file, name, {**meta, **entry})
+    size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
+    cameras = {name: frame.camera(size) for name, frame in frames.items()}
+    name = file.resolve().parent.name or "scene"
+    return Scene(name, cameras, _Reader(file, frames, cameras).read)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    file: Path
+    frames: Mapping[str, _Frame]
+    cameras: Mapping[str, Camera]
+
+    def read(self, name: str) -> View:
+        """Open and undistort one view."""
+        if name not in self.frames:
+            raise InputError(f"{self.file}: no frame has the file_path {name!r}")
+        frame, camera = self.frames[name], self.cameras[name]
+        if frame.image_path is None:
+            raise InputError(self._missing(name))
+        image = frame.image(camera)
+        depth = frame.depth(camera)
+        maps = frame.undistortion(camera)
+        if maps is not None:
+            image = cv2.remap(image, *maps, cv2.INTER_LINEAR)
+            depth = None if depth is None else cv2.remap(depth, *maps, cv2.INTER_NEAREST)
+        return View(name, camera, image, depth)
+
+    def _missing(self, name: str) -> str:
+        gone = [other for other, frame in self.frames.items() if frame.image_path is None]
+        others = [other for other in gone if other != name]
+        also = f" ({len(others)} more of its {len(self.frames)} photographs missing"
+        also += f": {', '.join(others[:3])}{', ...' if len(others) > 3 else ''})" if others else ""
+        return (
+            f"{self.file.parent / name}: no such photograph, though {self.file.name} names it"
+            f"{also if others else ''}; put the file there or choose another view"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One frame with the file's defaults filled in."""
+
+    file: Path
+    name: str
+    values: Mapping[str, Any]
+
+    def error(self, what: str) -> InputError:
+        return InputError(f"{self.file}: frame {self.name!r}: {what}")
+
+    def number(self, key: str, default: float | None = None) -> float | None:
+        value = self.values.get(key, default)
+        if value is None:
+            return None
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise self.error(f"{key} is {value!r}, expected a finite number")
+        return float(value)
+
+    @cached_property
+    def image_path(self) -> Path | None:
+        stem = self.file.parent / self.name
+        tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
+        return next((p for p in tries if p.is_file()), None)
+
+    def stored_size(self) -> tuple[int, int] | None:
+        """Width and height of the stored photograph, None if it cannot be opened."""
+        try:
+            with Image.open(self.image_path or "") as image:
+                return image.size
+        except (OSError, Image.DecompressionBombError):
+            return None
+
+    def camera(self, size: tuple[int, int] | None) -> Camera:
+        """The pinhole camera of the undistorted view; ``size`` stands in for absent w and h."""
+        model = self.values.get("camera_model", "OPENCV")
+        if model not in (*PERSPECTIVE, FISHEYE):
+            raise self.error(
+                f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
+                f"{FISHEYE}; undistort the photographs to PINHOLE first"
+            )
+        w, h = self.number("w"), self.number("h")
+        if w is None or h is None:
+            if size is None:
+                raise self.error("has neither w and h nor a photograph to take them from; add them")
+            w, h = size
+        if w != int(w) or h != int(h):
+            raise self.error(f"w and h are {w:g} and {h:g}, expected whole numbers of pixels")
+        angle = self.number("camera_angle_x")
+        if angle is not None and not 0 < angle < math.pi:
+            raise self.error(f"camera_angle_x is {angle:g}, expected radians between 0 and pi")
+        fx = self.number("fl_x", None if angle is None else w / 2 / math.tan(angle / 2))
+        if fx is None:
+            raise self.error("has neither fl_x nor camera_angle_x; add the focal length in pixels")
+        fy = self.number("fl_y", fx)
+        cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
+        if "transform_matrix" not in self.values:
+            raise self.error("has no transform_matrix; add its camera-to-world pose, or remove it")
+        try:
+            c2w = np.array(self.values["transform_matrix"], np.float64)
+        except (TypeError, ValueError):
+            raise self.error("transform_matrix is not a 4x4 matrix of numbers") from None
+        if c2w.shape != (4, 4):
+            raise self.error(f"transform_matrix has shape {c2w.shape}, expected (4, 4)")
+        c2w[:, 1:3] *= -1  # OpenGL axes to OpenCV's
+        try:
+            return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), c2w, int(w), int(h))
+        except InputError as bad:
+            raise self.error(str(bad)) from None
+
+    def undistortion(self, camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where each pixel of the view lies in the stored photograph, as maps for cv2.remap."""
+        k = [self.number(f"k{i}", 0.0) for i in range(1, 5)]
+        p = [self.number(f"p{i}", 0.0) for i in range(1, 3)]
+        fisheye = self.values.get("camera_model") == FISHEYE
+        if not fisheye and not any((*k, *p)):
+            return None
+        K = camera.K.copy()
+        K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
+        size = (camera.width, camera.height)
+        if fisheye:
+            return cv2.fisheye.initUndistortRectifyMap(
+                K, np.array(k), np.eye(3), K, size, cv2.CV_32FC1
+            )
+        if k[3]:
+            raise self.error(
+                f"k4 is {k[3]:g}, but a perspective camera has only k1, k2, k3, p1 and p2; set it "
+                "to 0 or the camera_model to OPENCV_FISHEYE"
+            )
+        lens = np.array([k[0], k[1], p[0], p[1], k[2]])
+        return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
+
+    def image(self, camera: Camera) -> np.ndarray:
+        try:
+            with Image.open(self.image_path) as image:
+                image.load()
+                pixels = _rgb(image)
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
+            raise _unreadable(self.image_path, bad) from None
+        if pixels.shape[:2] != (camera.height, camera.width):
+            raise InputError(
+                f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
+                f"says {camera.width}x{camera.height}; resize it, or scale w, h, fl_x, fl_y, cx "
+                "and cy to its size"
+            )
+        return pixels
+
+    def depth(self, camera: Camera) -> np.ndarray | None:
+        name = self.values.get("depth_file_path")
+        if name is None:
+            return None
+        path = self.file.parent / str(name)
+        if not path.is_file():
+            return None
+        try:
+            if path.suffix == ".npy":
+                raw = np.load(path, allow_pickle=False)
+            else:
+                with Image.open(path) as image:
+                    raw = np.asarray(image)
+        except (OSError, SyntaxError, ValueError, EOFError) as bad:
+            raise _unreadable(path, bad) from None
+        raw = raw.squeeze()
+        if raw.ndim != 2 or raw.dtype.kind not in "uif":
+            raise InputError(
+                f"{path}: depth is {raw.dtype} {raw.shape}, expected one number a pixel"
+            )
+        unit = self.number("depth_unit_scale_factor", DEPTH_UNIT)
+        if unit <= 0:
+            raise self.error(f"depth_unit_scale_factor is {unit:g}, expected a positive number")
+        depth = (raw.astype(np.float64) * unit).astype(np.float32)
+        depth[~(np.isfinite(depth) & (depth > 0))] = 0
+        size = (camera.width, camera.height)
+        return cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+def _load(file: Path) -> dict[str, Any]:
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as bad:
+        raise InputError(
+            f"{file}: cannot be read ({bad.strerror}); give a {FILE} or the folder that holds one"
+        ) from None
+    except ValueError as bad:
+        raise InputError(f"{file}: is not valid JSON ({bad}); write it again") from None
+    if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
+        raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
+    return meta
+
+
+def _rgb(image: Image.Image) -> np.ndarray:
+    """Pixels of an opened image as RGB uint8, transparent ones over black."""
+    if image.mode.startswith("I"):  # 16 bits of grey
+        grey = np.clip(np.asarray(image, np.float64) / 257, 0, 255)
+        return np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=-1)
+    if image.mode == "F":
+        raise ValueError("floating-point pixels")
+    if "A" in image.getbands() or "transparency" in image.info:
+        pixels = np.asarray(image.convert("RGBA"), np.float64)
+        return np.round(pixels[..., :3] * pixels[..., 3:] / 255).astype(np.uint8)
+    return np.ascontiguousarray(np.asarray(image.convert("RGB")))
+
+
+def _unreadable(path: Path, bad: Exception) -> InputError:
+    reason = str(bad).replace(str(path), "the file").strip(" .") or type(bad).__name__
+    return InputError(
+        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
+    )

@@ -1,0 +1,310 @@
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slgaussian.datasets import load, nerfstudio
+from slgaussian.errors import InputError
+
+WIDTH, HEIGHT = 96, 64
+INTRINSICS = {"fl_x": 80.0, "fl_y": 82.0, "cx": 47.3, "cy": 33.1, "w": WIDTH, "h": HEIGHT}
+IDENTITY = np.eye(4).tolist()
+
+
+def picture(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+def frame(name: str, **more) -> dict:
+    return {"file_path": name, "transform_matrix": IDENTITY, **more}
+
+
+def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
+    """A scene folder with those images, and its transforms.json."""
+    for i, name in enumerate(images):
+        Image.fromarray(picture(i)).save(root / name)
+    file = root / "transforms.json"
+    file.write_text(json.dumps({**INTRINSICS, **top, "frames": frames}))
+    return file
+
+
+class TestCameras:
+    def test_poses_turn_from_opengl_to_opencv_axes(self, tmp_path):
+        camera = nerfstudio.read(write(tmp_path, [frame("a.png")])).cameras["a.png"]
+        # An OpenGL camera at the origin looks along -z with y up.
+        pixels, depth = camera.project(np.array([[0, 0, -2.0], [0.5, 0.25, -2.0]]))
+        assert depth.tolist() == [2, 2]
+        assert pixels[0] == pytest.approx((47.3, 33.1))
+        assert pixels[1] == pytest.approx((47.3 + 80 / 4, 33.1 - 82 / 8))
+
+    def test_a_moved_and_turned_camera_keeps_its_place(self, tmp_path):
+        c2w = np.eye(4)
+        c2w[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # right +y, up +z, back +x
+        c2w[:3, 3] = (3, -1, 2)
+        entry = {"file_path": "a.png", "transform_matrix": c2w.tolist()}
+        camera = nerfstudio.read(write(tmp_path, [entry])).cameras["a.png"]
+        assert camera.center.tolist() == [3, -1, 2]
+        pixels, depth = camera.project(np.array([-1.0, 0, 3]))  # 4 ahead, 1 right, 1 up
+        assert depth == pytest.approx(4)
+        assert pixels == pytest.approx((47.3 + 20, 33.1 - 20.5))
+
+    def test_a_frame_overrides_the_file(self, tmp_path):
+        frames = [frame("a.png"), frame("b.png", fl_x=200.0, cx=10.0)]
+        cameras = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"))).cameras
+        assert cameras["a.png"].K[0].tolist() == [80, 0, 47.3]
+        assert cameras["b.png"].K[0].tolist() == [200, 0, 10]
+        assert cameras["b.png"].K[1].tolist() == [0, 82, 33.1]
+
+    def test_blender_files_need_only_an_angle(self, tmp_path):
+        Image.fromarray(picture()).save(tmp_path / "r_0.png")
+        file = tmp_path / "transforms_train.json"
+        file.write_text(json.dumps({"camera_angle_x": np.pi / 2, "frames": [frame("./r_0")]}))
+        scene = nerfstudio.read(file)
+        expected = np.array([[48, 0, 48], [0, 48, 32], [0, 0, 1]])
+        assert pytest.approx(expected) == scene.cameras["./r_0"].K
+        assert (scene.read(scene.find("r_0")).image == picture()).all()
+
+
+# Both lens models, written out from their definitions.
+def brown(x, y, k1, k2, p1, p2, k3):
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def equidistant(x, y, k1, k2, k3, k4):
+    r = np.hypot(x, y)
+    a = np.arctan(r)
+    bent = a * (1 + k1 * a**2 + k2 * a**4 + k3 * a**6 + k4 * a**8)
+    return x * bent / r, y * bent / r
+
+
+LENSES = {
+    "OPENCV": (brown, {"k1": -0.28, "k2": 0.07, "p1": 0.004, "p2": -0.006, "k3": -0.01}),
+    "OPENCV_FISHEYE": (equidistant, {"k1": 0.05, "k2": -0.02, "k3": 0.004, "k4": -0.001}),
+}
+
+
+class TestDistortion:
+    @pytest.mark.parametrize("model", LENSES)
+    def test_every_pixel_comes_from_where_the_lens_put_it(self, tmp_path, model):
+        bend, lens = LENSES[model]
+        width, height = 250, 200
+        K = {"fl_x": 160.0, "fl_y": 163.0, "cx": 121.4, "cy": 104.7, "w": width, "h": height}
+        # Pixels that hold their own column and row: interpolation of a ramp is exact.
+        rows, cols = np.indices((height, width))
+        Image.fromarray(np.dstack([cols, rows, rows]).astype(np.uint8)).save(tmp_path / "a.png")
+        file = write(tmp_path, [frame("a.png")], (), camera_model=model, **K, **lens)
+        seen = nerfstudio.read(file).read("a.png").image.astype(float)
+        x, y = (cols + 0.5 - K["cx"]) / K["fl_x"], (rows + 0.5 - K["cy"]) / K["fl_y"]
+        from_x, from_y = bend(x, y, **lens)
+        for channel, came, focal, middle in (
+            (0, from_x, K["fl_x"], K["cx"]),
+            (1, from_y, K["fl_y"], K["cy"]),
+        ):
+            error = seen[..., channel] - (came * focal + middle - 0.5)
+            assert np.abs(error).max() < 0.52  # 8 bits round by 0.5
+            # That averages out over 25x25 pixels where the lens bends most, along the borders:
+            # measured at most 0.04. OpenCV's pixel centres taken for the file's leave 0.19 to 0.27.
+            blocks = error.reshape(height // 25, 25, width // 25, 25).mean((1, 3))
+            blocks[1:-1, 1:-1] = 0
+            assert np.abs(blocks).max() < 0.08
+
+    def test_depth_is_undistorted_without_inventing_values(self, tmp_path):
+        depth = np.full((HEIGHT, WIDTH), 2000, np.uint16)
+        depth[:, WIDTH // 2 :] = 5000
+        Image.fromarray(depth).save(tmp_path / "d.png")
+        lens = {"k1": 0.3}
+        file = write(tmp_path, [frame("a.png", depth_file_path="d.png")], **lens)
+        found = nerfstudio.read(file).read("a.png").depth
+        assert set(np.unique(found)) == {np.float32(v) for v in (0, 2, 5)}
+
+    def test_no_distortion_leaves_the_pixels_alone(self, tmp_path):
+        file = write(tmp_path, [frame("a.png")], k1=0.0, p1=0.0, camera_model="OPENCV")
+        assert (nerfstudio.read(file).read("a.png").image == picture()).all()
+
+    def test_a_fourth_radial_term_is_refused(self, tmp_path):
+        scene = nerfstudio.read(write(tmp_path, [frame("a.png")], k4=0.1))
+        with pytest.raises(InputError, match=r"frame 'a\.png': k4 is 0\.1"):
+            scene.read("a.png")
+
+
+class TestDepth:
+    def read(self, tmp_path, name, **top) -> np.ndarray | None:
+        file = write(tmp_path, [frame("a.png", depth_file_path=name)], **top)
+        return nerfstudio.read(file).read("a.png").depth
+
+    def test_is_millimetres_unless_the_file_says_otherwise(self, tmp_path):
+        raw = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
+        Image.fromarray(raw).save(tmp_path / "d.png")
+        metres = self.read(tmp_path, "d.png")
+        assert metres.dtype == np.float32
+        assert metres == pytest.approx(raw / 1000)
+        assert self.read(tmp_path, "d.png", depth_unit_scale_factor=0.25) == pytest.approx(raw / 4)
+
+    def test_unknown_values_become_zero(self, tmp_path):
+        raw = np.full((HEIGHT, WIDTH), 1500.0)
+        raw[0, :4] = (np.nan, np.inf, -3, 0)
+        np.save(tmp_path / "d.npy", raw)
+        depth = self.read(tmp_path, "d.npy")
+        assert depth[0, :5].tolist() == [0, 0, 0, 0, 1.5]
+
+    def test_of_another_size_is_fitted_by_nearest_pixel(self, tmp_path):
+        raw = np.arange(HEIGHT * WIDTH // 4, dtype=np.uint16).reshape(HEIGHT // 2, WIDTH // 2)
+        Image.fromarray(raw).save(tmp_path / "d.png")
+        depth = self.read(tmp_path, "d.png")
+        assert depth == pytest.approx(raw.repeat(2, 0).repeat(2, 1) / 1000)
+
+    def test_may_be_missing(self, tmp_path):
+        assert self.read(tmp_path, "gone.png") is None
+
+    def test_of_three_channels_or_damaged_is_refused(self, tmp_path):
+        Image.fromarray(picture()).save(tmp_path / "d.png")
+        with pytest.raises(InputError, match=r"d\.png: depth is uint8 \(64, 96, 3\)"):
+            self.read(tmp_path, "d.png")
+        (tmp_path / "d.npy").write_bytes(b"\x93NUMPY junk")
+        with pytest.raises(InputError, match=r"d\.npy: cannot be read"):
+            self.read(tmp_path, "d.npy")
+
+
+class TestImages:
+    def stored(self, tmp_path, image: Image.Image, name="a.png", **options) -> np.ndarray:
+        image.save(tmp_path / name, **options)
+        return nerfstudio.read(write(tmp_path, [frame(name)], ())).read(name).image
+
+    def test_grey_is_repeated(self, tmp_path):
+        grey = picture()[..., 0]
+        assert (self.stored(tmp_path, Image.fromarray(grey)) == grey[..., None]).all()
+
+    def test_sixteen_bits_are_scaled(self, tmp_path):
+        grey = picture()[..., 0]
+        wide = grey.astype(np.uint16) * 257
+        assert (self.stored(tmp_path, Image.fromarray(wide)) == grey[..., None]).all()
+
+    def test_transparent_is_over_black(self, tmp_path):
+        rgba = np.dstack([picture(), np.full((HEIGHT, WIDTH), 255, np.uint8)])
+        rgba[0, :, 3] = 0
+        rgba[1, :, 3] = 51
+        seen = self.stored(tmp_path, Image.fromarray(rgba))
+        assert (seen[0] == 0).all()
+        assert (seen[1] == np.round(picture()[1] / 5)).all()
+        assert (seen[2:] == picture()[2:]).all()
+
+    def test_an_exif_orientation_is_not_applied(self, tmp_path):
+        exif = Image.Exif()
+        exif[0x0112] = 6  # "turn right to show"
+        seen = self.stored(tmp_path, Image.fromarray(picture()), "a.jpg", exif=exif)
+        assert seen.shape == (HEIGHT, WIDTH, 3)
+
+    def test_another_size_than_the_file_says_is_refused(self, tmp_path):
+        with pytest.raises(InputError, match=r"a\.png: is 50x40, but transforms.json says 96x64"):
+            self.stored(tmp_path, Image.new("RGB", (50, 40)))
+
+    @pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+    def test_a_truncated_file_is_named(self, tmp_path, name):
+        file = write(tmp_path, [frame(name)], (name,))
+        data = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(data[: len(data) // 2])
+        with pytest.raises(InputError, match=rf"{name}: cannot be read"):
+            nerfstudio.read(file).read(name)
+
+    def test_what_is_not_an_image_is_named(self, tmp_path):
+        file = write(tmp_path, [frame("a.png")], ())
+        (tmp_path / "a.png").write_text("hello")
+        with pytest.raises(InputError, match=r"a\.png: cannot be read"):
+            nerfstudio.read(file).read("a.png")
+
+
+class TestMissingPhotographs:
+    def test_leave_the_others_usable(self, tmp_path):
+        names = ("a.png", "b.png", "c.png", "d.png", "e.png", "f.png")
+        scene = nerfstudio.read(write(tmp_path, [frame(n) for n in names], ("b.png",)))
+        assert list(scene.cameras) == list(names)
+        assert (scene.read("b.png").image == picture()).all()
+        with pytest.raises(InputError) as caught:
+            scene.read("c.png")
+        assert str(tmp_path / "c.png") in str(caught.value)
+        assert "4 more of its 6 photographs missing: a.png, d.png, e.png, ..." in str(caught.value)
+
+    def test_one_alone_is_named_alone(self, tmp_path):
+        scene = nerfstudio.read(write(tmp_path, [frame("a.png"), frame("b.png")]))
+        with pytest.raises(InputError, match=r"b\.png: no such photograph") as caught:
+            scene.read("b.png")
+        assert "more of its" not in str(caught.value)
+
+
+def turned(scale: float = 1.0, nan: bool = False) -> list:
+    matrix = np.eye(4)
+    matrix[:3, :3] *= scale
+    if nan:
+        matrix[0, 3] = np.nan
+    return matrix.tolist()
+
+
+@pytest.mark.parametrize(
+    ("frames", "top", "sentence"),
+    [
+        ([], {}, "lists no frames"),
+        ([{"transform_matrix": IDENTITY}], {}, "frame 0 has no file_path"),
+        ([{"file_path": "a.png"}], {}, "frame 'a.png': has no transform_matrix"),
+        ([frame("a.png"), frame("a.png")], {}, "two frames have the file_path 'a.png'"),
+        ([frame("a.png") | {"transform_matrix": turned(2)}], {}, "not a rotation"),
+        ([frame("a.png") | {"transform_matrix": turned(nan=True)}], {}, "NaN"),
+        ([frame("a.png") | {"transform_matrix": [[1, 2], [3]]}], {}, "not a 4x4 matrix"),
+        ([frame("a.png") | {"transform_matrix": [[1, 2], [3, 4]]}], {}, "shape (2, 2)"),
+        ([frame("a.png", fl_x="wide")], {}, "fl_x is 'wide', expected a finite number"),
+        ([frame("a.png", cx=float("nan"))], {}, "cx is nan, expected a finite number"),
+        ([frame("a.png", fl_x=-5)], {}, "focal lengths -5, 82 must be positive"),
+        ([frame("a.png", w=90.5)], {}, "w and h are 90.5 and 64"),
+        ([frame("a.png")], {"fl_x": None}, "neither fl_x nor camera_angle_x"),
+        ([frame("a.png")], {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
+        ([frame("gone.png")], {"w": None}, "neither w and h nor a photograph"),
+    ],
+)
+def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, frames, top, sentence):
+    file = write(tmp_path, frames, **top)
+    with pytest.raises(InputError) as caught:
+        nerfstudio.read(file)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [("{ frames: ", "is not valid JSON"), ("[1, 2]", "lists no frames"), ("", "not valid JSON")],
+)
+def test_what_is_not_a_transforms_file_is_named(tmp_path, text, sentence):
+    file = tmp_path / "transforms.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        nerfstudio.read(tmp_path)
+
+
+def test_a_folder_without_transforms_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"transforms\.json: cannot be read \(No such file"):
+        load("nerfstudio", tmp_path)
+
+
+def test_a_scene_can_be_sent_to_another_process(tmp_path):
+    scene = pickle.loads(pickle.dumps(nerfstudio.read(write(tmp_path, [frame("a.png")]))))
+    assert scene.name == tmp_path.name
+    assert (scene.read("a.png").image == picture()).all()
+
+
+def test_sensor_depth_of_real_frames_warps_one_onto_another(real_data):
+    scene = nerfstudio.read(real_data / "office")
+    a, b = (scene.read(name) for name in list(scene.cameras)[:2])
+    pixels, z = b.camera.project(a.camera.unproject(a.depth))
+    u, v = pixels[..., 0].round().astype(int), pixels[..., 1].round().astype(int)
+    inside = (a.depth > 0) & (u >= 0) & (v >= 0) & (u < b.camera.width) & (v < b.camera.height)
+    there = b.depth[v[inside], u[inside]]
+    known = there > 0
+    error = np.abs(there - z[inside])[known] / z[inside][known]
+    assert np.median(error) < 0.03

@@ -1,0 +1,219 @@
+import itertools
+import pickle
+
+import numba
+import numpy as np
+import pytest
+from implicit_solids import inside_below_zero
+
+from slgaussian.datasets import load, procedural, raycast
+from slgaussian.datasets.names import (
+    COLOURS,
+    MATERIALS,
+    PATTERNS,
+    SHAPES,
+    STUFF,
+    VOCABULARY,
+    look,
+)
+from slgaussian.errors import InputError
+from slgaussian.scene import View
+
+SMALL = {"height": 64, "width": 96}
+SEEDS = range(12)
+
+
+@pytest.fixture(scope="module")
+def clean_ends() -> tuple[View, View]:
+    """Both ends of an arc without noise and with one exposure."""
+    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    return scene.read("view_00"), scene.read("view_03")
+
+
+def same(a: View, b: View) -> bool:
+    return all(
+        getattr(a, name).tobytes() == getattr(b, name).tobytes()
+        for name in ("image", "depth", "instances")
+    )
+
+
+def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
+    first = procedural.read(seed=3, **SMALL)
+    views = [first.read(name) for name in first.cameras]
+    again = procedural.read(seed=3, **SMALL)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        for name, view in reversed(list(zip(first.cameras, views, strict=True))):
+            assert same(again.read(name), view)
+    finally:
+        numba.set_num_threads(threads)
+    assert first.phrases == again.phrases
+    assert not same(procedural.read(seed=4, **SMALL).read("view_00"), views[0])
+
+
+def test_a_room_is_the_same_at_any_resolution():
+    small, large = procedural.read(seed=2, **SMALL), procedural.read(seed=2, height=256, width=256)
+    assert small.phrases == large.phrases
+    a, b = small.cameras["view_03"], large.cameras["view_03"]
+    assert (a.c2w == b.c2w).all()
+    view = large.read("view_03")
+    assert view.image.shape == (256, 256, 3)
+    assert set(np.unique(view.instances)) <= set(large.phrases)
+
+
+def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre(clean_ends):
+    view, _ = clean_ends
+    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    room = scene.read.__self__.room
+    solids = [solid for thing in room.things for solid in thing.solids]
+    owners = room.owners()
+    points = view.camera.unproject(view.depth)
+    level = np.stack([inside_below_zero(solid, points) for solid in solids])
+    # Depth is float32, 2e-7 of at most 6 m.
+    assert np.abs(level.min(0)).max() < 2e-6
+    on = np.abs(level) < 2e-6
+    owned = (on & (owners[:, None, None] == view.instances)).any(0)
+    assert owned.all()
+
+
+def test_true_depth_warps_one_end_of_the_arc_onto_the_other(clean_ends):
+    a, b = clean_ends
+    points = a.camera.unproject(a.depth)
+    pixels, z = b.camera.project(points)
+    inside = (pixels > 0.5).all(-1) & (pixels < (b.camera.width - 1, b.camera.height - 1)).all(-1)
+    # Seen by both, judged by the exact ray of b through the warped point.
+    rays = points - b.camera.center
+    room = procedural.read(seed=5).read.__self__.room
+    t, index = raycast.cast(room.solids(), b.camera.center, rays)
+    seen = inside & (np.abs(t - 1) < 1e-5)
+    assert 0.6 < seen.mean() < 0.95
+    assert (room.owners()[index] == a.instances)[seen].all()
+    u, v = pixels[..., 0][seen].astype(int), pixels[..., 1][seen].astype(int)
+    assert (b.instances[v, u] == a.instances[seen]).mean() > 0.98  # but for pixels on an edge
+    close = np.abs(b.depth[v, u] - z[seen]) < 0.03 * z[seen]
+    assert close.mean() > 0.98
+    difference = np.abs(b.image[v, u].astype(int) - a.image[seen]).max(-1)
+    # The nearest pixel is up to half a pixel off and a highlight moves: what is left is texture.
+    assert np.median(difference) <= 6
+    wrong = np.abs(np.roll(b.image, 8, axis=1)[v, u].astype(int) - a.image[seen]).max(-1)
+    assert difference.mean() < 0.5 * wrong.mean()
+
+
+def test_noise_and_exposure_change_the_photograph_and_nothing_else():
+    settings = {"seed": 1, **SMALL}
+    clean = procedural.read(noise=0, exposure=0, **settings).read("view_01")
+    noisy = procedural.read(noise=0.02, exposure=0, **settings).read("view_01")
+    assert (clean.depth == noisy.depth).all() and (clean.instances == noisy.instances).all()
+    middle = (clean.image > 40) & (clean.image < 215)
+    spread = (noisy.image.astype(float) - clean.image)[middle].std()
+    assert spread == pytest.approx(0.02 * 255, rel=0.05)
+    bright = procedural.read(noise=0, exposure=0.2, **settings)
+    ratios = [bright.read(name).image.mean() / clean.image.mean() for name in bright.cameras]
+    assert np.ptp(ratios) > 0.05
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
+    phrases = list(procedural.read(seed=seed, objects=10, **SMALL).phrases.values())
+    assert len(set(phrases)) == len(phrases)
+    looks = set()
+    for phrase in phrases:
+        *adjectives, noun = words = phrase.split()
+        assert set(words) <= VOCABULARY
+        assert noun in SHAPES or noun in STUFF
+        assert all(w in COLOURS or w in PATTERNS or w in MATERIALS for w in adjectives)
+        looks.add((look(phrase), noun))
+    assert len(looks) == len(phrases)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_object_is_seen_from_both_ends(seed):
+    scene = procedural.read(seed=seed, **SMALL)
+    assert sum(phrase.split()[-1] in SHAPES for phrase in scene.phrases.values()) == 8
+    for name in ("view_00", "view_03"):
+        counts = np.bincount(scene.read(name).instances.ravel(), minlength=len(scene.phrases) + 1)
+        assert counts[0] == 0  # the room is closed
+        for i, phrase in scene.phrases.items():
+            if phrase.split()[-1] in SHAPES:
+                assert counts[i] > 0.002 * 64 * 96, phrase
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_stands_inside_anything_else_or_floats(seed):
+    rng = np.random.default_rng(seed)
+    things = procedural.read(seed=seed, objects=12, **SMALL).read.__self__.room.things
+    for a, b in itertools.permutations(things, 2):
+        for solid in a.solids:
+            points = solid.centre + rng.uniform(-1, 1, (4000, 3)) * solid.reach
+            within = points[inside_below_zero(solid, points) < 0]
+            for other in b.solids:
+                if len(within):
+                    depth = inside_below_zero(other, within).min()
+                    assert depth > -1e-9, (a.phrase, b.phrase, depth)
+    for thing in things[4:]:
+        if thing.phrase == "picture":
+            continue
+        foot = min(thing.solids, key=lambda solid: solid.centre[2])
+        points = foot.centre + rng.uniform(-1, 1, (20000, 3)) * foot.reach
+        lowest = points[inside_below_zero(foot, points) < 0][:, 2].min()
+        below = np.array((foot.centre[0], foot.centre[1], lowest - 0.03))
+        held = min(
+            inside_below_zero(solid, below) for b in things if b is not thing for solid in b.solids
+        )
+        assert held < 0, thing.phrase
+
+
+def test_shadows_fall_where_an_object_hides_the_lamp():
+    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    room = scene.read.__self__.room
+    view = scene.read("view_00")
+    points = view.camera.unproject(view.depth)
+    t, _ = raycast.cast(room.solids(casters=True), room.light.centre, points - room.light.centre)
+    floor = view.instances == 1
+    # A lamp has a size: look well inside and well outside the shadow of its centre.
+    dark = floor & (t < 0.9)
+    lit = floor & (t > 1 + 1e-6)
+    near = lit & (np.abs(points[..., 0]) < 1.5) & (points[..., 1] > -1)
+    assert dark.sum() > 100
+    assert np.median(view.image[dark]) < 0.85 * np.median(view.image[near])
+
+
+def test_the_ends_make_a_two_view_sample_and_the_middle_its_targets():
+    scene = load("procedural", seed=7, **SMALL)
+    sample = scene.sample(["view_00", "view_03"], ["view_01", "view_02"])
+    assert sample.phrases == scene.phrases
+    ends = [view.camera.center for view in sample.context]
+    assert np.linalg.norm(ends[0] - ends[1]) == pytest.approx(0.6)
+    depth = sample.context[0].depth
+    assert depth.min() > 1.5 and depth.max() < 8
+
+
+def test_a_scene_can_be_sent_to_another_process():
+    scene = procedural.read(seed=0, **SMALL)
+    assert same(pickle.loads(pickle.dumps(scene)).read("view_02"), scene.read("view_02"))
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("objects", 0),
+        ("objects", 40),
+        ("objects", 2.5),
+        ("views", 1),
+        ("height", 3),
+        ("width", 0),
+        ("baseline", 0),
+        ("baseline", float("nan")),
+        ("noise", -0.1),
+        ("exposure", float("inf")),
+    ],
+)
+def test_an_argument_out_of_range_is_named(argument, value):
+    with pytest.raises(InputError, match=f"procedural scene {argument}: found"):
+        procedural.read(**{argument: value})
+
+
+def test_an_unknown_view_is_named():
+    with pytest.raises(InputError, match="view_99"):
+        procedural.read(**SMALL).read("view_99")

@@ -1,0 +1,53 @@
+import numpy as np
+import skimage.data
+
+from slgaussian.datasets import stereo
+
+
+def test_true_depth_sends_left_pixels_a_disparity_to_the_left():
+    _, _, disparity = skimage.data.stereo_motorcycle()
+    scene = stereo.read()
+    left = scene.read("left")
+    known = np.isfinite(disparity)
+    points = left.camera.unproject(left.depth)
+    pixels, z = scene.cameras["right"].project(points)
+    v, u = np.indices(disparity.shape) + 0.5
+    # Depth is stored as float32: 3e-7 relative of up to 91 pixels.
+    assert np.abs(u - pixels[..., 0] - disparity)[known].max() < 1e-4
+    assert np.abs(v - pixels[..., 1])[known].max() < 1e-9
+    assert np.abs(z - left.depth)[known].max() < 1e-9
+    assert (left.depth[~known] == 0).all() and (left.depth[known] > 0).all()
+
+
+def test_the_right_photograph_agrees_with_that_and_with_no_other_offset():
+    scene = stereo.read()
+    left, right = scene.read("left"), scene.read("right")
+    pixels, _ = right.camera.project(left.camera.unproject(left.depth))
+    rows, _ = np.indices(left.depth.shape)
+    columns = pixels[..., 0] - 0.5
+
+    def difference(shift: float) -> float:
+        at = columns + shift
+        low = np.floor(at).astype(int)
+        inside = (left.depth > 0) & (low >= 0) & (low + 1 < right.camera.width)
+        r, c, share = rows[inside], low[inside], (at - low)[inside][:, None]
+        warped = right.image[r, c] * (1 - share) + right.image[r, c + 1] * share
+        return float(np.abs(warped - left.image[inside]).mean())
+
+    assert difference(0) < min(difference(-1), difference(1), difference(-0.5), difference(0.5))
+
+
+def test_views_make_a_sample_in_metres():
+    sample = stereo.read().sample(["left", "right"])
+    depth = sample.context[0].depth
+    assert depth[depth > 0].min() > 2.0 and depth.max() < 5.5
+    assert sample.context[1].depth is None
+    baseline = sample.context[1].camera.center - sample.context[0].camera.center
+    assert np.allclose(baseline, (0.193001, 0, 0))
+
+
+def test_unknown_disparities_have_no_depth():
+    depth = stereo.depth_from_disparity(np.array([[np.nan, np.inf, 10.0]]))
+    assert depth.dtype == np.float32
+    assert depth[0, :2].tolist() == [0, 0]
+    assert np.isclose(depth[0, 2], 0.193001 * 994.978 / 41.086)

@@ -1,0 +1,109 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.datasets import textures
+from slgaussian.datasets.raycast import BALL, BOX, CONE, CYLINDER, RING, normal_at
+from slgaussian.datasets.textures import Material, albedo, linear, pack
+
+
+def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.ndarray:
+    materials = pack([material], np.random.default_rng(0))
+    size = np.array((*size, 0, 0)[:3], np.float64)
+    return np.array(albedo(materials, 0, kind, size, *point, *normal_at(kind, size, *point)))
+
+
+def on_round(kind: int, angle: float, up: float) -> tuple[tuple[float, ...], np.ndarray]:
+    """A size, and the surface point of a round solid of that size at a longitude and a height."""
+    c, s = math.cos(angle), math.sin(angle)
+    if kind == BALL:
+        rho = math.sqrt(0.25 - (0.5 * up) ** 2)
+        return (0.5,), np.array((rho * c, rho * s, 0.5 * up))
+    if kind == CYLINDER:
+        return (0.4, 0.5), np.array((0.4 * c, 0.4 * s, 0.5 * up))
+    if kind == CONE:
+        rho = 0.4 * (1 - up) / 2
+        return (0.4, 0.5), np.array((rho * c, rho * s, 0.5 * up))
+    rho = 0.5 + 0.15 * math.cos(up * math.pi)
+    return (0.5, 0.15), np.array((rho * c, rho * s, 0.15 * math.sin(up * math.pi)))
+
+
+@given(
+    kind=st.sampled_from([BALL, CYLINDER, CONE, RING]),
+    pattern=st.sampled_from([textures.STRIPED, textures.CHECKED, textures.DOTTED]),
+    cell=st.floats(0.04, 0.3),
+    up=st.floats(-0.9, 0.9),
+)
+def test_patterns_close_around_round_things_without_a_seam(kind, pattern, cell, up):
+    # u is periodic with whole cells, so the seam at longitude pi is a cell edge for checks and for
+    # a ring's stripes, and the colour there changes as at every other edge; two cells on it agrees.
+    material = Material(pattern, (0.8, 0.1, 0.1), (0.1, 0.1, 0.8), cell)
+    sides = []
+    for angle in (math.pi - 1e-7, -math.pi + 1e-7):
+        size, point = on_round(kind, angle, up)
+        sides.append(colour(material, kind, size, point))
+    edge = pattern == textures.CHECKED or (pattern == textures.STRIPED and kind == RING)
+    red = [bool(side[0] > side[2]) for side in sides]
+    assert red[0] != red[1] if edge else red[0] == red[1]
+
+
+def test_a_checked_face_has_whole_squares_of_both_colours():
+    material = Material(textures.CHECKED, (0.8, 0.8, 0.8), (0.02, 0.02, 0.02), cell=0.25)
+    grid = np.array(
+        [
+            [colour(material, BOX, (0.5, 0.5, 0.1), (x, y, 0.1))[0] for x in centres(4)]
+            for y in centres(4)
+        ]
+    )
+    light = grid > 0.3
+    assert (light == (np.indices((4, 4)).sum(0) % 2 == 0)).all()
+
+
+def centres(n: int) -> np.ndarray:
+    return (np.arange(n) + 0.5) / n - 0.5
+
+
+def test_the_dots_of_a_ball_are_of_one_size_at_every_latitude():
+    material = Material(textures.DOTTED, (0.8, 0.1, 0.1), (0.1, 0.1, 0.8), cell=0.12)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(6000, 3))
+    points *= 0.5 / np.linalg.norm(points, axis=1, keepdims=True)
+    dot = np.array([c[2] > c[0] for c in (colour(material, BALL, (0.5,), p) for p in points)])
+    # 13 rows of cells from pole to pole; a dot of radius 0.3 cells covers 0.283 of its cell. With
+    # some 500 points a row the share is known to 0.02.
+    row = np.floor((np.arcsin(points[:, 2] / 0.5) / math.pi + 0.5) * 13)
+    for k in range(2, 11):
+        assert dot[row == k].mean() == pytest.approx(0.283, abs=0.07)
+
+
+def test_a_picture_hangs_the_right_way_up_and_round():
+    material = Material(textures.PICTURE, (0, 0, 0), photo="astronaut")
+    photo = textures.pack([material], np.random.default_rng(0)).photos[
+        textures.PHOTOS.index("astronaut")
+    ]
+    # Seen from -y with z up, x runs to the right.
+    for u, v in ((0.3, 0.25), (0.7, 0.25), (0.3, 0.75), (0.55, 0.6)):
+        seen = colour(material, BOX, (1.0, 0.01, 1.0), (2 * u - 1, -0.01, 2 * v - 1))
+        row, col = (1 - v) * len(photo), u * len(photo)
+        patch = photo[int(row) - 1 : int(row) + 1, int(col) - 1 : int(col) + 1]
+        assert seen == pytest.approx(patch.mean((0, 1)), abs=0.08)
+
+
+@pytest.mark.parametrize("pattern", [textures.WOODEN, textures.MARBLE, textures.SPECKLED])
+def test_solid_materials_stay_in_range_and_vary(pattern):
+    material = Material(pattern, (0.5, 0.5, 0.5), (0.2, 0.2, 0.2), cell=0.1)
+    rng = np.random.default_rng(1)
+    values = np.array(
+        [colour(material, BOX, (1, 1, 1), (x, y, 1)) for x, y in rng.uniform(-1, 1, (500, 2))]
+    )
+    assert (values >= 0).all() and (values <= 1).all()
+    assert values.std() > 0.02
+
+
+def test_linear_follows_the_srgb_curve():
+    assert linear([0, 1]) == pytest.approx([0, 1])
+    assert linear(0.5) == pytest.approx(0.21404, abs=1e-5)  # IEC 61966-2-1
+    assert linear(0.04045) == pytest.approx(0.04045 / 12.92, abs=1e-8)

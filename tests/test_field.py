@@ -1,0 +1,158 @@
+"""The field on a scene with an exact truth: a red and a blue half of one wall."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from slgaussian.build import lift_field, remember
+from slgaussian.errors import InputError, SpecError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.labels import LabelMaps
+from slgaussian.scene import Camera, Sample, View
+
+H, W, FOCAL, DEPTH = 48, 64, 60.0, 3.0
+RED, BLUE = (200, 30, 30), (30, 40, 190)
+
+
+def camera(x: float) -> Camera:
+    K = np.array([[FOCAL, 0, W / 2], [0, FOCAL, H / 2], [0, 0, 1]])
+    c2w = np.eye(4)
+    c2w[0, 3] = x
+    return Camera(K, c2w, W, H)
+
+
+def wall(cam: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and labels of the wall z = DEPTH, red (5) where x < 0 and blue (9) elsewhere."""
+    labels = np.where(cam.unproject(np.full((H, W), DEPTH))[..., 0] < 0, 5, 9).astype(np.int32)
+    return np.where(labels[..., None] == 5, RED, BLUE).astype(np.uint8), labels
+
+
+@pytest.fixture(scope="module")
+def field() -> SemanticField:
+    cameras = [camera(-0.2), camera(0.2)]
+    walls = [wall(cam) for cam in cameras]
+    views = [
+        View(name, cam, image) for name, cam, (image, _) in zip("ab", cameras, walls, strict=True)
+    ]
+    sample = Sample("wall", tuple(views))
+    labels = np.stack([labels for _, labels in walls])
+    labels[0, :4, :4] = 0
+    label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    points = np.concatenate([c.unproject(np.full((H, W), DEPTH)).reshape(-1, 3) for c in cameras])
+    colours = np.concatenate([image.reshape(-1, 3) for image, _ in walls]) / 255
+    n = len(points)
+    gaussians = Gaussians(
+        means=torch.tensor(points, dtype=torch.float32),
+        scales=torch.full((n, 3), 0.6 * DEPTH / FOCAL),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+        opacities=torch.full((n,), 0.95),
+        sh=rgb_to_sh(torch.tensor(colours, dtype=torch.float32)),
+        source=torch.arange(n, dtype=torch.int32),
+    )
+    bank = remember(sample, label_maps, "lexicon", "grid", seed=0)
+    return lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
+
+
+def test_a_new_view_shows_the_right_colours_ids_and_depth(field):
+    cam = camera(0.05)
+    image, labels = wall(cam)
+    seen = field.render(cam)
+    # Within a pixel of the border between the two, light is mixed.
+    inner = np.s_[2:-2, 3:-3]
+    border = np.abs(np.arange(W) + 0.5 - W / 2 + 0.05 * FOCAL / DEPTH) < 1.5
+    away = np.broadcast_to(~border, (H, W))[inner]
+    assert (seen.ids[inner] == labels[inner])[away].all()
+    assert np.abs(seen.rgb[inner].astype(int) - image[inner])[away].max() <= 2
+    assert np.abs(seen.depth[inner] - DEPTH).max() < 1e-3
+
+
+def test_the_backends_agree(field):
+    small = field.cameras["a"].resized(16, 12)
+    fast, true = field.render(small, "cpu"), field.render(small, "reference")
+    assert (fast.ids == true.ids).mean() > 0.99
+    assert np.abs(fast.rgb.astype(int) - true.rgb).max() <= 2
+
+
+def test_words_find_their_half(field):
+    cam = camera(0.05)
+    _, labels = wall(cam)
+    seen = field.render(cam)
+    for text, label in (("red", 5), ("blue wall", 9)):
+        hit = seen.query(text)
+        overlap = (hit.mask & (labels == label)).sum() / (hit.mask | (labels == label)).sum()
+        assert overlap > 0.9
+        assert labels[hit.point[1], hit.point[0]] == label
+        assert hit.objects[0][0] == label
+
+
+def test_segment_gives_every_half_its_word(field):
+    _, labels = wall(field.cameras["a"])
+    named = field.render(field.cameras["a"]).segment(["blue", "red"])
+    assert (named == np.where(labels == 5, 2, 1))[5:, 2:-2].mean() > 0.97
+
+
+def test_unlabelled_gaussians_are_no_object(field):
+    assert field.render(field.cameras["a"]).ids[0, 0] in (0, 5)
+    alone = field.gaussians[field.gaussians.features[:, 3] == 0]
+    nothing = SemanticField(alone, field.bank, field.cameras, field.settings)
+    assert nothing.render(field.cameras["a"]).ids.max() == 0
+
+
+def test_a_saved_field_loads_the_same(field, tmp_path):
+    field.save(tmp_path / "deep" / "field")
+    again = SemanticField.load(tmp_path / "deep" / "field")
+    a, b = (f.render(field.cameras["b"]) for f in (field, again))
+    assert np.array_equal(a.rgb, b.rgb)
+    assert np.array_equal(a.ids, b.ids)
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["field"]
+
+
+def test_saving_twice_gives_the_same_bytes(field, tmp_path):
+    field.save(tmp_path / "one")
+    field.save(tmp_path / "two")
+    field.save(tmp_path / "two")
+    for file in (tmp_path / "one").iterdir():
+        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
+
+
+def test_the_object_table_counts_every_labelled_gaussian(field):
+    table = field.objects()
+    assert table.column("id").to_pylist() == [5, 9]
+    assert sum(table.column("gaussians").to_pylist()) == 2 * H * W - 16
+
+
+def test_a_folder_that_is_no_field_is_left_alone(field, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="is not a field"):
+        field.save(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_folder_under_a_file_cannot_be_written(field, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        field.save(tmp_path / "file" / "field")
+
+
+@pytest.mark.parametrize("name", ["gaussians.npz", "bank.npz", "field.json"])
+@pytest.mark.parametrize("damage", ["cut", "gone"])
+def test_damage_is_named(field, tmp_path, name, damage):
+    field.save(tmp_path / "field")
+    file = tmp_path / "field" / name
+    if damage == "gone":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(SpecError, match=name.replace(".", r"\.")):
+        SemanticField.load(tmp_path / "field")
+
+
+def test_a_description_without_cameras_is_damaged(field, tmp_path):
+    field.save(tmp_path / "field")
+    about = tmp_path / "field" / "field.json"
+    about.write_text(json.dumps({"settings": {}}))
+    with pytest.raises(SpecError, match="damaged"):
+        SemanticField.load(tmp_path / "field")
