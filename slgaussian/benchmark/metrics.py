@@ -1,0 +1,121 @@
+"""Scores: plain float64 functions of arrays, each with its protocol stated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from skimage.metrics import structural_similarity
+
+
+def iou(predicted: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union of two bool masks of one shape; 1.0 if both are empty."""
+    union = np.count_nonzero(predicted | truth)
+    return np.count_nonzero(predicted & truth) / union if union else 1.0
+
+
+def mean_iou(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
+    """Mean class IoU of a closed-set segmentation (the 3D-OVS protocol, arXiv:2305.14093).
+
+    Each class region of the arg-max map is compared with the class mask over the *whole* image,
+    so a pixel that no class labels still counts against the class that claims it. The mean runs
+    over the classes that have a pixel in the truth.
+
+    Parameters
+    ----------
+    labels : int [H, W]
+        ``k + 1`` where class ``k`` wins, 0 where none does.
+    truths : sequence of bool [H, W]
+        The mask of each class; masks may overlap.
+
+    Returns
+    -------
+    float
+        In [0, 1]; NaN if no class has a pixel.
+    """
+    scores = [iou(labels == k + 1, truth) for k, truth in enumerate(truths) if truth.any()]
+    return float(np.mean(scores)) if scores else float("nan")
+
+
+def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
+    """Whether the pixel that holds ``point`` (x, y) is set; False for no point."""
+    if point is None:
+        return False
+    x, y = int(np.floor(point[0])), int(np.floor(point[1]))
+    return 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and bool(mask[y, x])
+
+
+def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool:
+    """Whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included, as LERF counts.
+
+    False for no point.
+    """
+    if point is None:
+        return False
+    x, y = point
+    inside = (boxes[:, 0] <= x) & (x <= boxes[:, 2]) & (boxes[:, 1] <= y) & (y <= boxes[:, 3])
+    return bool(inside.any())
+
+
+def depth_errors(
+    predicted: np.ndarray, truth: np.ndarray, disparity_scale: float | None = None
+) -> dict[str, float]:
+    """Depth errors over every pixel whose true depth is known (above 0).
+
+    A pixel without a prediction (0) counts as wrong by its whole depth, so a method gains nothing
+    by keeping silent.
+
+    Parameters
+    ----------
+    predicted, truth : float [H, W]
+        z-depth in one unit, 0 = none.
+    disparity_scale : float, optional
+        Focal length in pixels times baseline of a rectified pair: disparity = scale / depth.
+
+    Returns
+    -------
+    dict
+        ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` share with ``max(d/t, t/d) < 1.25``;
+        with a disparity scale, ``bad2`` share whose disparity is more than 2 px off, the measure
+        of the Middlebury stereo benchmark. Empty if no true depth is known.
+    """
+    known = truth > 0
+    if not known.any():
+        return {}
+    d = predicted[known].astype(np.float64)
+    t = truth[known].astype(np.float64)
+    found = d > 0
+    safe = np.where(found, d, 1.0)
+    ratio = np.where(found, np.maximum(safe / t, t / safe), np.inf)
+    errors = {
+        "abs_rel": float(np.mean(np.abs(d - t) / t)),
+        "delta125": float(np.mean(ratio < 1.25)),
+    }
+    if disparity_scale is not None:
+        shift = np.where(found, np.abs(disparity_scale / safe - disparity_scale / t), np.inf)
+        errors["bad2"] = float(np.mean(shift > 2.0))
+    return errors
+
+
+def psnr(image: np.ndarray, reference: np.ndarray) -> float:
+    """Peak signal-to-noise ratio in dB of two uint8 images; infinite if they are equal."""
+    error = np.mean((image.astype(np.float64) - reference.astype(np.float64)) ** 2)
+    return float(10 * np.log10(255.0**2 / error)) if error else float("inf")
+
+
+def ssim(image: np.ndarray, reference: np.ndarray) -> float:
+    """Structural similarity of two uint8 RGB images, as Wang et al. 2004 define it.
+
+    Gaussian window of sigma 1.5 and 11 pixels, mean over pixels and channels.
+    """
+    return float(
+        structural_similarity(
+            image.astype(np.float64),
+            reference.astype(np.float64),
+            data_range=255.0,
+            channel_axis=2,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+        )
+    )

@@ -1,0 +1,47 @@
+"""One small room with exact truth and a field of it, made by the real parts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from slgaussian import datasets
+from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
+from slgaussian.build import lift_field, remember
+from slgaussian.field import SemanticField
+from slgaussian.labels import LabelMaps
+from slgaussian.predict import load_predictor
+from slgaussian.scene import Sample
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    sample: Sample
+    label_maps: LabelMaps
+    field: SemanticField
+    truth: dict[str, dict[str, np.ndarray]]
+
+    def evaluate_all(self) -> SceneResult:
+        """Ask everything, one word nobody knows and one thing that is not there."""
+        masks = self.truth["view_01"]
+        some = next(iter(masks.values()))
+        truth = {"view_01": masks | {"qqwx": some, "red sofa": np.zeros_like(some)}}
+        return evaluate(self.field, self.sample, self.label_maps, truth, queries=("grey floor",))
+
+
+@pytest.fixture(scope="session")
+def room() -> Room:
+    """Labels are the true instances: masks have their own tests, here their errors would blur."""
+    scene = datasets.load("procedural", seed=3, objects=4, views=3, height=104, width=144)
+    sample = scene.sample(["view_00", "view_02"], ["view_01"])
+    labels = np.stack([view.instances for view in sample.context])
+    label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    gaussians = load_predictor("planesweep")(sample)
+    bank = remember(sample, label_maps, "lexicon", "grid", seed=0)
+    field = lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
+    return Room(sample, label_maps, field, truth_from_instances(sample))
+
+
+@pytest.fixture(scope="session")
+def result(room) -> SceneResult:
+    return room.evaluate_all()

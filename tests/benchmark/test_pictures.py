@@ -1,0 +1,132 @@
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from skimage.color import rgb2lab
+
+from slgaussian.benchmark import pictures
+
+
+@pytest.fixture(scope="module")
+def photo() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
+
+
+def decoded(data: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(data)))
+
+
+def test_an_id_has_one_colour_whatever_else_there_is():
+    ids = np.arange(200)
+    colors = pictures.label_colors(ids)
+    assert colors[0].tolist() == [28, 28, 28]
+    assert np.array_equal(pictures.label_colors(np.array([[7, 199]])), colors[[[7, 199]]])
+
+
+def test_colours_of_a_typical_scene_are_told_apart():
+    colors = pictures.label_colors(np.arange(1, 25))
+    lab = rgb2lab(colors[None] / 255)[0]
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
+    # A CIELAB difference of about 2.3 is just noticed; these are six times that apart.
+    assert apart[~np.eye(len(lab), dtype=bool)].min() > 14
+    # The next id, often the neighbour in the image, differs much more.
+    assert np.diagonal(apart, 1).min() > 40
+
+
+def test_labels_keep_their_shape_and_objects_their_colour(photo):
+    labels = np.zeros((60, 80), np.int32)
+    labels[10:50, 10:40] = 3
+    grey = np.full_like(photo, 120)
+    painted = pictures.paint_labels(labels, grey)
+    inside = painted[12:48, 12:38].reshape(-1, 3)
+    assert (inside == inside[0]).all()
+    assert painted[0, 0].max() < inside[0].max()
+
+
+@given(st.lists(st.floats(0.5, 20), min_size=2, max_size=8, unique=True))
+def test_nearer_is_redder_and_unknown_is_dark(depths):
+    ordered = np.sort(np.array(depths))
+    near, far = ordered[0], ordered[-1]
+    picture = pictures.paint_depth(np.array([[near, far, 0.0]]), near, far)
+    assert picture[0, 0, 0] > picture[0, 0, 2]
+    assert picture[0, 1, 2] > picture[0, 1, 1]
+    assert picture[0, 2].tolist() == [28, 28, 28]
+
+
+def test_the_depth_range_ignores_the_unknown():
+    depth = np.concatenate([np.zeros(50), np.linspace(1, 3, 101)])
+    assert pictures.depth_range(depth) == pytest.approx((1.02, 2.98))
+    assert pictures.depth_range(np.zeros(4)) == (1.0, 1.0)
+    flat = pictures.paint_depth(np.full((2, 2), 5.0), 5.0, 5.0)
+    assert (flat == flat[0, 0]).all()
+
+
+def test_relevancy_is_brighter_where_it_is_higher(photo):
+    grey = np.full_like(photo, 90)
+    steps = [pictures.paint_relevancy(np.full((60, 80), r), grey) for r in (0.0, 0.5, 1.0)]
+    brightness = [float(step.mean()) for step in steps]
+    assert brightness[0] + 40 < brightness[1] < brightness[2] - 40
+
+
+def test_a_spotlight_keeps_the_colours_inside_only(photo):
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 30:50] = True
+    lit = pictures.spotlight(photo, mask)
+    assert np.array_equal(lit[mask], photo[mask])
+    outside = lit[~mask]
+    assert (outside == outside[:, :1]).all() and outside.max() < 100
+
+
+def test_drawing_leaves_the_picture_it_is_given_alone(photo):
+    before = photo.copy()
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 30:50] = True
+    outlined = pictures.draw_outline(photo, mask, pictures.TRUE)
+    pointed = pictures.draw_point(photo, (40, 30))
+    assert np.array_equal(photo, before)
+    # The outline runs along the mask: nothing changes deep inside or far away.
+    assert (outlined != photo).any(-1)[20, 30:50].all()
+    assert np.array_equal(outlined[27:33, 37:43], photo[27:33, 37:43])
+    assert np.array_equal(outlined[:10], photo[:10])
+    assert pointed[30, 40].tolist() == list(pictures.POINT)
+    assert pictures.draw_point(photo, None) is photo
+
+
+def test_an_outline_goes_round_holes_too(photo):
+    mask = np.zeros((60, 80), bool)
+    mask[5:55, 5:75] = True
+    mask[25:35, 30:50] = False
+    changed = (pictures.draw_outline(photo, mask, pictures.TRUE) != photo).any(-1)
+    assert changed[24, 35:45].all()
+
+
+def test_panels_stand_side_by_side_with_one_height(photo):
+    sheet = pictures.side_by_side([("photograph", photo), ("half", photo[::2, ::2])])
+    assert sheet.shape[0] > 60 and sheet.shape[1] > 160
+    assert np.array_equal(sheet[12:72, 12:92], photo)
+    captions = sheet[74:]
+    assert (captions < 100).any()
+    assert np.array_equal(
+        sheet, pictures.side_by_side([("photograph", photo), ("half", photo[::2, ::2])])
+    )
+
+
+def test_png_is_exact_and_a_mask_takes_one_bit(photo):
+    mask = photo[..., 0] > 127
+    assert np.array_equal(decoded(pictures.encode_png(photo)), photo)
+    assert np.array_equal(decoded(pictures.encode_png(mask)), mask)
+    assert Image.open(io.BytesIO(pictures.encode_png(mask))).mode == "1"
+
+
+def test_a_jpeg_is_close_no_wider_than_asked_and_the_same_again():
+    steps = np.linspace(0, 255, 80)
+    smooth = np.stack([np.tile(steps, (60, 1)), np.tile(steps[::-1], (60, 1))] * 2, -1)[..., :3]
+    smooth = smooth.astype(np.uint8)
+    data = pictures.encode_jpeg(smooth, width=100)
+    # Quality 86 was off by at most 5 of 255 here.
+    assert np.abs(decoded(data).astype(int) - smooth).max() <= 8
+    assert decoded(pictures.encode_jpeg(smooth, width=40)).shape == (30, 40, 3)
+    assert data == pictures.encode_jpeg(smooth.copy(), width=100)

@@ -1,0 +1,221 @@
+import csv
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from data_specs import load_spec
+from slgaussian.benchmark.report import (
+    SHOWN_QUERIES,
+    file_name,
+    write_predictions,
+    write_report,
+    write_samples,
+)
+from slgaussian.errors import InputError
+
+MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}, "host": {"cores": 2}}
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and text; complains about tags that do not nest."""
+
+    VOID = ("meta", "img", "br")
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags, self.images, self.words, self.open = [], [], [], []
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+def page_of(folder, results, manifest=MANIFEST, times=None, failures=()) -> tuple[str, Page]:
+    path = folder / "report.html"
+    write_report(results, manifest, path, times, failures)
+    html = path.read_text("utf-8")
+    page = Page(html)
+    assert page.open == []
+    return html, page
+
+
+def test_the_page_needs_no_network_and_no_script(tmp_path, result):
+    html, page = page_of(tmp_path, [result])
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
+    assert "url(" not in html
+    assert page.images
+    for image in page.images:
+        assert image["src"].startswith("data:image/jpeg;base64,")
+        assert image["alt"]
+
+
+def test_the_page_shows_the_numbers_and_how_they_were_made(tmp_path, result):
+    _, page = page_of(tmp_path, [result])
+    for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
+        assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
+    assert "Protocol near-best" in page.text and "temperature 10.0" in page.text
+    scored = sum(row["iou"] is not None for row in result.rows)
+    assert f"{scored} scored queries" in page.text
+    for row in result.rows:
+        assert row["query"] in page.text
+    assert "not understood" in page.text
+
+
+def test_the_mean_gives_every_scene_one_weight(tmp_path, result):
+    other = replace(
+        result,
+        scene="other",
+        rows=result.rows[:1],
+        scene_metrics=result.scene_metrics | {"iou": 0.0},
+    )
+    _, page = page_of(tmp_path, [result, other])
+    mean = re.search(r" mean (\d\.\d+)", page.text)[1]
+    assert mean == f"{result.scene_metrics['iou'] / 2:.3f}"
+
+
+def test_pictures_of_the_best_and_the_worst_queries_are_shown(tmp_path, result):
+    _, page = page_of(tmp_path, [result])
+    shown = [
+        i["alt"].removeprefix("relevancy of ") for i in page.images if "relevancy of" in i["alt"]
+    ]
+    assert len(shown) == SHOWN_QUERIES
+    scores = {row["query"]: row["iou"] for row in result.rows if row["score"] is not None}
+    scores = {query: iou for query, iou in scores.items() if iou is not None}
+    assert scores[shown[0]] == max(scores.values())
+    assert scores[shown[-1]] == min(scores.values())
+
+
+def test_only_the_last_section_depends_on_time_and_machine(tmp_path, result):
+    slow = replace(result, times=dict.fromkeys(result.times, 9.0))
+    elsewhere = MANIFEST | {"host": {"cores": 64}}
+    one, _ = page_of(tmp_path, [result], times={"field": 1.0})
+    again, _ = page_of(tmp_path, [result], times={"field": 1.0})
+    other, _ = page_of(tmp_path, [slow], elsewhere, times={"field": 2.0})
+    assert one == again
+    assert one != other
+    mark = "How long it took"
+    assert one.split(mark)[0] == other.split(mark)[0]
+    assert one.count("<section", one.index(mark)) == 0
+
+
+def test_failures_come_first(tmp_path, result):
+    failure = {"scene": "attic", "stage": "ingest", "reason": "attic/a.png: cannot be read"}
+    _, page = page_of(tmp_path, [result], failures=[failure])
+    assert page.text.index("attic/a.png: cannot be read") < page.text.index("Summary")
+    _, alone = page_of(tmp_path, [], failures=[failure])
+    assert "attic/a.png" in alone.text and "Summary" not in alone.text
+
+
+def test_names_are_text_and_never_markup(tmp_path, result):
+    rows = [{**result.rows[0], "query": "<b>&", "frame": "view_01"}]
+    pictures = dict(result.pictures)
+    for kind in ("relevancy", "mask"):
+        pictures[f"{kind}/view_01/<b>&"] = pictures[f"input/{'view_00'}"]
+    odd = replace(
+        result,
+        scene="<script>x</script>",
+        rows=rows,
+        predictions={("view_01", "<b>&"): np.ones((104, 144), bool)},
+        pictures=pictures,
+    )
+    html, page = page_of(tmp_path, [odd])
+    assert "script" not in page.tags
+    assert "<script>x</script>" in page.text and "<b>&" in page.text
+    assert "&lt;b&gt;&amp;" in html
+
+
+def test_a_scene_without_truth_has_pictures_and_dashes(tmp_path, result):
+    rows = [row for row in result.rows if row["frame"] == "halfway"]
+    bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
+    _, page = page_of(tmp_path, [bare])
+    assert "0 scored queries, 1 asked without truth" in page.text
+    assert any("relevancy of" in image["alt"] for image in page.images)
+
+
+def test_sample_tables_hold_the_rows(tmp_path, result):
+    write_samples([result, replace(result, scene="other")], tmp_path)
+    table = pq.read_table(tmp_path / "samples.parquet")
+    load_spec("samples").check_table(table, "samples.parquet")
+    assert table.to_pylist()[: len(result.rows)] == result.rows
+    with open(tmp_path / "samples.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * len(result.rows)
+    for row, printed in zip(result.rows, rows, strict=False):
+        assert printed == {k: "" if v is None else str(v) for k, v in row.items()}
+
+
+def test_an_empty_run_has_empty_tables(tmp_path):
+    write_samples([], tmp_path)
+    table = pq.read_table(tmp_path / "samples.parquet")
+    load_spec("samples").check_table(table, "samples.parquet")
+    assert table.num_rows == 0
+
+
+def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
+    write_predictions([result], tmp_path)
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(files) == len(result.rows)
+    for (frame, query), mask in result.predictions.items():
+        path = tmp_path / "slgaussian" / result.scene / frame / f"{query}.png"
+        assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
+
+
+def test_same_results_give_the_same_files(tmp_path, result):
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        write_samples([result], folder)
+        write_predictions([result], folder)
+    for path in (tmp_path / "a").rglob("*"):
+        if path.is_file():
+            twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
+            assert path.read_bytes() == twin.read_bytes()
+
+
+def test_file_names_are_safe_and_differ():
+    assert file_name("blue-grey sofa") == "blue-grey sofa"
+    odd = [
+        "../etc",
+        "a/b",
+        "a\\b",
+        "a:b",
+        "a?b",
+        ".hidden",
+        "hidden",
+        "é",
+        "",
+        " x",
+        "x",
+        "l" * 300,
+    ]
+    names = [file_name(text) for text in odd]
+    assert len(set(names)) == len(odd)
+    for name in names:
+        assert re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._ -]{0,99}", name)
+
+
+def test_an_unwritable_place_is_named(tmp_path, result):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file"):
+        write_report([result], MANIFEST, tmp_path / "file" / "report.html")
+    with pytest.raises(InputError, match="file"):
+        write_samples([result], tmp_path / "file")
