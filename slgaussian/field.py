@@ -62,9 +62,9 @@ class FieldView:
             text, self.ids, self.bank, self.encoder, temperature=temperature, threshold=threshold
         )
 
-    def segment(self, texts: Sequence[str], *, temperature: float = 10.0) -> np.ndarray:
+    def segment(self, texts: Sequence[str]) -> np.ndarray:
         """Which text fits each pixel best: int32 [H, W], 0 = no object, k + 1 = ``texts[k]``."""
-        return segment(texts, self.ids, self.bank, self.encoder, temperature=temperature)
+        return segment(texts, self.ids, self.bank, self.encoder)
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ class ArtifactStore:
     def __init__(self, root: str | os.PathLike[str] = "./slg-data") -> None:
         self.fs, self.path = fsspec.core.url_to_fs(os.fspath(root))
         self.local = isinstance(self.fs, LocalFileSystem)
-        self.root = self.path if self.local else self.fs.unstrip_protocol(self.path)
+        self.root = self.path if self.local else os.fspath(root).rstrip("/")
 
     def put(
         self, spec: str, content: Mapping[str, np.ndarray] | pa.Table, meta: dict | None = None
@@ -95,7 +95,7 @@ class ArtifactStore:
             rules.check_table(content, label)
             digest, data = table_digest(content), encode_table(content)
         else:
-            arrays = {name: np.ascontiguousarray(array) for name, array in content.items()}
+            arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
             rules.check_arrays(arrays, label)
             digest, data = arrays_digest(arrays), encode_arrays(arrays, rules.compress)
         uri = f"{spec}/{digest[:2]}/{digest}{rules.suffix}"
@@ -178,9 +178,9 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 over (name, dtype, shape, C-order bytes) of the arrays in order of their names."""
     sha = hashlib.sha256()
     for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
+        array = np.asarray(arrays[name], order="C")
         sha.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode())
-        sha.update(array.data if array.dtype.kind != "U" else array.tobytes())
+        sha.update(array.reshape(-1).view(np.uint8))
     return sha.hexdigest()
 
 

@@ -254,9 +254,7 @@ class _Record:
         labels = np.zeros(view.ids.shape, np.int32)
         if len(unknown) < len(texts):
             with self.stage("segment"):
-                labels = view.segment(
-                    texts[: len(texts) - len(unknown)], temperature=self.temperature
-                )
+                labels = view.segment(texts[: len(texts) - len(unknown)])
         self.score("miou", metrics.mean_iou(labels, [masks[text] for text in texts]))
 
     def draw_view(self, view: FieldView, frame: str) -> None:

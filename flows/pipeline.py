@@ -1,0 +1,215 @@
+"""The main job: photographs of many scenes in; fields, scores and a report out."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
+from flows.progress import Progress
+from flows.settings import Method, SceneSettings, Settings
+from slgaussian import __version__
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.labels import read_pairs
+from slgaussian.benchmark.report import write_predictions, write_samples
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, write_atomic
+from tasks.artifacts import result_from_arrays
+from tasks.ingest import file_hashes, sha256_of
+from tasks.stage import stage_task, using
+
+STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark")
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a run leaves: results in the order of the scenes, and who was left out."""
+
+    results: list[SceneResult]
+    failures: list[Failure]
+    report: Path | None
+
+
+def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Finished:
+    """Run the pipeline and write its tables, masks and report to ``settings.out``.
+
+    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+
+    Raises
+    ------
+    InputError
+        If there is nothing to do, or the store or the output folder cannot be written.
+    """
+    scenes = scenes_of(settings)
+    store.check_writable()
+    check_folder(settings.out)
+    progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
+    outcome, report = _pipeline(settings, scenes, store, progress)
+    write_atomic(settings.out / "failures.parquet", encode_table(failures_table(outcome.failures)))
+    done = [scene.name for scene in scenes if scene.name in outcome.refs]
+    results = [load_result(store, outcome.refs[name]) for name in done]
+    write_samples(results, settings.out)
+    write_predictions(results, settings.out / "predictions")
+    page = None
+    if report is not None:
+        page = settings.out / "report.html"
+        write_atomic(page, store.get(report)["html"].tobytes())
+    progress.summary()
+    return Finished(results, outcome.failures, page)
+
+
+def scenes_of(settings: Settings) -> list[SceneSettings]:
+    """The scenes of a run: as listed, or those of a labelled set."""
+    if settings.pairs is None:
+        if not settings.scenes:
+            raise InputError("nothing to do: give [[scenes]], or data, pairs and labels")
+        return settings.scenes
+    if settings.data is None or settings.labels is None:
+        raise InputError("a labelled set needs all of data, pairs and labels")
+    return [
+        SceneSettings(
+            name=pair.scene,
+            path=settings.data,
+            context=list(pair.context),
+            targets=list(pair.targets),
+            labels=settings.labels,
+            categories=list(pair.categories),
+        )
+        for pair in read_pairs(settings.pairs)
+    ]
+
+
+def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list[Step]:
+    """The steps of one scene, each with just the settings that its result depends on."""
+    views = [*scene.context, *scene.targets]
+    size = scene.size or method.size
+    where = {} if scene.path is None else {"path": str(scene.path)}
+    ingest = Step(
+        "ingest",
+        {
+            "scene": scene.name,
+            "format": scene.format,
+            "options": scene.options,
+            "context": scene.context,
+            "targets": scene.targets,
+            "size": None if size == "original" else size,
+            "files": {} if scene.path is None else file_hashes(scene.path, views),
+        },
+        where=where,
+    )
+    labels = {} if scene.labels is None else {"labels": str(scene.labels)}
+    truth = Step(
+        "truth",
+        {
+            "categories": scene.categories,
+            "files": {} if scene.labels is None else _label_hashes(scene.labels, scene.targets),
+        },
+        {"sample": "ingest"},
+        where=labels,
+    )
+    parts = method.parts()
+    base = {"sample": "ingest", "gaussians": "geometry"}
+    known = {"sample": "ingest", "labels": "masks"}
+    asked = {"method": name, "queries": scene.queries}
+    asked |= {"temperature": method.temperature, "threshold": method.threshold}
+    return [
+        ingest,
+        truth,
+        Step("geometry", _only(parts, "predictor"), {"sample": "ingest"}),
+        Step("masks", _only(parts, "proposer", "tracker", "replicas"), base),
+        Step("supervision", _only(parts, "encoder", "codes", "seed"), known),
+        Step("field", parts, {**base, **known, "bank": "supervision"}),
+        Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}),
+    ]
+
+
+def load_result(store: ArtifactStore, refs: dict[str, ArtifactRef]) -> SceneResult:
+    """The benchmark result of a scene, without its pictures, from the refs of its stages."""
+    ref = refs["benchmark"]
+    return result_from_arrays(store.get(ref), ref.meta["times"], with_pictures=False)
+
+
+def check_folder(out: Path) -> None:
+    """Make the output folder; InputError now, not after the work, if it cannot be written."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomic(out / ".probe", b"")
+        (out / ".probe").unlink()
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot write there ({error.strerror}); choose another folder with -o"
+        ) from error
+
+
+def _pipeline(
+    settings: Settings, scenes: Sequence[SceneSettings], store: ArtifactStore, progress: Progress
+) -> tuple[Outcome, ArtifactRef | None]:
+    @flow(
+        name="slgaussian",
+        task_runner=ThreadPoolTaskRunner(max_workers=settings.workers),
+        persist_result=False,
+        validate_parameters=False,
+    )
+    def pipeline() -> tuple[Outcome, ArtifactRef | None]:
+        with using(store):
+            task = stage_task(store)
+            chains = [
+                Chain(scene.name, lambda scene=scene: plan(settings, scene, settings.method))
+                for scene in scenes
+            ]
+            outcome = run_chains(task, chains, settings.workers, progress)
+            if not outcome.refs:
+                return outcome, None
+            page = run_chains(task, [_report_chain(settings, scenes, outcome)], 1, progress)
+            outcome.failures += page.failures
+            made = page.refs.get("all scenes", {})
+            return outcome, made.get("report")
+
+    return pipeline()
+
+
+def _report_chain(settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome) -> Chain:
+    names = [scene.name for scene in scenes if scene.name in outcome.refs]
+    refs = {name: _with_times(outcome.refs[name]) for name in names}
+    manifest = {
+        "versions": {name: _version(name) for name in ("slgaussian", "torch", "numpy", "numba")},
+        "settings": settings.model_dump(
+            mode="json", exclude={"store", "out", "workers", "data", "pairs", "labels", "scenes"}
+        ),
+    }
+    step = Step(
+        "report",
+        {
+            "scenes": names,
+            "manifest": manifest,
+            "failures": [asdict(failure) for failure in outcome.failures],
+        },
+        {name: name for name in names},
+        where={"python": platform.python_version(), "machine": platform.platform()},
+    )
+    return Chain("all scenes", lambda: [step], refs, first="report")
+
+
+def _with_times(refs: dict[str, ArtifactRef]) -> ArtifactRef:
+    result = refs["benchmark"]
+    stages = {stage: ref.meta["seconds"] for stage, ref in refs.items()}
+    return replace(result, meta={**result.meta, "stages": stages})
+
+
+def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
+    files = [folder / f"{Path(target).stem}.json" for target in targets]
+    return {file.name: sha256_of(file) for file in files if file.is_file()}
+
+
+def _only(settings: dict, *names: str) -> dict:
+    return {name: settings[name] for name in names}
+
+
+def _version(package: str) -> str:
+    return __version__ if package == "slgaussian" else version(package)

@@ -1,0 +1,117 @@
+"""What people see while a run works: little, on standard error, and how long is left."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from typing import TextIO
+
+REMIND = 30.0
+"""Seconds between progress lines where there is no terminal to keep one live line on."""
+
+
+class Progress:
+    """One line a scene as it is done, a live line in between, and a line a stage at the end.
+
+    With ``verbose`` every stage of every scene has its line, and unexpected errors their
+    traceback.
+    """
+
+    def __init__(
+        self,
+        scenes: int,
+        stages: int,
+        more: int = 0,
+        verbose: bool = False,
+        stream: TextIO | None = None,
+    ) -> None:
+        """``stages`` are those of each scene, ``more`` those of the whole run."""
+        self.scenes, self.stages = scenes, stages
+        self.total = scenes * stages + more
+        self.verbose = verbose
+        self.stream = stream or sys.stderr
+        self.live = self.stream.isatty()
+        self.start = self.last = time.perf_counter()
+        self.steps = self.computed = 0
+        self.active: dict[str, str] = {}
+        self.done: dict[str, list[tuple[str, float, bool]]] = {}
+        self.totals: dict[str, list[tuple[float, bool]]] = {}
+
+    def started(self, scene: str, stage: str) -> None:
+        """A stage of a scene begins."""
+        self.active[scene] = stage
+        self._status()
+
+    def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
+        """A stage of a scene is done, or was found done."""
+        del self.active[scene]
+        self.steps += 1
+        self.computed += not cached
+        self.totals.setdefault(stage, []).append((seconds, cached))
+        mine = self.done.setdefault(scene, [])
+        mine.append((stage, seconds, cached))
+        if self.verbose or self.scenes == 1:
+            self._line(f"{scene}  {stage}  {_took(seconds, cached)}")
+        elif len(mine) == self.stages:
+            computed = [(name, s) for name, s, was_cached in mine if not was_cached]
+            told = " · ".join(f"{name} {s:.1f} s" for name, s in computed)
+            rest = len(mine) - len(computed)
+            cached_too = f"{rest} stages cached" if rest else ""
+            self._line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
+        self._status()
+
+    def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
+        """A scene is taken out."""
+        self.active.pop(scene, None)
+        self.total -= self.stages - len(self.done.get(scene, []))
+        self._line(f"{scene}  left out at {stage}: {reason}")
+        if self.verbose:
+            self._line("".join(traceback.format_exception(error)).rstrip())
+
+    def summary(self) -> None:
+        """One line a stage with its time, then the whole."""
+        self._clear()
+        if self.scenes > 1:
+            for stage, runs in self.totals.items():
+                seconds, cached = sum(s for s, c in runs if not c), sum(c for _, c in runs)
+                computed = len(runs) - cached
+                told = [f"{computed} in {seconds:.1f} s" if computed else ""]
+                told.append(f"{cached} cached" if cached else "")
+                self._line(f"{stage:<12} {', '.join(filter(None, told))}")
+        self._line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
+
+    def _status(self) -> None:
+        now = time.perf_counter()
+        if not self.live and now - self.last < REMIND:
+            return
+        self.last = now
+        doing = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())
+        told = f"{self.steps}/{self.total} stages{_rate(self, now)}  {doing}"
+        if self.live:
+            self.stream.write(f"\r\x1b[2K{told[:110]}")
+            self.stream.flush()
+        else:
+            self._line(told)
+
+    def _line(self, text: str) -> None:
+        self._clear()
+        self.stream.write(text + "\n")
+        self.stream.flush()
+
+    def _clear(self) -> None:
+        if self.live:
+            self.stream.write("\r\x1b[2K")
+
+
+def _took(seconds: float, cached: bool) -> str:
+    return "cached" if cached else f"{seconds:.1f} s"
+
+
+def _rate(progress: Progress, now: float) -> str:
+    # Cached stages are nearly free, so the rate is that of the computed ones.
+    if not progress.computed:
+        return ""
+    per_stage = (now - progress.start) / progress.computed
+    left = per_stage * (progress.total - progress.steps)
+    return f", {60 / per_stage:.0f} a minute, about {left:.0f} s left"

@@ -1,0 +1,149 @@
+"""Every setting of a run and its default, from a TOML file or the command line."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from slgaussian import threads
+from slgaussian.errors import InputError
+
+
+def _parse_size(value: Any) -> Any:
+    """``"416x576"`` (height x width) as the command line gives it."""
+    if isinstance(value, str) and "x" in value:
+        return tuple(value.split("x"))
+    return value
+
+
+Size = Annotated[tuple[int, int] | Literal["original"], BeforeValidator(_parse_size)]
+
+
+class Method(BaseModel):
+    """The parts of the method and their settings: what a result depends on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    size: Size = Field((416, 576), description="Height and width, or 'original'.")
+    predictor: str = Field("planesweep", description="What makes Gaussians of photographs.")
+    proposer: str = Field("regions", description="What proposes object masks.")
+    tracker: str = Field("flow", description="What carries masks from view to view.")
+    encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
+    codes: str = Field("grid", description="How ID codes are chosen.")
+    lifting: str = Field("hard", description="How Gaussians get their ID codes.")
+    replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
+    temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
+    threshold: float | None = Field(
+        None, gt=0, lt=1, description="Relevancy above which objects are selected."
+    )
+    seed: int = Field(0, ge=0, description="Seed of everything random.")
+
+    def parts(self) -> dict[str, Any]:
+        """What :func:`slgaussian.build.build_field` takes besides the sample."""
+        return self.model_dump(
+            include={
+                "predictor",
+                "proposer",
+                "tracker",
+                "encoder",
+                "codes",
+                "lifting",
+                "replicas",
+                "seed",
+            }
+        )
+
+
+class SceneSettings(BaseModel):
+    """One scene: where its photographs are and which of them are what."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(min_length=1)
+    format: str = "nerfstudio"
+    path: Path | None = None
+    options: dict[str, Any] = {}
+    context: list[str] = Field(min_length=2)
+    targets: list[str] = []
+    size: Size | None = None
+    labels: Path | None = None
+    categories: list[str] = []
+    queries: list[str] = []
+
+
+class Settings(Method):
+    """A whole run."""
+
+    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
+    out: Path = Field(Path("out"), description="Folder for the report and the tables.")
+    workers: int = Field(
+        min(2, threads.cores()), ge=1, description="Scenes worked on at the same time."
+    )
+    method: str = Field("slgaussian", description="Name of the method in tables and folders.")
+    data: Path | None = Field(None, description="Labelled set: folder with transforms.json.")
+    pairs: Path | None = Field(None, description="Labelled set: which frames make a scene.")
+    labels: Path | None = Field(None, description="Labelled set: folder of LERF-OVS JSON files.")
+    scenes: list[SceneSettings] = Field([], description="The scenes, in place of a labelled set.")
+
+
+PATHS = ("out", "data", "pairs", "labels")
+
+
+def make_settings(values: dict[str, Any], source: str) -> Settings:
+    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits."""
+    try:
+        settings = Settings(**values)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_sentence(error)}") from error
+    names = [scene.name for scene in settings.scenes]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"{source}: two scenes are called {twice[0]!r}; names must be unique")
+    return settings
+
+
+def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
+    """Read a configuration; its relative paths are relative to the file, those given to hand not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a key is unknown or a value does not fit.
+    """
+    try:
+        values = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid TOML ({error})") from error
+    here = path.resolve().parent
+    _anchor(values, PATHS, here)
+    if isinstance(values.get("store"), str) and "://" not in values["store"]:
+        values["store"] = str(here / values["store"])
+    for scene in values.get("scenes", []):
+        if isinstance(scene, dict):
+            _anchor(scene, ("path", "labels"), here)
+    return make_settings({**values, **overrides}, str(path))
+
+
+def _anchor(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:
+    for key in keys:
+        if isinstance(table.get(key), str):
+            table[key] = folder / table[key]
+
+
+def _sentence(error: ValidationError) -> str:
+    # A misspelt key leaves another one missing; it is the cause, so it goes first.
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
+    key = ".".join(place)
+    if first["type"] == "extra_forbidden":
+        model = SceneSettings if place[0] == "scenes" else Settings
+        return f"unknown key {key!r}; the keys are {', '.join(model.model_fields)}"
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    message = first["msg"][0].lower() + first["msg"][1:]
+    return f"{key}: found {first['input']!r}; {message}"

@@ -1,0 +1,84 @@
+"""Colour names of pixels: how much of each named colour is in an sRGB value.
+
+Explicit and free of training: every name has swatches (``vocabulary.toml``), and a colour is shared
+among names by its distance in CIELAB to the nearest swatch of each. A swatch stands for a line of
+colours: the same surface under less light, which is a scaling of linear RGB, as far as people keep
+its name (a dark red wall is red, while dark orange is called brown). Near black those lines meet,
+so the chroma needed to be called red shrinks with lightness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+SHADE_STEP = 0.5
+"""Ratio of light between neighbouring points on a swatch's line; about 20 in L*, at most."""
+
+LIGHTNESS_WEIGHT = 0.7
+"""A step in L* counts less than one in a* or b*: lamps change lightness, seldom hue."""
+
+SOFTNESS = 5.0
+"""CIELAB distance over which one name gives way to the next (about two just-noticeable steps)."""
+
+_BITS = 6
+"""Bits kept of each sRGB channel; the cells are finer than SOFTNESS, even near black."""
+
+
+def to_lab(rgb: np.ndarray) -> np.ndarray:
+    """CIELAB (D65) float32 [H, W, 3] of sRGB, uint8 or float in [0, 1]: L* in [0, 100]."""
+    scale = 255 if rgb.dtype == np.uint8 else 1
+    return cv2.cvtColor(rgb.astype(np.float32) / np.float32(scale), cv2.COLOR_RGB2Lab)
+
+
+class ColourNames:
+    """From sRGB to the membership in each named colour; ``names`` are in the order given.
+
+    Parameters
+    ----------
+    swatches : mapping name -> (list of "#rrggbb", darkest)
+        ``darkest`` is the smallest share of light, linear, in which a swatch keeps its name; 1 if
+        only the swatch itself has it.
+    """
+
+    def __init__(self, swatches: Mapping[str, tuple[list[str], float]]) -> None:
+        self.names = tuple(swatches)
+        self._points = [_points(*swatch) for swatch in swatches.values()]
+
+    def __call__(self, rgb: np.ndarray) -> np.ndarray:
+        """Memberships float32 [..., number of names], summing to 1, of sRGB uint8 [..., 3]."""
+        r, g, b = np.moveaxis(rgb >> (8 - _BITS), -1, 0).astype(np.int32)
+        cells = (r << 2 * _BITS) | (g << _BITS) | b
+        # A photograph holds few of the possible cells: name those, then look every pixel up.
+        used = np.flatnonzero(np.bincount(cells.ravel(), minlength=1 << 3 * _BITS))
+        row = np.zeros(1 << 3 * _BITS, np.int32)
+        row[used] = np.arange(len(used))
+        return self._memberships(used)[row[cells]]
+
+    def _memberships(self, cells: np.ndarray) -> np.ndarray:
+        levels = np.stack([cells >> 2 * _BITS, cells >> _BITS, cells], -1) & ((1 << _BITS) - 1)
+        lab = _weighted_lab(((levels + 0.5) / (1 << _BITS))[None])
+        nearest = np.stack([_distance2(lab, points) for points in self._points], -1)
+        closeness = np.exp((nearest.min(-1, keepdims=True) - nearest) / (2 * SOFTNESS**2))
+        return closeness / closeness.sum(-1, keepdims=True)
+
+
+def _points(hexes: list[str], darkest: float) -> np.ndarray:
+    """Weighted CIELAB points [S, 3] that stand for one colour name."""
+    rgb = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in hexes]) / 255
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    steps = 1 + int(np.ceil(np.log(darkest) / np.log(SHADE_STEP)))
+    linear = (linear * np.geomspace(1, darkest, steps)[:, None, None]).reshape(-1, 3)
+    rgb = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return _weighted_lab(rgb[None])
+
+
+def _weighted_lab(rgb: np.ndarray) -> np.ndarray:
+    return to_lab(rgb)[0] * np.float32([LIGHTNESS_WEIGHT, 1, 1])
+
+
+def _distance2(points: np.ndarray, swatches: np.ndarray) -> np.ndarray:
+    """Squared distance from each point [P, 3] to the nearest swatch, [P]."""
+    return np.min([((points - swatch) ** 2).sum(1) for swatch in swatches], 0)

@@ -1,0 +1,154 @@
+"""What can be measured on a region of a photograph, as evidence for or against each descriptor.
+
+Evidence lies in [-1, 1]: 1 is clearly so, -1 clearly not, 0 cannot tell. Lengths are relative to
+the image and to the region, so that the resolution of a photograph matters little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from slgaussian.language import patterns, silhouettes
+from slgaussian.language.colours import ColourNames, to_lab
+
+SURFACES = (
+    "light", "colourful", "shiny", "plain", "striped", "checked", "dotted", "speckled", "grained",
+    "veined", "gritty", "upright",
+)  # fmt: skip
+OUTLINES = ("compact", "rectangular", "long", "tall")
+PLACES = ("size", "low", "bottom", "top", "border")
+
+_CROP = 160  # longest side of the crop on which surfaces are measured, pixels
+_HALF_SEEN = 0.25  # share of a region that a colour must have for even evidence
+
+
+class Descriptors:
+    """Measures regions. ``names`` are the descriptors, in the order of :meth:`measure`.
+
+    Parameters
+    ----------
+    colours : ColourNames
+    groups : mapping name -> (colour -> weight)
+        Kinds of colour; each becomes a descriptor, as every colour does.
+    """
+
+    def __init__(self, colours: ColourNames, groups: Mapping[str, Mapping[str, float]]) -> None:
+        self._colours = colours
+        self._groups = np.array(
+            [[group.get(name, 0.0) for group in groups.values()] for name in colours.names]
+        )
+        self.names = (*colours.names, *groups, *SURFACES, *silhouettes.SOLIDS, *OUTLINES, *PLACES)
+
+    def measure(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        """Evidence float64 [M, len(names)] of non-empty masks bool [M, H, W] on uint8 [H, W, 3]."""
+        lab, memberships = to_lab(image), self._colours(image)
+        crops, rows = [], []
+        for mask in masks:
+            x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+            window = np.s_[y : y + h, x : x + w]
+            inside = mask[window]
+            crops.append(inside)
+            shares = memberships[window][inside].mean(0, dtype=np.float64)
+            kinds = np.concatenate([shares, np.minimum(shares @ self._groups, 1)])
+            surface = _surface(lab[window], inside, shares)
+            outline, place = _outline(inside), _place(mask, (x, y, w, h))
+            rows.append(np.concatenate([_share_evidence(kinds), surface, outline, place]))
+        table = np.array(rows)
+        shape = _solid_evidence(silhouettes.match(crops))
+        split = table.shape[1] - len(OUTLINES) - len(PLACES)
+        return np.hstack([table[:, :split], shape, table[:, split:]])
+
+
+def _ramp(value: float | np.ndarray, low: float, high: float) -> float | np.ndarray:
+    """-1 up to ``low``, 1 from ``high`` on, straight between."""
+    return np.clip((2 * value - low - high) / (high - low), -1, 1)
+
+
+def _share_evidence(shares: np.ndarray) -> np.ndarray:
+    """Logarithmic in the share: a quarter is even, all of it is 1, a sixteenth is -1."""
+    return np.clip(1 + np.log(np.maximum(shares, 1e-6)) / np.log(1 / _HALF_SEEN), -1, 1)
+
+
+def _solid_evidence(match: np.ndarray) -> np.ndarray:
+    """A solid is seen where its outline matches well, and better than that of any other."""
+    others = np.stack([np.delete(match, k, axis=1).max(1) for k in range(match.shape[1])], 1)
+    return 0.4 * _ramp(match, 0.7, 0.95) + 0.6 * _ramp(match - others, -0.04, 0.04)
+
+
+def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[float]:
+    scale = _CROP / max(inside.shape)
+    if scale < 1:
+        size = tuple(max(1, round(side * scale)) for side in inside.shape[::-1])
+        small = cv2.resize(
+            inside.view(np.uint8) * np.float32(1), size, interpolation=cv2.INTER_AREA
+        )
+        if (small > 0.5).any():
+            inside, lab = small > 0.5, cv2.resize(lab, size, interpolation=cv2.INTER_AREA)
+    p = patterns.measure(lab, inside)
+    lightness = lab[..., 0][inside].astype(np.float64)
+    median, bright = np.percentile(lightness, [50, 99])
+    kinds = np.exp(-(shares * np.log(np.maximum(shares, 1e-9))).sum())
+    two_toned = min(_ramp(p.contrast, 18, 40), _ramp(p.two_tone, 0.6, 0.8))
+    parallel, crossed = _ramp(p.along, 0.4, 0.7), _ramp(p.crossed, 0.12, 0.35)
+    discs, even = _ramp(p.spot_fill, 0.84, 0.94), _ramp(p.minor, 0.3, 0.44)
+    rough, coarse = _ramp(p.roughness, 1.0, 2.2), _ramp(p.roughness, 2.5, 4.5)
+    striped = min(two_toned, parallel, _ramp(p.minor, 0.15, 0.35))
+    checked = min(two_toned, -parallel, crossed, even)
+    dotted = min(
+        two_toned, -parallel, -crossed, discs, _ramp(p.spots, 2, 7), -_ramp(p.minor, 0.42, 0.5)
+    )
+    speckled = min(coarse, _ramp(p.contrast, 12, 28), -crossed, -discs, -even)
+    grained = min(_ramp(p.along, 0.3, 0.55), _ramp(p.roughness, 0.7, 1.3), -coarse)
+    veined = min(rough, -coarse, -_ramp(p.along, 0.4, 0.6), _ramp(p.contrast, 8, 16))
+    gritty = min(_ramp(p.roughness, 0.7, 1.6), -parallel, -_ramp(p.two_tone, 0.75, 0.9))
+    return [
+        float(_ramp(lightness.mean(), 30, 80)),
+        float(_ramp(kinds, 2.0, 4.5)),
+        float(min(_ramp(bright - median, 15, 40), _ramp(bright, 70, 95))),
+        float(-_ramp(p.roughness, 1.2, 4.0)),
+        *(float(e) for e in (striped, checked, dotted, speckled, grained, veined, gritty)),
+        float(_ramp(p.upright, -0.2, 0.6)),
+    ]
+
+
+def _outline(inside: np.ndarray) -> list[float]:
+    contours, _ = cv2.findContours(
+        np.pad(inside, 1).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
+    # A pixel counts as its whole square: outlines run through pixel centres, half a pixel inside.
+    hull = cv2.convexHull(np.concatenate(contours))[:, 0]
+    hull = cv2.convexHull(np.concatenate([hull + d for d in ((0, 0), (0, 1), (1, 0), (1, 1))]))
+    area = float(inside.sum())
+    moments = cv2.moments(inside.view(np.uint8), binaryImage=True)
+    xx, xy, yy = (moments[name] / area for name in ("mu20", "mu11", "mu02"))
+    # A pixel is a unit square, which adds 1/12 to a variance.
+    spread = np.linalg.eigvalsh([[xx + 1 / 12, xy], [xy, yy + 1 / 12]])
+    h, w = inside.shape
+    corners = (
+        cv2.approxPolyN(hull.astype(np.float32), 4, ensure_convex=True) if len(hull) > 4 else hull
+    )
+    return [
+        float(_ramp(area / cv2.contourArea(hull), 0.65, 0.9)),
+        float(_ramp(area / max(cv2.contourArea(corners), area), 0.7, 0.93)),
+        float(_ramp(np.log(spread[1] / spread[0]) / 2, np.log(2), np.log(5))),
+        float(_ramp(np.log(h / w), np.log(0.6), np.log(2.2))),
+    ]
+
+
+def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
+    height = mask.shape[0]
+    x, y, w, h = box
+    share = mask[y : y + h, x : x + w].sum() / mask.size
+    rows = mask[y : y + h, x : x + w].sum(1)
+    centre = (rows @ (np.arange(y, y + h) + 0.5)) / rows.sum() / height
+    edges = [mask[-1].mean(), mask[0].mean(), mask[:, 0].mean(), mask[:, -1].mean()]
+    return [
+        float(_ramp(np.log(share), np.log(0.003), np.log(0.12))),
+        float(_ramp(centre, 0.35, 0.75)),
+        float(_ramp(edges[0], 0.0, 0.4)),
+        float(_ramp(edges[1], 0.0, 0.4)),
+        float(_ramp(sum(edges), 0.0, 0.5)),
+    ]

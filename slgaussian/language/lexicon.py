@@ -1,0 +1,112 @@
+"""The lexicon: a region and text encoder without weights, for an explicit vocabulary.
+
+Every axis of the space is one descriptor (a colour, a pattern, an outline, a place ...). A region's
+vector holds the evidence for each, in [-1, 1]; a text's vector is the sum of its words, each a
+weighting of descriptors. Their product adds up evidence as a naive Bayes classifier adds up log
+odds: every word of "red striped ball" speaks for or against a region, and what was not asked for is
+silent. Two more axes make this work with cosines:
+
+- *rest* takes up the length that a region's evidence leaves, so all regions have the same length
+  before they are made unit vectors and their cosines compare;
+- *neutral*, on which no region lies, is the direction of phrases that say nothing ("object"), so
+  that relevancy is above 0.5 exactly if the evidence for a text outweighs that against it.
+
+What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
+and how each is measured are listed in docs/lexicon.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.language.colours import ColourNames
+from slgaussian.language.descriptors import Descriptors
+from slgaussian.language.vocabulary import load_vocabulary
+
+POSITIVE = 0.8
+"""Evidence for a descriptor counts this much of evidence against: one word that does not fit
+outweighs one that does, so a red box is not, on balance, a red ball."""
+
+
+class Lexicon:
+    """Encoder for the words of ``vocabulary.toml``; see the module."""
+
+    name = "lexicon"
+
+    def __init__(self) -> None:
+        self._vocabulary = load_vocabulary()
+        self._descriptors = Descriptors(
+            ColourNames(self._vocabulary.colours), self._vocabulary.groups
+        )
+        self._axis = {name: i for i, name in enumerate(self._descriptors.names)}
+        self.canonical = self._vocabulary.canonical
+
+    @property
+    def width(self) -> int:
+        """Number of axes C: the descriptors, then *rest*, then *neutral*."""
+        return len(self._axis) + 2
+
+    def encode_regions(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        """Unit vectors of regions.
+
+        Parameters
+        ----------
+        image : uint8 [H, W, 3]
+            sRGB.
+        masks : bool [M, H, W]
+            The regions, each with at least one pixel; they may overlap.
+
+        Returns
+        -------
+        float32 [M, C]
+
+        Raises
+        ------
+        InputError
+            If image and masks do not match, or a mask is empty.
+        """
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            raise InputError(
+                f"lexicon: image is {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
+            )
+        if masks.dtype != bool or masks.shape[1:] != image.shape[:2]:
+            raise InputError(
+                f"lexicon: masks are {masks.dtype} {masks.shape}, expected bool "
+                f"[M, {image.shape[0]}, {image.shape[1]}]"
+            )
+        vectors = np.zeros((len(masks), self.width))
+        if len(masks) == 0:
+            return vectors.astype(np.float32)
+        empty = ~masks.any((1, 2))
+        if empty.any():
+            raise InputError(f"lexicon: mask {int(empty.argmax())} is empty, expected a region")
+        evidence = self._descriptors.measure(image, masks)
+        axes = len(self._axis)
+        vectors[:, :axes] = np.where(evidence > 0, POSITIVE * evidence, evidence) / np.sqrt(axes)
+        vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
+        return vectors.astype(np.float32)
+
+    def encode_text(self, texts: Sequence[str]) -> np.ndarray:
+        """Unit vectors float32 [Q, C] of texts.
+
+        Raises
+        ------
+        InputError
+            If a text is empty, has no known word or holds a negation.
+        """
+        vectors = np.zeros((len(texts), self.width))
+        for vector, text in zip(vectors, texts, strict=True):
+            for word in self._vocabulary.read(text).words:
+                total = sum(abs(weight) for weight in word.weights.values())
+                for name, weight in word.weights.items():
+                    vector[self._axis[name]] += weight / total
+            if not vector.any():
+                vector[-1] = 1.0
+        return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """The words of ``text`` that are left out; InputError as in :meth:`encode_text`."""
+        return self._vocabulary.read(text).left_out

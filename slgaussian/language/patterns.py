@@ -1,0 +1,124 @@
+"""Numbers that tell plain, striped, checked, dotted and grainy surfaces apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+_EDGE = 2  # pixels left out along the outline, where the neighbours show
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What :func:`measure` finds on one surface; all scale-free but ``roughness``.
+
+    Attributes
+    ----------
+    roughness : float
+        Mean CIELAB gradient, units per pixel of the crop.
+    two_tone : float
+        Share of the colour variance that two clusters explain, in [0, 1].
+    contrast : float
+        CIELAB distance between the two clusters.
+    minor : float
+        Share of the smaller cluster, in [0, 0.5].
+    along : float
+        Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel.
+    crossed : float
+        Fourth harmonic, in [0, 1]: 1 if all edges are parallel or at right angles.
+    upright : float
+        Balance of edges, in [-1, 1]: 1 if all run up and down, -1 if all run across.
+    spots : float
+        Number of separate pieces of the smaller cluster.
+    spot_fill : float
+        Area of those pieces over that of ellipses with their moments, weighted by area; near 1
+        for discs, lower for ragged and branching pieces.
+    spot_length : float
+        Ratio of axes of those ellipses, weighted by area; 1 for discs.
+    """
+
+    roughness: float
+    two_tone: float
+    contrast: float
+    minor: float
+    along: float
+    crossed: float
+    upright: float
+    spots: float
+    spot_fill: float
+    spot_length: float
+
+
+def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
+    """Measure the surface of ``mask`` bool [h, w] in CIELAB float32 [h, w, 3]."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _EDGE + 1, 2 * _EDGE + 1))
+    inside = cv2.erode(np.pad(mask, 1).view(np.uint8), kernel)[1:-1, 1:-1].view(bool)
+    if inside.sum() < 16:
+        inside = mask
+    along, crossed, upright, roughness = _directions(lab, inside)
+    two_tone, contrast, second = _two_tones(lab, inside)
+    minor = second.sum() / inside.sum()
+    spots, fill, length = _spots(second)
+    return Pattern(
+        roughness, two_tone, contrast, minor, along, crossed, upright, spots, fill, length
+    )
+
+
+def _directions(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, float, float]:
+    smooth = cv2.GaussianBlur(lab, (0, 0), 0.8)
+    gx = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)[inside]
+    gy = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)[inside]
+    xx, yy, xy = (gx * gx).sum(-1), (gy * gy).sum(-1), (gx * gy).sum(-1)
+    energy = xx + yy
+    total = float(energy.sum()) + 1e-6
+    double = (xx - yy) + 2j * xy
+    unit = double / (np.abs(double) + 1e-6)
+    along = abs(complex(double.sum())) / total
+    crossed = abs(complex((np.abs(double) * unit * unit).sum())) / total
+    upright = float(double.real.sum()) / total
+    return along, crossed, upright, float(np.sqrt(energy).mean())
+
+
+def _two_tones(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Otsu's split along the main axis of colour: variance explained, distance, smaller part."""
+    colours = lab[inside].astype(np.float64)
+    centred = colours - colours.mean(0)
+    spread = np.einsum("nc,nd->cd", centred, centred)
+    axis = (centred * np.linalg.eigh(spread)[1][:, -1]).sum(1)
+    low, high = axis.min(), axis.max()
+    bins = np.minimum((axis - low) / max(high - low, 1e-9) * 128, 127).astype(int)
+    weight = np.bincount(bins, minlength=128).cumsum() / len(axis)
+    moment = np.bincount(bins, axis, minlength=128).cumsum() / len(axis)
+    between = moment**2 / np.maximum(weight * (1 - weight), 1e-9)
+    upper = bins > between[:-1].argmax()
+    if upper.all() or not upper.any():
+        return 0.0, 0.0, np.zeros_like(inside)
+    difference = centred[upper].mean(0) - centred[~upper].mean(0)
+    share = upper.mean()
+    explained = share * (1 - share) * (difference @ difference) * len(axis) / np.trace(spread)
+    second = np.zeros_like(inside)
+    second[inside] = upper if share <= 0.5 else ~upper
+    return float(explained), float(np.sqrt(difference @ difference)), second
+
+
+def _spots(second: np.ndarray) -> tuple[float, float, float]:
+    count, labels = cv2.connectedComponents(second.view(np.uint8), connectivity=4)
+    if count == 1:
+        return 0.0, 0.0, 1.0
+    rows, cols = np.nonzero(labels)
+    piece = labels[rows, cols]
+    area = np.bincount(piece, minlength=count)[1:].astype(float)
+    x = np.bincount(piece, cols, count)[1:] / area
+    y = np.bincount(piece, rows, count)[1:] / area
+    dx, dy = cols - x[piece - 1], rows - y[piece - 1]
+    # A pixel is a unit square, which adds 1/12 to a variance.
+    xx = np.bincount(piece, dx * dx, count)[1:] / area + 1 / 12
+    yy = np.bincount(piece, dy * dy, count)[1:] / area + 1 / 12
+    xy = np.bincount(piece, dx * dy, count)[1:] / area
+    middle, half = (xx + yy) / 2, np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
+    fill = area / (4 * np.pi * np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9)))
+    length = np.sqrt((middle + half) / np.maximum(middle - half, 1e-9))
+    share = area / area.sum()
+    return float((share > 0.01).sum()), float(share @ fill), float(share @ np.minimum(length, 10))

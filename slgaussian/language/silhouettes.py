@@ -1,0 +1,106 @@
+"""Shape words from outlines: how well a mask matches the silhouette of an ideal solid.
+
+The silhouettes of a box, a cylinder, a cone, a ball and a ring are drawn from a range of viewpoints
+above the horizon, in parallel projection, and each is stretched to a square. A mask is treated the
+same way and compared by intersection over union; its width-to-height ratio takes part through the
+ratios that each solid can show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import product
+
+import cv2
+import numpy as np
+
+SOLIDS = ("ball", "box", "cylinder", "cone", "ring")
+
+_SIDE = 40
+_FULL = 64.0  # of coverage: products of whole steps sum exactly in float32, in any order
+_TILTS = np.radians([3, 8, 13, 18, 24, 30, 38])  # of the line of sight below the horizon
+_LEANS = np.radians([-12, -6, 0, 6, 12])  # upright things lean away from the middle of a photograph
+_TURNS = np.radians([0, 18, 36, 54, 72])
+_HEIGHTS = np.geomspace(0.5, 3.6, 8)  # in widths
+_ASPECT_STEP = 1.25  # a mask is compared with outlines whose aspect is this close, as a ratio
+
+
+def match(masks: Sequence[np.ndarray]) -> np.ndarray:
+    """How well each mask matches each of :data:`SOLIDS`, float64 [M, 5] in [0, 1].
+
+    ``masks`` are non-empty bool arrays of any sizes. 1 is a perfect match; 0 says that no outline
+    of that solid has nearly the mask's aspect. The score is intersection over union, in the form
+    a.b / (a.a + b.b - a.b) that also holds for pixels covered in part.
+    """
+    outlines, sizes, aspects, kinds = _outlines()
+    boxes = [cv2.boundingRect(mask.view(np.uint8)) for mask in masks]
+    squares = np.array(
+        [_stretch(m[y : y + h, x : x + w]) for m, (x, y, w, h) in zip(masks, boxes, strict=True)]
+    )
+    shared = squares.reshape(len(masks), -1) @ outlines.T
+    iou = shared / (sizes + (squares**2).sum(-1)[:, None] - shared)
+    aspect = np.log([w / h for _, _, w, h in boxes])
+    iou[np.abs(aspect[:, None] - aspects) > np.log(_ASPECT_STEP)] = 0
+    return np.stack([iou[:, kinds == k].max(1) for k in range(len(SOLIDS))], 1).astype(np.float64)
+
+
+def _stretch(mask: np.ndarray) -> np.ndarray:
+    """The mask [h, w] resampled to a flat float32 square of coverages, in whole steps."""
+    how = cv2.INTER_AREA if min(mask.shape) >= _SIDE else cv2.INTER_LINEAR
+    cover = cv2.resize(mask.astype(np.float32), (_SIDE, _SIDE), interpolation=how)
+    return np.round(cover.ravel() * _FULL)
+
+
+@cache
+def _outlines() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All outlines: squares [T, SIDE^2], squared lengths, log aspects, indices into SOLIDS."""
+    squares, aspects, kinds = [], [], []
+    for kind, points, tube in _solids():
+        low, high = points.min(0) - tube, points.max(0) + tube
+        scale = 160 / (high - low).max()
+        pixels = np.round((points - low) * scale).astype(np.int32)
+        w, h = np.ceil((high - low) * scale).astype(int) + 1
+        canvas = np.zeros((h, w), np.uint8)
+        if tube:
+            cv2.polylines(canvas, [pixels], True, 1, max(1, round(2 * tube * scale)))
+        else:
+            cv2.fillConvexPoly(canvas, cv2.convexHull(pixels), 1)
+        squares.append(_stretch(canvas))
+        aspects.append(np.log(w / h))
+        kinds.append(SOLIDS.index(kind))
+    stack = np.stack(squares)
+    return stack, (stack**2).sum(1), np.array(aspects), np.array(kinds)
+
+
+def _solids() -> Iterator[tuple[str, np.ndarray, float]]:
+    """(kind, projected points [P, 2], tube radius) of every solid and viewpoint, widths near 1."""
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) / 2
+    base = np.array([(x, y, 0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+    up = np.array([[0, 0, 1.0]])
+    yield "ball", circle[:, :2], 0.0
+    for tilt, lean in product(_TILTS, _LEANS):
+        for height in _HEIGHTS:
+            top = height * up
+            yield "cylinder", _project(np.concatenate([circle, circle + top]), tilt, lean), 0.0
+            yield "cone", _project(np.concatenate([circle, top]), tilt, lean), 0.0
+            for turn, depth in product(_TURNS, (0.6, 1.0)):
+                foot = base * (1, depth, 1) @ _turned(turn)
+                yield "box", _project(np.concatenate([foot, foot + top]), tilt, lean), 0.0
+    for tilt, tube in product([*_TILTS, np.radians(60)], (0.16, 0.24, 0.32)):
+        lying = circle * (1 - tube)
+        yield "ring", _project(lying, tilt), tube / 2
+        for turn in _TURNS:
+            yield "ring", _project(lying[:, [0, 2, 1]] @ _turned(turn), tilt), tube / 2
+
+
+def _turned(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def _project(points: np.ndarray, tilt: float, lean: float = 0.0) -> np.ndarray:
+    """Image points (x right, y down) of points (z up) seen along +y, from ``tilt`` above."""
+    flat = np.stack([points[:, 0], -np.cos(tilt) * points[:, 2] - np.sin(tilt) * points[:, 1]], 1)
+    return flat @ _turned(lean)[:2, :2]

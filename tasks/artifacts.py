@@ -1,0 +1,196 @@
+"""The library's objects as stored arrays, and back."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.labels import Truth
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.scene import Camera, Sample, View
+from slgaussian.store import Arrays
+
+
+def sample_to_arrays(sample: Sample) -> Arrays:
+    """A sample as spec ``sample``; InputError unless all its views have one size."""
+    views = (*sample.context, *sample.targets)
+    first = views[0]
+    for view in views:
+        if view.image.shape != first.image.shape:
+            (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
+            raise InputError(
+                f"scene {sample.scene!r}: {view.name!r} is {w1}x{h1} and {first.name!r} is "
+                f"{w0}x{h0}; give a size (height and width) that all views are brought to"
+            )
+    arrays = {
+        "scene": np.array(sample.scene),
+        "names": np.array([view.name for view in views]),
+        "n_context": np.array(len(sample.context), np.int32),
+        "images": np.stack([view.image for view in views]),
+        "K": np.stack([view.camera.K for view in views]),
+        "c2w": np.stack([view.camera.c2w for view in views]),
+        "near_far": np.array([[v.camera.near or 0.0, v.camera.far or 0.0] for v in views]),
+        "phrase_ids": np.array(sorted(sample.phrases), np.int32),
+        "phrases": np.array([sample.phrases[i] for i in sorted(sample.phrases)], np.str_),
+    }
+    for name, dtype in (("depth", np.float32), ("instances", np.int32)):
+        truths = [getattr(view, name) for view in views]
+        if any(truth is not None for truth in truths):
+            empty = np.zeros(first.image.shape[:2])
+            stack = [empty if truth is None else truth for truth in truths]
+            arrays[name] = np.stack(stack).astype(dtype)
+    return arrays
+
+
+def sample_from_arrays(arrays: Arrays) -> Sample:
+    """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
+    height, width = arrays["images"].shape[1:3]
+
+    def truth(name: str, index: int) -> np.ndarray | None:
+        known = name in arrays and arrays[name][index].any()
+        return arrays[name][index] if known else None
+
+    views = [
+        View(
+            name=str(name),
+            camera=Camera(
+                arrays["K"][i],
+                arrays["c2w"][i],
+                width,
+                height,
+                near=float(arrays["near_far"][i, 0]) or None,
+                far=float(arrays["near_far"][i, 1]) or None,
+            ),
+            image=arrays["images"][i],
+            depth=truth("depth", i),
+            instances=truth("instances", i),
+        )
+        for i, name in enumerate(arrays["names"])
+    ]
+    n = int(arrays["n_context"])
+    ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
+    phrases_by_id = dict(zip(ids, phrases, strict=True))
+    return Sample(str(arrays["scene"]), tuple(views[:n]), tuple(views[n:]), phrases_by_id)
+
+
+def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
+    """Label maps as spec ``labels``."""
+    return {"labels": label_maps.labels, "margin": label_maps.margin}
+
+
+def truth_to_arrays(
+    truth: Truth | Mapping[str, Mapping[str, np.ndarray]], sample: Sample
+) -> Arrays:
+    """Labelled truth, or plain masks by view and query, as spec ``truth``."""
+    has_boxes = isinstance(truth, Truth)
+    by_view = truth.masks if has_boxes else truth
+    keys = [(view, query) for view, masks in by_view.items() for query in masks]
+    boxes = [truth.boxes[view][query] if has_boxes else np.zeros((0, 4)) for view, query in keys]
+    size = sample.context[0].image.shape[:2]
+    return {
+        "views": np.array([view for view, _ in keys], np.str_),
+        "queries": np.array([query for _, query in keys], np.str_),
+        "masks": np.array([by_view[v][q] for v, q in keys], bool).reshape(len(keys), *size),
+        "box_masks": np.repeat(np.arange(len(keys), dtype=np.int32), [len(b) for b in boxes]),
+        "boxes": np.concatenate([np.zeros((0, 4)), *boxes]),
+        "has_boxes": np.array(has_boxes),
+    }
+
+
+def truth_from_arrays(arrays: Arrays) -> Truth:
+    """Inverse of :func:`truth_to_arrays`; without annotated boxes ``boxes`` is empty."""
+    masks: dict[str, dict[str, np.ndarray]] = {}
+    boxes: dict[str, dict[str, np.ndarray]] = {}
+    for i, (view, query) in enumerate(zip(arrays["views"], arrays["queries"], strict=True)):
+        masks.setdefault(str(view), {})[str(query)] = arrays["masks"][i]
+        if arrays["has_boxes"]:
+            mine = arrays["boxes"][arrays["box_masks"] == i]
+            boxes.setdefault(str(view), {})[str(query)] = mine
+    return Truth(masks, boxes)
+
+
+def field_to_arrays(field: SemanticField) -> Arrays:
+    """A field as spec ``field``; its cameras are those of the sample and stay there."""
+    bank = {f"bank_{name}": array for name, array in field.bank.to_arrays().items()}
+    settings = json.dumps(dict(field.settings), sort_keys=True)
+    return {**field.gaussians.to_arrays(), **bank, "settings": np.array(settings)}
+
+
+def field_from_arrays(arrays: Arrays, sample: Sample) -> SemanticField:
+    """Inverse of :func:`field_to_arrays`."""
+    rest = dict(arrays)
+    settings = json.loads(str(rest.pop("settings")))
+    names = [name for name in rest if name.startswith("bank_")]
+    bank = MemoryBank.from_arrays({n.removeprefix("bank_"): rest.pop(n) for n in names})
+    cameras = {view.name: view.camera for view in sample.context}
+    return SemanticField(Gaussians.from_arrays(rest), bank, cameras, settings)
+
+
+def result_to_arrays(result: SceneResult) -> Arrays:
+    """A scene's result as spec ``scene_result``; its times are volatile and left out."""
+    prediction_ends, prediction_png = _pack(map(_png, result.predictions.values()))
+    picture_ends, picture_png = _pack(map(_png, result.pictures.values()))
+    return {
+        "scene": np.array(result.scene),
+        "rows": np.array(json.dumps(result.rows, allow_nan=False)),
+        "metrics": np.array(json.dumps(result.scene_metrics, allow_nan=False)),
+        "prediction_names": np.array(list(result.predictions), np.str_).reshape(-1, 2),
+        "prediction_ends": prediction_ends,
+        "prediction_png": prediction_png,
+        "picture_names": np.array(list(result.pictures), np.str_),
+        "picture_ends": picture_ends,
+        "picture_png": picture_png,
+    }
+
+
+def result_from_arrays(
+    arrays: Arrays, times: Mapping[str, float], with_pictures: bool = True
+) -> SceneResult:
+    """Inverse of :func:`result_to_arrays`; its pictures, slow to decode, only if wanted."""
+    masks = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
+    pictures = dict(
+        zip(
+            arrays["picture_names"].tolist(),
+            _unpack(arrays["picture_ends"], arrays["picture_png"]),
+            strict=True,
+        )
+    )
+    keys = [(str(frame), str(query)) for frame, query in arrays["prediction_names"]]
+    return SceneResult(
+        scene=str(arrays["scene"]),
+        rows=json.loads(str(arrays["rows"])),
+        scene_metrics=json.loads(str(arrays["metrics"])),
+        predictions=dict(zip(keys, map(_pixels, masks), strict=True)),
+        pictures={n: _pixels(png) for n, png in pictures.items()} if with_pictures else {},
+        times=dict(times),
+    )
+
+
+def _png(image: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(image).save(out, "PNG", compress_level=1)
+    return out.getvalue()
+
+
+def _pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)))
+
+
+def _pack(blobs: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:
+    blobs = list(blobs)
+    ends = np.cumsum([len(blob) for blob in blobs], dtype=np.int64)
+    return ends, np.frombuffer(b"".join(blobs), np.uint8)
+
+
+def _unpack(ends: Sequence[int], data: np.ndarray) -> list[bytes]:
+    starts = [0, *ends[:-1]]
+    return [data[a:b].tobytes() for a, b in zip(starts, ends, strict=True)]

@@ -1,0 +1,32 @@
+"""Ask the field of one scene everything its truth knows."""
+
+from __future__ import annotations
+
+from slgaussian.benchmark.evaluate import evaluate
+from slgaussian.labels import LabelMaps
+from slgaussian.store import ArtifactRef, ArtifactStore
+from tasks.artifacts import (
+    field_from_arrays,
+    result_to_arrays,
+    sample_from_arrays,
+    truth_from_arrays,
+)
+from tasks.stage import StageCall
+
+STAGE = "benchmark"
+VERSION = 1
+
+
+def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
+    """Spec ``scene_result``. Settings: method, queries, temperature, threshold.
+
+    Inputs: sample, truth, labels, field.
+    """
+    sample = sample_from_arrays(store.get(call.inputs["sample"]))
+    field = field_from_arrays(store.get(call.inputs["field"]), sample)
+    label_maps = LabelMaps(**store.get(call.inputs["labels"]))
+    truth = truth_from_arrays(store.get(call.inputs["truth"]))
+    result = evaluate(
+        field, sample, label_maps, truth.masks, boxes=truth.boxes or None, **call.settings
+    )
+    return store.put("scene_result", result_to_arrays(result), {"times": result.times})

@@ -1,0 +1,28 @@
+"""The semantic field of one scene."""
+
+from __future__ import annotations
+
+from slgaussian.build import lift_field
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.store import ArtifactRef, ArtifactStore
+from tasks.artifacts import field_to_arrays, sample_from_arrays
+from tasks.stage import StageCall
+
+STAGE = "field"
+VERSION = 1
+
+
+def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
+    """Spec ``field``. Settings: those of the whole method.
+
+    Inputs: sample, gaussians, labels, bank.
+    """
+    sample = sample_from_arrays(store.get(call.inputs["sample"]))
+    gaussians = Gaussians.from_arrays(store.get(call.inputs["gaussians"]))
+    label_maps = LabelMaps(**store.get(call.inputs["labels"]))
+    bank = MemoryBank.from_arrays(store.get(call.inputs["bank"]))
+    settings = {"scene": sample.scene, **call.settings}
+    field = lift_field(sample, gaussians, label_maps, bank, settings["lifting"], settings)
+    return store.put("field", field_to_arrays(field))

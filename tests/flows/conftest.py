@@ -1,0 +1,28 @@
+"""One Prefect server for all flow tests; its address is set before anything imports Prefect."""
+
+import os
+
+import pytest
+
+from flows.environment import prepare
+from flows.server import LocalServer
+
+
+def pytest_configure(config):
+    import tempfile
+    from pathlib import Path
+
+    home = Path(tempfile.mkdtemp(prefix="slg-flows-"))
+    prepare(home)
+    config.slg_server = LocalServer(home)
+    os.environ["PREFECT_API_URL"] = config.slg_server.url
+
+
+@pytest.fixture(scope="session")
+def server(request):
+    """The address of a running Prefect server."""
+    server = request.config.slg_server
+    server.start()
+    server.wait()
+    yield server
+    server.stop()

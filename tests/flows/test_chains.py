@@ -1,0 +1,154 @@
+import io
+from pathlib import Path
+
+import pytest
+from tiny_run import chain_plan, run_tiny
+
+from flows.chains import Step, failures_table
+from slgaussian.store import ArtifactStore, table_digest
+
+pytestmark = pytest.mark.usefixtures("server")
+
+
+@pytest.fixture
+def store(tmp_path):
+    return ArtifactStore(tmp_path / "store")
+
+
+class Runs:
+    """Runs two scenes and tells which stages ran; no two of its artifacts are equal."""
+
+    def __init__(self, store, folder):
+        self.store, self.log = store, folder / "log"
+
+    def __call__(self, a=6, b=20, more=1):
+        self.log.write_text("")
+        plans = {
+            "a": lambda: chain_plan(a, more, self.log),
+            "b": lambda: chain_plan(b, more, self.log),
+        }
+        outcome = run_tiny(self.store, plans)
+        assert outcome.failures == []
+        return outcome, sorted(self.log.read_text().splitlines())
+
+
+@pytest.fixture
+def runs(store, tmp_path):
+    return Runs(store, tmp_path)
+
+
+def files_of(store: ArtifactStore) -> dict[str, bytes]:
+    """The artifacts, without Prefect's own records."""
+    root = Path(store.path)
+    kept = (p for p in sorted(root.rglob("*")) if p.is_file())
+    named = ((str(p.relative_to(root)), p) for p in kept)
+    return {n: p.read_bytes() for n, p in named if not n.startswith(("cache/", ".prefect/"))}
+
+
+ALL = ["a add", "a halve", "a make", "b add", "b halve", "b make"]
+
+
+def test_a_second_run_computes_nothing_and_gives_the_same_refs(runs):
+    first, ran = runs()
+    assert ran == ALL
+    second, ran = runs()
+    assert ran == []
+    assert second.refs == first.refs
+
+
+def test_a_setting_recomputes_only_what_depends_on_it(runs):
+    runs()
+    assert runs(more=2)[1] == ["a add", "b add"]
+    assert runs(b=80, more=2)[1] == ["b add", "b halve", "b make"]
+
+
+def test_an_unchanged_output_stops_the_recomputation_there(runs):
+    runs(a=6)
+    assert runs(a=7)[1] == ["a halve", "a make"]
+
+
+@pytest.mark.parametrize("damage", ["delete", "cut", "alter"])
+def test_only_a_lost_or_damaged_artifact_is_made_again(runs, store, damage):
+    outcome, _ = runs()
+    path = Path(store.path) / outcome.refs["b"]["halve"].uri
+    whole = path.read_bytes()
+    if damage == "delete":
+        path.unlink()
+    elif damage == "cut":
+        path.write_bytes(whole[: len(whole) // 2])
+    else:
+        path.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
+    again, ran = runs()
+    assert ran == ["b halve"]
+    assert again.refs == outcome.refs
+    assert path.read_bytes() == whole
+
+
+def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
+    import tiny_stages.add
+
+    runs()
+    monkeypatch.setattr(tiny_stages.add, "VERSION", 2)
+    assert runs()[1] == ["a add", "b add"]
+
+
+def test_a_store_that_moved_still_hits(runs, store, tmp_path):
+    runs()
+    Path(store.path).rename(tmp_path / "elsewhere")
+    runs.store = ArtifactStore(tmp_path / "elsewhere")
+    assert runs()[1] == []
+
+
+def test_two_stores_hold_the_same_bytes(runs, store, tmp_path):
+    runs()
+    runs.store = ArtifactStore(tmp_path / "other")
+    assert runs()[1] == ALL
+    assert files_of(runs.store) == files_of(store)
+
+
+def test_a_store_in_memory_caches_too(tmp_path):
+    runs = Runs(ArtifactStore(f"memory://{tmp_path.name}"), tmp_path)
+    assert runs()[1] == ALL
+    assert runs()[1] == []
+
+
+def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
+    log = tmp_path / "log"
+    plans = {
+        "good": lambda: chain_plan(4, 1, log),
+        "bad": lambda: chain_plan(-1, 1, log),
+        "defect": lambda: chain_plan(666, 1, log),
+        "unkeyable": lambda: [Step("make", {"value": {1, 2}}, package="tiny_stages")],
+        "fine": lambda: chain_plan(6, 1, log),
+    }
+    seen = io.StringIO()
+    outcome = run_tiny(store, plans, stream=seen)
+    assert sorted(outcome.refs) == ["fine", "good"]
+    rows = {row["scene"]: row for row in failures_table(outcome.failures).to_pylist()}
+    assert rows["bad"] == {
+        "scene": "bad",
+        "stage": "make",
+        "kind": "InputError",
+        "reason": "value -1: expected a positive number",
+    }
+    assert rows["defect"]["reason"] == "unexpected ZeroDivisionError: a defect"
+    assert "set {1, 2} cannot be part of a cache key" in rows["unkeyable"]["reason"]
+    assert "bad  left out at make: value -1" in seen.getvalue()
+    assert "Traceback" not in seen.getvalue()
+    kept = store.put("failures", failures_table(outcome.failures))
+    assert table_digest(store.get(kept)) == kept.digest
+
+
+def test_a_failed_stage_is_tried_again_next_time(store, tmp_path):
+    log = tmp_path / "log"
+    for _ in range(2):
+        run_tiny(store, {"bad": lambda: chain_plan(-1, 1, log)})
+    assert log.read_text().splitlines() == ["bad make", "bad make"]
+
+
+def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):
+    log = tmp_path / "log"
+    plans = {f"{i}": lambda i=i: chain_plan(2 * i + 2, 1, log) for i in range(5)}
+    run_tiny(store, plans, workers=1)
+    order = [line.split()[0] for line in log.read_text().splitlines()]
+    assert order == sorted(order)

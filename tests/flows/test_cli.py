@@ -1,0 +1,217 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flows import cli
+from flows.settings import Settings, make_settings, read_toml
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
+from slgaussian.language import load_encoder
+from slgaussian.language.bank import MemoryBank
+from slgaussian.scene import Camera
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def run(monkeypatch, *words) -> int:
+    """Exit status of ``slgaussian WORDS``."""
+    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return left.value.code or 0
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory):
+    """A red and a blue wall side by side, each an object, seen from two cameras."""
+    K = np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]])
+    right = np.eye(4)
+    right[0, 3] = 0.2
+    cameras = {
+        "images/001.png": Camera(K, np.eye(4), 48, 32),
+        "images/002.png": Camera(K, right, 48, 32),
+    }
+    points = next(iter(cameras.values())).unproject(np.full((32, 48), 2.0)).reshape(-1, 3)
+    is_red = (np.arange(32 * 48) % 48) < 24
+    color = np.where(is_red[:, None], (0.8, 0.05, 0.05), (0.05, 0.1, 0.8)).astype(np.float32)
+    codes = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
+    n = len(points)
+    features = np.concatenate([codes[np.where(is_red, 0, 1)], np.ones((n, 1))], 1)
+    gaussians = Gaussians.from_arrays(
+        {
+            "means": points.astype(np.float32),
+            "scales": np.full((n, 3), 0.04, np.float32),
+            "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+            "opacities": np.full(n, 0.95, np.float32),
+            "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
+            "source": np.arange(n, dtype=np.int32),
+            "features": features.astype(np.float32),
+        }
+    )
+    image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
+    masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
+    seen = load_encoder("lexicon").encode_regions(image, masks)
+    bank = MemoryBank(
+        np.array([1, 2], np.int32),
+        codes,
+        np.stack([seen, seen], 1).astype(np.float32),
+        np.ones((2, 2), bool),
+    )
+    folder = tmp_path_factory.mktemp("cli") / "field"
+    SemanticField(gaussians, bank, cameras, {"encoder": "lexicon"}).save(folder)
+    return folder
+
+
+def test_help_answers_without_the_heavy_libraries():
+    code = (
+        "import sys; from flows.cli import app; app(['field', '--help'], standalone_mode=False);"
+        "print([m for m in ('torch', 'prefect', 'numba', 'cv2') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    assert "--cameras" in done.stdout
+    assert done.stdout.strip().endswith("[]")
+
+
+def test_query_finds_the_red_wall(field, tmp_path, monkeypatch, capsys):
+    picture = tmp_path / "hit.png"
+    assert run(monkeypatch, "query", field, "red", "-o", picture, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["objects"][0]["id"] == 1
+    assert answer["point"][0] < 24
+    assert answer["pixels"] == pytest.approx(32 * 24, abs=64)
+    assert answer["view"] == "images/001.png"
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert run(monkeypatch, "query", field, "blue", "--view", "002") == 0
+    assert "objects  2 (" in capsys.readouterr().out
+
+
+def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
+    assert run(monkeypatch, "query", field, "red qwxyz") == 0
+    assert "not known and left out: qwxyz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["qwxyz"], "qwxyz"),
+        ([""], "query"),
+        (["red", "--view", "9"], "'9'"),
+        (["red", "--view", "nowhere.png"], "no view 'nowhere.png'"),
+        (["red", "-o", "no/such/folder/hit.png"], "cannot be written"),
+        (["red", "--threshold", "2"], "threshold"),
+    ],
+)
+def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "query", field, *words) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("error: ")
+    assert sentence in said.err
+    assert said.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
+    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png", "--view", "1") == 0
+    assert run(monkeypatch, "export", field, "-o", tmp_path / "scene.ply") == 0
+    assert (tmp_path / "seen.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "scene.ply").read_bytes()[:4] == b"ply\n"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_field_that_is_not_there_or_damaged_is_one_sentence(field, tmp_path, monkeypatch, capsys):
+    assert run(monkeypatch, "query", tmp_path, "red") == 2
+    assert "no field.json" in capsys.readouterr().err
+    for name in ("field.json", "bank.npz", "gaussians.npz"):
+        copy = tmp_path / name.replace(".", "_")
+        copy.mkdir()
+        for file in field.iterdir():
+            data = file.read_bytes()
+            (copy / file.name).write_bytes(data[: len(data) // 2] if file.name == name else data)
+        assert run(monkeypatch, "query", copy, "red") == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert name in said
+        assert said.count("\n") == 1
+
+
+def test_field_stops_before_the_work_when_it_cannot_end_well(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("in the way")
+    common = ["a.png", "b.png", "--cameras", tmp_path / "transforms.json"]
+    assert run(monkeypatch, "field", *common, "-o", tmp_path / "file" / "field") == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert run(monkeypatch, "field", *common, "-o", tmp_path / "file") == 2
+    assert "is not a field" in capsys.readouterr().err
+    assert run(monkeypatch, "field", *common, "-o", tmp_path / "field") == 2
+    assert "transforms.json" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def toml(tmp_path, text):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_configuration_is_read_with_paths_from_its_folder(tmp_path):
+    path = toml(
+        tmp_path,
+        'store = "kept"\nreplicas = 3\nsize = [64, 96]\n'
+        '[[scenes]]\nname = "a"\npath = "photos"\ncontext = ["1", "2"]\n',
+    )
+    settings = read_toml(path, {"replicas": 4, "size": "original"})
+    assert settings.store == str(tmp_path / "kept")
+    assert settings.scenes[0].path == tmp_path / "photos"
+    assert (settings.replicas, settings.size) == (4, "original")
+    assert settings.seed == Settings().seed
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("replica = 5", r"unknown key 'replica'; the keys are size, .*replicas"),
+        ('[[scenes]]\nname = "a"\ncontex = []', r"unknown key 'scenes.0.contex'; .*context"),
+        ('[[scenes]]\nname = "a"', "scenes.0.context is missing"),
+        ("replicas = 0", "replicas: found 0; .*greater than or equal to 1"),
+        ("size = [1, 2, 3]", "size: found"),
+        ("seed = ", "not valid TOML"),
+        (
+            '[[scenes]]\nname="a"\ncontext=["1","2"]\n[[scenes]]\nname="a"\ncontext=["1","2"]',
+            "two scenes are called 'a'",
+        ),
+    ],
+)
+def test_a_slip_in_a_configuration_is_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        read_toml(toml(tmp_path, text), {})
+    assert "run.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_size_reads_as_height_and_width():
+    assert make_settings({"size": "64x96"}, "test").size == (64, 96)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="counts cores as Linux does")
+def test_pools_share_the_cores():
+    import cv2
+    import numba
+
+    from slgaussian import threads
+
+    all_cores = threads.cores()
+    try:
+        assert threads.share(all_cores) == 1
+        assert (numba.get_num_threads(), torch.get_num_threads(), cv2.getNumThreads()) == (1, 1, 1)
+    finally:
+        assert threads.share(1) == all_cores
+    assert numba.get_num_threads() == min(all_cores, numba.config.NUMBA_NUM_THREADS)

@@ -1,0 +1,135 @@
+"""The real pipeline on one small made-up room, beside a scene that cannot be read."""
+
+import io
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from flows import pipeline
+from flows.settings import make_settings
+from slgaussian.store import ArtifactStore
+
+pytestmark = pytest.mark.usefixtures("server")
+
+ROOM = {
+    "name": "room",
+    "format": "procedural",
+    "options": {"seed": 1, "objects": 4, "views": 3},
+    "context": ["view_00", "view_02"],
+    "targets": ["view_01"],
+    "queries": ["red ball"],
+}
+
+
+def settings_for(folder: Path, missing: Path, **more):
+    bad = {"name": "lost", "path": missing, "context": ["a.png", "b.png"]}
+    values = {"size": "64x96", "out": folder / "out", "scenes": [ROOM, bad], **more}
+    return make_settings(values, "test")
+
+
+def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    named = {str(p.relative_to(folder)): p.read_bytes() for p in files}
+    return {name: data for name, data in named.items() if not name.startswith(hidden)}
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory, server):
+    folder = tmp_path_factory.mktemp("first")
+    store = ArtifactStore(folder / "store")
+    missing = folder.parent / "nowhere"
+    finished = pipeline.run(settings_for(folder, missing), store)
+    return folder, missing, finished
+
+
+def test_the_bad_scene_is_named_and_the_good_one_reported(first):
+    folder, _, finished = first
+    assert [result.scene for result in finished.results] == ["room"]
+    (row,) = pq.read_table(folder / "out" / "failures.parquet").to_pylist()
+    assert (row["scene"], row["stage"], row["kind"]) == ("lost", "ingest", "InputError")
+    assert "nowhere" in row["reason"]
+    page = (folder / "out" / "report.html").read_text("utf-8")
+    assert "lost" in page
+    assert row["reason"].split(":")[0] in page
+    samples = pq.read_table(folder / "out" / "samples.parquet")
+    masks = list((folder / "out" / "predictions" / "slgaussian" / "room").rglob("*.png"))
+    assert samples.num_rows == len(masks) > 0
+    assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
+
+
+def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
+    folder, missing, _ = first
+    before = files_below(folder / "out")
+    pipeline.run(settings_for(folder, missing), ArtifactStore(folder / "store"))
+    assert files_below(folder / "out") == before
+    told = capsys.readouterr().err
+    assert "room  7 stages cached" in told
+    assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
+
+
+def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
+    folder, missing, _ = first
+    store = ArtifactStore(tmp_path / "store")
+    pipeline.run(settings_for(tmp_path, missing, workers=1), store)
+    # The page shows times, which differ; all else is content.
+    hidden = ("cache/", ".prefect/", "report/")
+    assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
+    assert files_below(tmp_path / "out", ("report",)) == files_below(folder / "out", ("report",))
+
+
+def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
+    folder, missing, _ = first
+    pipeline.run(settings_for(folder, missing, temperature=5.0), ArtifactStore(folder / "store"))
+    line = next(n for n in capsys.readouterr().err.splitlines() if n.startswith("room"))
+    assert line.startswith("room  benchmark ")
+    assert line.endswith("6 stages cached")
+
+
+def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
+    import json
+    import shutil
+
+    frames = [{"file_path": f"images/{n}.png", "depth_file_path": f"depth/{n}.png"} for n in "abc"]
+    data = tmp_path / "data"
+    (data / "images").mkdir(parents=True)
+    (data / "depth").mkdir()
+    (data / "transforms.json").write_text(json.dumps({"frames": frames}))
+    for n in "abc":
+        (data / "images" / f"{n}.png").write_bytes(n.encode())
+        (data / "depth" / f"{n}.png").write_bytes(n.encode())
+
+    def key_of(folder: Path) -> str:
+        scene = {"name": "s", "path": folder, "context": ["a.png", "b.png"]}
+        settings = make_settings({"scenes": [scene]}, "test")
+        return pipeline.plan(settings, settings.scenes[0])[0].call({}, "s", 1).key
+
+    key = key_of(data)
+    moved = tmp_path / "moved"
+    shutil.copytree(data, moved)
+    assert key_of(moved) == key == key_of(data / "transforms.json")
+    (moved / "images" / "c.png").write_bytes(b"not asked for")
+    assert key_of(moved) == key
+    (moved / "depth" / "b.png").write_bytes(b"another depth")
+    assert key_of(moved) != key
+    (data / "images" / "a.png").write_bytes(b"another photograph")
+    assert key_of(data) != key
+
+
+def test_progress_tells_rate_and_time_left(monkeypatch):
+    from flows import progress
+
+    monkeypatch.setattr(progress, "REMIND", 0.0)
+    seen = io.StringIO()
+    told = progress.Progress(2, 2, stream=seen)
+    for scene in ("a", "b"):
+        for stage in ("ingest", "masks"):
+            told.started(scene, stage)
+            told.finished(scene, stage, 0.5, cached=scene == "b")
+    told.summary()
+    text = seen.getvalue()
+    assert "2/4 stages" in text
+    assert "a minute, about" in text
+    assert "a  ingest 0.5 s · masks 0.5 s\n" in text
+    assert "b  2 stages cached\n" in text
+    assert "masks        1 in 0.5 s, 1 cached\n" in text

@@ -1,0 +1,354 @@
+"""The lexicon: every word is usable, colours survive the light, and words combine."""
+
+import numpy as np
+import pytest
+from drawn import BLUE, GREEN, GREY, HEIGHT, RED, WHITE, WIDTH, ball, bank_of, box, cone, photograph
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slgaussian.datasets.names import VOCABULARY as PROCEDURAL_WORDS
+from slgaussian.errors import InputError
+from slgaussian.language.colours import ColourNames
+from slgaussian.language.descriptors import Descriptors
+from slgaussian.language.query import find
+from slgaussian.language.vocabulary import load_vocabulary
+
+VOCABULARY = load_vocabulary()
+
+
+def scores(lexicon, text: str, image: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
+    """Cosine of a text with each region."""
+    return lexicon.encode_regions(image, np.array(masks)) @ lexicon.encode_text([text])[0]
+
+
+# --- Texts ---------------------------------------------------------------------------------------
+
+
+def test_every_word_encodes_to_a_unit_vector_and_its_plural_to_the_same(lexicon):
+    for spelling, word in VOCABULARY.words.items():
+        vector = lexicon.encode_text([spelling])[0]
+        assert np.linalg.norm(vector) == pytest.approx(1, abs=1e-6), spelling
+        np.testing.assert_array_equal(vector, lexicon.encode_text([word.name])[0])
+        if not spelling.endswith("s"):
+            np.testing.assert_array_equal(vector, lexicon.encode_text([spelling + "s"])[0])
+
+
+def test_words_ask_only_for_descriptors_that_are_measured():
+    names = set(Descriptors(ColourNames(VOCABULARY.colours), VOCABULARY.groups).names)
+    asked = {name for word in VOCABULARY.words.values() for name in word.weights}
+    assert asked <= names
+    assert names - asked == set(), "measured but never asked for"
+
+
+def test_no_spelling_has_two_roles():
+    roles = [set(VOCABULARY.words), VOCABULARY.stop, VOCABULARY.relations, VOCABULARY.negations]
+    assert sum(len(role) for role in roles) == len(set().union(*roles))
+
+
+def test_the_documentation_lists_every_word(request):
+    text = (request.config.rootpath / "docs" / "lexicon.md").read_text("utf-8")
+    missing = [spelling for spelling in VOCABULARY.words if f"`{spelling}`" not in text]
+    assert missing == []
+
+
+def test_every_word_of_the_procedural_scenes_is_known(lexicon):
+    for word in PROCEDURAL_WORDS:
+        assert lexicon.unknown_words(word) == ()
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("crimson ball", "red ball"),
+        ("a Red BALL", "red ball"),
+        ("the red, red balls!", "red ball"),
+        ("couch", "sofa"),
+        ("blue rug", "blue carpets"),
+        ("grey-striped boxes", "gray striped box"),
+        ("shelves", "shelf"),
+        ("green plant", "leafy green plant"),
+        ("plant pot", "pot"),
+        ("white cup on the black table", "white cup"),
+        ("ｒｅｄ ball", "red ball"),
+    ],
+)
+def test_texts_that_mean_the_same_encode_the_same(lexicon, one, other):
+    a, b = lexicon.encode_text([one, other])
+    np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("text", "left_out"),
+    [
+        ("red ball", ()),
+        ("red quixotic ball", ("quixotic",)),
+        ("röd boll red", ("röd", "boll")),
+        ("красный red", ("красный",)),
+        ("plant pot", ("plant",)),
+        ("cup on the wooden table", ("on", "wooden", "table")),
+        ("the red 42 of it", ("42", "it")),
+    ],
+)
+def test_words_that_are_left_out_are_named(lexicon, text, left_out):
+    assert lexicon.unknown_words(text) == left_out
+
+
+@pytest.mark.parametrize("text", ["", "   ", "?!…", "🙂"])
+def test_a_text_without_words_is_refused(lexicon, text):
+    with pytest.raises(InputError, match="found no word"):
+        lexicon.encode_text([text])
+
+
+@pytest.mark.parametrize("text", ["zeppelin", "röd boll", "on the table", "qr code", "the of"])
+def test_a_text_without_a_usable_word_is_refused_and_points_to_the_list(lexicon, text):
+    with pytest.raises(InputError, match=r"docs/lexicon\.md") as error:
+        lexicon.encode_text(["red", text])
+    assert text.split()[-1] in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["not red", "ball without stripes", "isn’t red", "Non red"])
+def test_negation_is_refused(lexicon, text):
+    with pytest.raises(InputError, match="leave that part out"):
+        lexicon.encode_text([text])
+
+
+def test_a_very_long_text_is_read_and_a_long_useless_one_gives_a_short_message(lexicon):
+    long = "red " * 50_000 + "ball"
+    np.testing.assert_array_equal(*lexicon.encode_text([long, "red ball"]))
+    with pytest.raises(InputError) as error:
+        lexicon.encode_text(["zeppelin " * 50_000])
+    assert len(str(error.value)) < 300
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=60))
+def test_any_text_gives_a_unit_vector_or_one_clear_error(lexicon, text):
+    try:
+        vector = lexicon.encode_text([text])[0]
+    except InputError as error:
+        assert "query" in str(error)
+    else:
+        assert np.linalg.norm(vector) == pytest.approx(1, abs=1e-6)
+        assert np.isfinite(vector).all()
+
+
+def test_canonical_phrases_are_orthogonal_to_regions_and_words(lexicon):
+    canonical = lexicon.encode_text(lexicon.canonical)
+    image, ids = photograph([(ball(100, 100, 30), RED), (box(220, 100, 30), BLUE)])
+    regions = lexicon.encode_regions(image, np.stack([ids == 1, ids == 2]))
+    assert not (regions @ canonical.T).any()
+    assert not (lexicon.encode_text(["red", "wall"]) @ canonical.T).any()
+
+
+# --- Colours -------------------------------------------------------------------------------------
+
+FOCAL = {
+    "red": (205, 30, 35),
+    "orange": (245, 135, 25),
+    "yellow": (240, 215, 50),
+    "green": (45, 140, 60),
+    "turquoise": (45, 180, 175),
+    "blue": (40, 80, 190),
+    "purple": (115, 50, 150),
+    "pink": (240, 150, 180),
+    "brown": (115, 70, 40),
+    "beige": (215, 195, 155),
+    "white": (240, 240, 238),
+    "grey": (128, 128, 130),
+    "black": (22, 22, 24),
+}
+
+
+@pytest.fixture(scope="module")
+def names() -> ColourNames:
+    return ColourNames(VOCABULARY.colours)
+
+
+def under_light(rgb: tuple[int, int, int], share: float) -> np.ndarray:
+    """The sRGB of a surface under a share of the light: linear light is scaled."""
+    value = np.array(rgb) / 255
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4) * share
+    srgb = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("name", FOCAL)
+def test_a_typical_colour_has_its_name(names, name):
+    assert set(FOCAL) == set(names.names)
+    memberships = names(np.array(FOCAL[name], np.uint8))
+    assert names.names[memberships.argmax()] == name
+    assert memberships.max() > 0.6
+
+
+@pytest.mark.parametrize("share", [0.85, 0.6, 0.35, 0.2, 0.1])
+@pytest.mark.parametrize("name", ["red", "green", "blue", "purple"])
+def test_a_colour_keeps_its_name_in_the_shade(names, name, share):
+    memberships = names(under_light(FOCAL[name], share))
+    assert names.names[memberships.argmax()] == name
+
+
+def test_nearly_no_light_is_black_whatever_the_surface(names):
+    for rgb in FOCAL.values():
+        memberships = names(under_light(rgb, 0.002))
+        assert names.names[memberships.argmax()] == "black"
+
+
+def test_memberships_share_out_every_colour(names):
+    rgb = np.random.default_rng(0).integers(0, 256, (500, 3), dtype=np.uint8)
+    memberships = names(rgb)
+    assert (memberships >= 0).all()
+    np.testing.assert_allclose(memberships.sum(-1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", FOCAL)
+def test_a_region_of_a_colour_is_found_among_all_others(lexicon, name):
+    objects = [
+        (ball(30 + 43 * (k % 7), 60 + 110 * (k // 7), 19), rgb)
+        for k, rgb in enumerate(FOCAL.values())
+    ]
+    image, ids = photograph(objects)
+    hit = find(name, ids, bank_of([image], [ids], lexicon), lexicon)
+    assert [i for i, _ in hit.objects] == [1 + list(FOCAL).index(name)]
+
+
+# --- Conjunctions --------------------------------------------------------------------------------
+
+ARRANGED = {
+    "red ball": (ball(50, 60, 30), RED),
+    "red striped ball": (ball(130, 60, 30), RED, "striped"),
+    "blue striped ball": (ball(210, 60, 30), BLUE, "striped"),
+    "red checked box": (box(280, 70, 28), RED, "checked"),
+    "red box": (box(50, 180, 28), RED),
+    "green dotted ball": (ball(130, 180, 32), GREEN, "dotted"),
+    "green cone": (cone(210, 180, 30), GREEN),
+    "blue box": (box(280, 180, 28), BLUE),
+}
+
+
+@pytest.fixture(scope="module")
+def arranged(lexicon):
+    image, ids = photograph(list(ARRANGED.values()))
+    return ids, bank_of([image], [ids], lexicon)
+
+
+@pytest.mark.parametrize("text", ARRANGED)
+def test_the_object_that_has_every_attribute_comes_first(lexicon, arranged, text):
+    ids, bank = arranged
+    hit = find(text, ids, bank, lexicon)
+    assert hit.objects
+    assert list(ARRANGED)[hit.objects[0][0] - 1] == text
+
+
+def test_a_red_ball_is_preferred_to_a_red_box_and_a_blue_ball(lexicon):
+    image, ids = photograph(
+        [(ball(60, 60, 30), RED), (box(160, 70, 30), RED), (ball(260, 60, 30), BLUE)]
+    )
+    wanted, *others = scores(lexicon, "red ball", image, [ids == i for i in (1, 2, 3)])
+    assert wanted > 0
+    assert wanted > max(others) + 0.05
+    assert min(others) <= max(others) < 0.02  # a half-truth is no more relevant than "object"
+
+
+def test_two_colours_are_both_heard(lexicon):
+    image, ids = photograph(
+        [
+            (ball(60, 60, 30), RED, "striped", BLUE),
+            (ball(160, 60, 30), RED),
+            (ball(260, 60, 30), BLUE),
+        ]
+    )
+    both, red, blue = scores(lexicon, "red and blue ball", image, [ids == i for i in (1, 2, 3)])
+    assert both > max(red, blue)
+
+
+def test_a_room_is_told_apart(lexicon):
+    area = np.zeros((HEIGHT, WIDTH), bool)
+    ceiling, wall, floor, door = (area.copy() for _ in range(4))
+    ceiling[:40], wall[40:150], floor[150:] = True, True, True
+    door[60:150, 240:280] = True
+    image, ids = photograph(
+        [
+            (ceiling, WHITE), (wall, GREY), (floor, (150, 105, 65)),
+            (door, (25, 24, 26)), (ball(90, 200, 18), RED),
+        ]
+    )  # fmt: skip
+    bank = bank_of([image], [ids], lexicon)
+    texts = ["ceiling", "wall", "floor", "door", "ball"]
+    for i, text in enumerate(texts, 1):
+        hit = find(text, ids, bank, lexicon)
+        assert ids[hit.point[1], hit.point[0]] == i, text
+
+
+def test_size_words_order_by_size(lexicon):
+    masks = [ball(40, 60, 8), ball(110, 60, 20), ball(230, 110, 70)]
+    image, _ = photograph([(mask, GREEN) for mask in masks])
+    large = scores(lexicon, "large", image, masks)
+    assert (np.diff(large) > 0).all()
+    np.testing.assert_allclose(np.sign(scores(lexicon, "small", image, masks)), -np.sign(large))
+
+
+# --- Regions -------------------------------------------------------------------------------------
+
+
+def test_regions_are_unit_vectors_down_to_one_pixel(lexicon):
+    image, _ = photograph([(ball(100, 100, 30), RED)])
+    masks = np.zeros((5, HEIGHT, WIDTH), bool)
+    masks[0, 0, 0] = masks[1, -1, -1] = True
+    masks[2, 17] = masks[3, :, 9] = True  # a row and a column
+    masks[4] = True
+    vectors = lexicon.encode_regions(image, masks)
+    assert vectors.dtype == np.float32
+    assert np.isfinite(vectors).all()
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_any_region_of_any_image_gives_a_unit_vector(lexicon, seed):
+    rng = np.random.default_rng(seed)
+    h, w = rng.integers(1, 40, 2)
+    image = rng.integers(0, 256, (h, w, 3), dtype=np.uint8)
+    masks = rng.random((3, h, w)) < rng.uniform(0.02, 1)
+    masks[:, rng.integers(h), rng.integers(w)] = True
+    vectors = lexicon.encode_regions(image, masks)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6)
+
+
+def test_encoding_is_the_same_whatever_else_is_encoded(lexicon):
+    image, ids = photograph(list(ARRANGED.values()))
+    masks = np.stack([ids == i for i in range(1, 9)])
+    together = lexicon.encode_regions(image, masks)
+    np.testing.assert_array_equal(together, lexicon.encode_regions(image, masks))
+    alone = np.concatenate([lexicon.encode_regions(image, mask[None]) for mask in masks])
+    np.testing.assert_array_equal(alone, together)
+
+
+def test_meaning_survives_a_change_of_resolution(lexicon, arranged):
+    import cv2
+
+    image, ids = photograph(list(ARRANGED.values()))
+    small = cv2.resize(image, (WIDTH * 2 // 3, HEIGHT * 2 // 3), interpolation=cv2.INTER_AREA)
+    small_ids = cv2.resize(ids, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    bank = bank_of([small], [small_ids], lexicon)
+    for i, text in enumerate(ARRANGED, 1):
+        assert find(text, small_ids, bank, lexicon).objects[0][0] == i
+
+
+def test_no_regions_give_no_vectors(lexicon):
+    image, _ = photograph([])
+    empty = lexicon.encode_regions(image, np.zeros((0, HEIGHT, WIDTH), bool))
+    assert empty.shape == (0, lexicon.width)
+
+
+def test_bad_regions_are_refused(lexicon):
+    image, _ = photograph([])
+    masks = np.ones((2, HEIGHT, WIDTH), bool)
+    with pytest.raises(InputError, match="float32"):
+        lexicon.encode_regions(image.astype(np.float32), masks)
+    with pytest.raises(InputError, match="masks are bool"):
+        lexicon.encode_regions(image, masks[:, 1:])
+    with pytest.raises(InputError, match="masks are uint8"):
+        lexicon.encode_regions(image, masks.astype(np.uint8))
+    masks[1] = False
+    with pytest.raises(InputError, match="mask 1 is empty"):
+        lexicon.encode_regions(image, masks)

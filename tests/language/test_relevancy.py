@@ -1,0 +1,123 @@
+"""Relevancy against the paper's formula written out literally, and its invariants."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.language.relevancy import relevancy, relevancy_gap
+
+
+def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    vectors = rng.normal(size=shape)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def literal(features, present, queries, canonical, temperature):
+    """max over views of min over canonical phrases of the exponential quotient, by loops."""
+    out = np.zeros((len(queries), len(features)))
+    for q, query in enumerate(queries):
+        for n, views in enumerate(features):
+            scores = [
+                min(
+                    np.exp(temperature * view @ query)
+                    / (np.exp(temperature * view @ query) + np.exp(temperature * view @ canon))
+                    for canon in canonical
+                )
+                for view, held in zip(views, present[n], strict=True)
+                if held
+            ]
+            out[q, n] = max(scores, default=0.0)
+    return out
+
+
+@pytest.fixture
+def case():
+    rng = np.random.default_rng(7)
+    present = rng.random((40, 3)) < 0.6
+    present[0] = False
+    features = unit(rng, 40, 3, 16) * present[..., None]
+    return features, present, unit(rng, 5, 16), unit(rng, 4, 16)
+
+
+@pytest.mark.parametrize("temperature", [1, 10, 100, 300])
+def test_equals_the_formula_where_the_formula_can_be_computed(case, temperature):
+    # exp(300) is representable, so the reference is sound; it is itself off by a few ulp times T.
+    got = relevancy(*case, temperature)
+    np.testing.assert_allclose(got, literal(*case, temperature), rtol=1e-15 * temperature * 10)
+
+
+def test_is_stable_where_the_formula_overflows(case):
+    features, present, queries, _ = case
+    features[1], present[1] = queries[0], True  # a cosine of 1, and exp(1000) is infinite
+    got = relevancy(*case, 1000)
+    assert np.isfinite(got).all()
+    assert ((got >= 0) & (got <= 1)).all()
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert np.isnan(literal(*case, 1000)).any()
+    assert got[0, 1] == 1
+
+
+def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):
+    features, present, queries, canonical = case
+    got = relevancy(features, present, queries, canonical)
+    assert (got[:, 0] == 0).all()
+    assert (got[:, present.any(1)] > 0).all()
+    # What stands in the row of an absent view must not matter, even NaN.
+    poisoned = np.where(present[..., None], features, np.nan)
+    np.testing.assert_array_equal(relevancy(poisoned, present, queries, canonical), got)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(1, 1000))
+def test_order_does_not_depend_on_temperature_and_bounds_hold(seed, temperature):
+    rng = np.random.default_rng(seed)
+    features, queries, canonical = unit(rng, 12, 2, 8), unit(rng, 3, 8), unit(rng, 2, 8)
+    present = rng.random((12, 2)) < 0.8
+    gaps = relevancy_gap(features, present, queries, canonical)
+    scores = relevancy(features, present, queries, canonical, temperature)
+    assert ((scores >= 0) & (scores <= 1)).all()
+    order = np.argsort(gaps, axis=1, kind="stable")
+    assert (np.diff(np.take_along_axis(scores, order, 1), axis=1) >= 0).all()
+    seen = np.isfinite(gaps)
+    np.testing.assert_array_equal(scores[seen] > 0.5, gaps[seen] > 0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_more_canonical_phrases_never_raise_and_more_views_never_lower_relevancy(seed):
+    rng = np.random.default_rng(seed)
+    features, queries, canonical = unit(rng, 6, 3, 8), unit(rng, 2, 8), unit(rng, 4, 8)
+    present = np.ones((6, 3), bool)
+    full = relevancy(features, present, queries, canonical)
+    assert (relevancy(features, present, queries, canonical[:2]) >= full).all()
+    assert (relevancy(features[:, :2], present[:, :2], queries, canonical) <= full).all()
+
+
+def test_a_query_equal_to_its_only_rival_is_exactly_even():
+    text = unit(np.random.default_rng(0), 1, 8)
+    features = unit(np.random.default_rng(1), 5, 1, 8)
+    got = relevancy(features, np.ones((5, 1), bool), text, text, 1000)
+    np.testing.assert_array_equal(got, np.full((1, 5), 0.5))
+
+
+def test_bad_vectors_and_settings_are_refused(case):
+    features, present, queries, canonical = case
+    held = tuple(np.argwhere(present)[0])
+    for value, match in ((np.nan, "NaN"), (0.0, "zero vector")):
+        bad = features.copy()
+        bad[held] = value
+        with pytest.raises(InputError, match=f"features.*{match}"):
+            relevancy(bad, present, queries, canonical)
+        with pytest.raises(InputError, match=f"queries.*{match}"):
+            relevancy(features, present, np.full_like(queries, value), canonical)
+    with pytest.raises(InputError, match="same encoder"):
+        relevancy(features, present, queries[:, :9], canonical)
+    with pytest.raises(InputError, match="canonical"):
+        relevancy(features, present, queries, canonical[:0])
+    with pytest.raises(InputError, match="present"):
+        relevancy(features, present[:, :2], queries, canonical)
+    for temperature in (0, -1, np.nan, np.inf):
+        with pytest.raises(InputError, match="temperature"):
+            relevancy(features, present, queries, canonical, temperature)

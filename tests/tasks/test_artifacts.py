@@ -1,0 +1,128 @@
+"""What goes into the store comes out of it equal."""
+
+import uuid
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slgaussian import datasets
+from slgaussian.benchmark.evaluate import SceneResult, truth_from_instances
+from slgaussian.benchmark.labels import Truth
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactStore
+from tasks.artifacts import (
+    result_from_arrays,
+    result_to_arrays,
+    sample_from_arrays,
+    sample_to_arrays,
+    truth_from_arrays,
+    truth_to_arrays,
+)
+
+
+@pytest.fixture(scope="module")
+def sample():
+    scene = datasets.load("procedural", seed=3, objects=2, views=3, height=32, width=48)
+    return scene.sample(["view_00", "view_02"], ["view_01"])
+
+
+@pytest.fixture
+def store():
+    return ArtifactStore(f"memory://{uuid.uuid4().hex}")
+
+
+def through(store, spec, arrays):
+    return store.get(store.put(spec, arrays))
+
+
+def test_a_sample_with_all_its_truths(sample, store):
+    back = sample_from_arrays(through(store, "sample", sample_to_arrays(sample)))
+    assert (back.scene, dict(back.phrases)) == (sample.scene, dict(sample.phrases))
+    assert len(back.context) == 2
+    for old, new in zip(
+        (*sample.context, *sample.targets), (*back.context, *back.targets), strict=True
+    ):
+        assert new.name == old.name
+        for name in ("image", "depth", "instances"):
+            assert getattr(new, name).dtype == getattr(old, name).dtype
+            np.testing.assert_array_equal(getattr(new, name), getattr(old, name))
+        np.testing.assert_array_equal(new.camera.K, old.camera.K)
+        np.testing.assert_array_equal(new.camera.c2w, old.camera.c2w)
+        assert (new.camera.near, new.camera.far) == (old.camera.near, old.camera.far)
+
+
+def test_a_truth_that_only_some_views_have_stays_theirs(sample, store):
+    left, right = sample.context
+    camera = replace(right.camera, near=0.5, far=9.0)
+    bare = replace(right, depth=None, instances=None, camera=camera)
+    partly = replace(sample, context=(left, bare), targets=())
+    back = sample_from_arrays(through(store, "sample", sample_to_arrays(partly)))
+    assert back.context[1].depth is None
+    assert back.context[1].instances is None
+    assert (back.context[1].camera.near, back.context[1].camera.far) == (0.5, 9.0)
+    np.testing.assert_array_equal(back.context[0].depth, left.depth)
+    without = replace(
+        sample,
+        context=tuple(replace(v, depth=None, instances=None) for v in sample.context),
+        targets=(),
+    )
+    assert "depth" not in sample_to_arrays(without)
+
+
+def test_views_of_two_sizes_are_refused_in_words(sample):
+    (target,) = sample.targets
+    other = replace(sample, targets=(target.resized(16, 24),))
+    with pytest.raises(InputError, match="'view_01' is 24x16 and 'view_00' is 48x32; give a size"):
+        sample_to_arrays(other)
+
+
+def test_truth_with_and_without_boxes(sample, store):
+    masks = truth_from_instances(sample)
+    plain = truth_from_arrays(through(store, "truth", truth_to_arrays(masks, sample)))
+    assert plain.boxes == {}
+    assert {v: set(m) for v, m in plain.masks.items()} == {v: set(m) for v, m in masks.items()}
+    for view, by_query in masks.items():
+        for query, mask in by_query.items():
+            np.testing.assert_array_equal(plain.masks[view][query], mask)
+    rng = np.random.default_rng(0)
+    boxes = {v: {q: rng.random((i % 3, 4)) for i, q in enumerate(m)} for v, m in masks.items()}
+    arrays = through(store, "truth", truth_to_arrays(Truth(masks, boxes), sample))
+    for view, by_query in truth_from_arrays(arrays).boxes.items():
+        for query, found in by_query.items():
+            np.testing.assert_array_equal(found, boxes[view][query])
+
+
+def test_a_scene_without_truth(sample, store):
+    arrays = through(store, "truth", truth_to_arrays({}, sample))
+    assert arrays["masks"].shape == (0, 32, 48)
+    assert truth_from_arrays(arrays).masks == {}
+
+
+def test_a_result_keeps_every_pixel(sample, store):
+    image, mask = sample.context[0].image, sample.context[0].instances > 0
+    result = SceneResult(
+        scene="a",
+        rows=[{"frame": "f", "query": "red ball", "iou": 0.1 + 0.2, "hit_mask": None}],
+        scene_metrics={"iou": 0.1 + 0.2},
+        predictions={("f", "red ball"): mask, ("f", "größe"): ~mask},
+        pictures={"input/f": image},
+        times={"query": 1.5},
+    )
+    arrays = through(store, "scene_result", result_to_arrays(result))
+    back = result_from_arrays(arrays, result.times)
+    assert (back.rows, back.scene_metrics, back.times) == (
+        result.rows,
+        result.scene_metrics,
+        result.times,
+    )
+    assert list(back.predictions) == list(result.predictions)
+    for key, mask in result.predictions.items():
+        assert back.predictions[key].dtype == bool
+        np.testing.assert_array_equal(back.predictions[key], mask)
+    np.testing.assert_array_equal(back.pictures["input/f"], image)
+    assert result_from_arrays(arrays, {}, with_pictures=False).pictures == {}
+    later = replace(result, times={"query": 9.0})
+    assert store.put("scene_result", result_to_arrays(later)) == store.put(
+        "scene_result", result_to_arrays(result)
+    )

@@ -1,0 +1,99 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactRef
+from tasks.keys import cache_key, canonical
+
+A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
+B = ArtifactRef("labels", "labels/bb/bb.npz", "bb")
+
+scalars = st.none() | st.booleans() | st.integers() | st.text() | st.floats(allow_nan=False)
+scalars = scalars.filter(lambda v: not isinstance(v, float) or abs(v) != float("inf"))
+values = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=8,
+)
+
+
+def key(settings=None, inputs=None, stage="masks", version=1):
+    return cache_key(stage, version, settings or {}, inputs or {})
+
+
+def test_the_form_of_a_key():
+    stage, version, digest = key({"replicas": 5}).split("/")
+    assert (stage, version) == ("masks", "v1")
+    assert len(digest) == 64
+
+
+@given(st.dictionaries(st.text(), values))
+def test_the_order_of_settings_does_not_matter(settings):
+    assert key(settings) == key(dict(reversed(settings.items())))
+
+
+@given(values, values)
+def test_different_values_have_different_keys(a, b):
+    same = repr(canonical(a)) == repr(canonical(b))
+    both_dicts_equal = key({"v": a}) == key({"v": b})
+    if not same and both_dicts_equal:
+        # Only the order of keys inside tables may differ.
+        assert canonical(a) == canonical(b)
+    if same:
+        assert both_dicts_equal
+
+
+def test_numbers_of_different_type_are_different():
+    assert len({key({"x": 1}), key({"x": 1.0}), key({"x": True}), key({"x": "1"})}) == 4
+
+
+def test_all_that_decides_a_result_is_in_the_key():
+    keys = [
+        key(inputs={"labels": A}),
+        key(inputs={"labels": B}),
+        key(inputs={"other": A}),
+        key({"labels": "aa"}),
+        key(version=2),
+        key(stage="field"),
+        key(),
+    ]
+    assert len(set(keys)) == len(keys)
+
+
+def test_where_an_artifact_lies_and_its_meta_are_not():
+    moved = ArtifactRef("labels", "somewhere/else.npz", "aa", {"seconds": 3.0})
+    assert key(inputs={"labels": moved}) == key(inputs={"labels": A})
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.zeros(3),
+        np.float32(1),
+        np.float64(1),
+        Path("photo.png"),
+        {1, 2},
+        (i for i in range(3)),
+        float("nan"),
+        float("inf"),
+        {1: "number as key"},
+        object(),
+        b"bytes",
+        [1, [2, {"deep": {3}}]],
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_has_no_canonical_form_is_refused_by_name(value):
+    with pytest.raises(InputError, match=r"settings\.thing.* cannot be part of a cache key"):
+        key({"thing": value})
+
+
+def test_a_generator_is_not_consumed_by_the_refusal():
+    numbers = (i for i in range(3))
+    with pytest.raises(InputError):
+        key({"thing": numbers})
+    assert list(numbers) == [0, 1, 2]
