@@ -41,8 +41,8 @@ def with_options(*names: str) -> Callable[[Callable], Callable]:
 def _option(name: str) -> inspect.Parameter:
     field = Settings.model_fields[name]
     kind = {int: int, float: float, float | None: float}.get(field.annotation, str)
-    shown = "x".join(map(str, field.default)) if name == "size" else field.default
-    help_text = field.description + ("" if shown is None else f" [default: {shown}]")
+    default_text = "" if field.default is None else f" [default: {field.default}]"
+    help_text = field.description + default_text
     flag = f"--{name.replace('_', '-')}"
     default = typer.Option(None, flag, help=help_text, show_default=False)
     kind_or_none = kind | None

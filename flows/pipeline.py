@@ -88,7 +88,6 @@ def scenes_of(settings: Settings) -> list[SceneSettings]:
 def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list[Step]:
     """The steps of one scene, each with just the settings that its result depends on."""
     views = [*scene.context, *scene.targets]
-    size = scene.size or method.size
     where = {} if scene.path is None else {"path": str(scene.path)}
     ingest = Step(
         "ingest",
@@ -98,7 +97,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             "options": scene.options,
             "context": scene.context,
             "targets": scene.targets,
-            "size": None if size == "original" else size,
+            "size": scene.size or method.size,
             "files": {} if scene.path is None else file_hashes(scene.path, views),
         },
         where=where,

@@ -19,7 +19,7 @@ def _parse_size(value: Any) -> Any:
     return value
 
 
-Size = Annotated[tuple[int, int] | Literal["original"], BeforeValidator(_parse_size)]
+Size = Annotated[tuple[int, int] | Literal["auto", "original"], BeforeValidator(_parse_size)]
 
 
 class Method(BaseModel):
@@ -27,7 +27,11 @@ class Method(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    size: Size = Field((416, 576), description="Height and width, or 'original'.")
+    size: Size = Field(
+        "auto",
+        description="Height and width, as 416x576; 'original'; or 'auto': shrunk to as many pixels "
+        "as that if larger.",
+    )
     predictor: str = Field("planesweep", description="What makes Gaussians of photographs.")
     proposer: str = Field("regions", description="What proposes object masks.")
     tracker: str = Field("flow", description="What carries masks from view to view.")

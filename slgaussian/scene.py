@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,6 +18,11 @@ from slgaussian.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
+
+PAPER_PIXELS = 416 * 576
+"""Pixels of the images that the paper runs on."""
+
+Size = tuple[int, int] | Literal["auto", "original"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,15 +295,26 @@ class Scene:
         )
 
     def sample(
-        self,
-        context: Sequence[str],
-        targets: Sequence[str] = (),
-        size: tuple[int, int] | None = None,
+        self, context: Sequence[str], targets: Sequence[str] = (), size: Size = "auto"
     ) -> Sample:
-        """Read the named views; ``size`` (height, width) scales and centre-crops them."""
+        """Read the named views, the context first, and bring them to a size.
+
+        Parameters
+        ----------
+        context, targets : sequence of str
+            View names, as :meth:`find` knows them.
+        size : (height, width), "auto" or "original"
+            A pair scales and centre-crops. "auto" shrinks views of more than
+            :data:`PAPER_PIXELS` pixels to that many, their shape kept: a Gaussian a pixel of a
+            camera's full resolution would be millions.
+
+        Raises
+        ------
+        InputError
+            If a view cannot be found or read, or the views do not make a sample.
+        """
         views = [self.read(self.find(name)) for name in (*context, *targets)]
-        if size is not None:
-            views = [view.resized(*size) for view in views]
+        views = [view if size == "original" else view.resized(*_fit(view, size)) for view in views]
         n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
 
@@ -334,6 +351,14 @@ def _check_pair(scene: str, a: View, b: View) -> None:
             f"scene {scene!r}: {a.name!r} and {b.name!r} do not overlap at any depth; choose views "
             "that see the same things, and check that poses are camera-to-world with OpenCV axes"
         )
+
+
+def _fit(view: View, size: tuple[int, int] | Literal["auto"]) -> tuple[int, int]:
+    height, width = view.image.shape[:2]
+    if size != "auto":
+        return size
+    scale = min(1.0, (PAPER_PIXELS / (height * width)) ** 0.5)
+    return max(1, round(height * scale)), max(1, round(width * scale))
 
 
 def _answers_to(full: str, name: str) -> bool:

@@ -26,8 +26,10 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     settings = call.settings
     paths = [call.where["path"]] if "path" in call.where else []
     scene = datasets.load(settings["format"], *paths, **settings["options"])
-    size = None if settings["size"] is None else tuple(settings["size"])
-    sample = scene.sample(settings["context"], settings["targets"], size)
+    size = settings["size"]
+    sample = scene.sample(
+        settings["context"], settings["targets"], size if isinstance(size, str) else tuple(size)
+    )
     return store.put("sample", sample_to_arrays(replace(sample, scene=settings["scene"])))
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, Sample, Scene, View, shared_view
+from slgaussian.scene import PAPER_PIXELS, Camera, Sample, Scene, View, shared_view
 
 
 def pose(x=0.0, y=0.0, z=0.0, yaw=0.0) -> np.ndarray:
@@ -116,6 +116,19 @@ def test_the_share_seen_by_both_shrinks_with_the_baseline():
     assert shares == sorted(shares, reverse=True)
     assert shares[0] == 1
     assert shares[-1] == 0
+
+
+def test_large_photographs_are_shrunk_and_small_ones_left_alone():
+    cams = {"big": camera(2000, 3000, 2500.0), "big2": camera(2000, 3000, 2500.0, x=1)}
+    scene = Scene("s", cams, lambda name: view(name, cams[name]))
+    seen = scene.sample(["big", "big2"]).context[0]
+    height, width = seen.image.shape[:2]
+    assert height * width == pytest.approx(PAPER_PIXELS, rel=0.01)
+    assert height / width == pytest.approx(1.5, abs=0.01)
+    assert scene.sample(["big", "big2"], size="original").context[0].image.shape[0] == 3000
+    small = {"a": camera(), "b": camera(x=1)}
+    again = Scene("s", small, lambda name: view(name, small[name])).sample(["a", "b"])
+    assert again.context[0].image.shape == (24, 32, 3)
 
 
 class TestFind:

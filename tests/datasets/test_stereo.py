@@ -38,7 +38,7 @@ def test_the_right_photograph_agrees_with_that_and_with_no_other_offset():
 
 
 def test_views_make_a_sample_in_metres():
-    sample = stereo.read().sample(["left", "right"])
+    sample = stereo.read().sample(["left", "right"], size="original")
     depth = sample.context[0].depth
     assert depth[depth > 0].min() > 2.0 and depth.max() < 5.5
     assert sample.context[1].depth is None

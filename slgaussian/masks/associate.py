@@ -1,0 +1,165 @@
+"""Object ids that agree across views: propose, propagate, merge, replicate, vote (section 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
+from slgaussian.masks import MaskProposer, MaskTracker
+from slgaussian.masks.flatten import (
+    CRUMB_SHARE,
+    flatten,
+    nearest_pixel,
+    renumbered,
+    without_crumbs,
+)
+from slgaussian.masks.vote import vote
+from slgaussian.scene import View
+
+SAME_IOU = 0.5
+"""A detection that overlaps a propagated object by more than this IoU is that object."""
+DOMINANT = 0.75
+"""A detection of whose known pixels one object holds at least this share is (part of) it."""
+KNOWN = 0.4
+"""With less of it known, a detection that IoU does not match is a new object."""
+
+
+def associate(
+    views: Sequence[View],
+    proposer: MaskProposer,
+    tracker: MaskTracker,
+    replicas: int = 5,
+    depths: Sequence[np.ndarray | None] | None = None,
+) -> LabelMaps:
+    """Label maps of a sequence of views with ids that mean the same object in every view.
+
+    The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
+    the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
+    labels propagated from all earlier views, merged with fresh proposals (:func:`merge`) and then
+    remembered. The later copies are propagations from that memory.
+
+    Copies are asked of the tracker one after the other until one repeats its predecessor. From
+    there on, image, memory and last answer are the same again, so every further copy would be the
+    same too; it is counted, not computed. A tracker that returns remembered labels for a remembered
+    image, like ``flow``, thus costs one look-up a view and its vote is unanimous; a tracker with a
+    working memory of its own is asked up to ``replicas - 1`` times and its noise is voted down.
+
+    Parameters
+    ----------
+    views : sequence of V View
+        In the order in which they are tracked; all of one size.
+    proposer : MaskProposer
+    tracker : MaskTracker
+        Fresh, without memory.
+    replicas : int
+        Copies of every view, at least 1; 1 is the detection alone.
+    depths : sequence of V float32 [H, W] or None
+        Predicted depth of each view for the proposer, 0 where unknown.
+
+    Returns
+    -------
+    LabelMaps
+        Ids 1 .. N without gaps, in order of appearance: those of the first view by falling area.
+        An object seen in one view only is kept. 0 is left only where nothing was proposed.
+
+    Raises
+    ------
+    InputError
+        If there is no view, views differ in size, ``replicas`` is below 1, or ``depths`` does not
+        match the views.
+    """
+    if not views:
+        raise InputError("associate: found no views, expected at least one")
+    if replicas < 1:
+        raise InputError(f"replicas: found {replicas}, expected at least 1")
+    if depths is None:
+        depths = [None] * len(views)
+    if len(depths) != len(views):
+        raise InputError(f"depths: found {len(depths)} maps for {len(views)} views")
+    for view in views:
+        if view.image.shape != views[0].image.shape:
+            raise InputError(
+                f"view {view.name!r}: image is {view.image.shape}, the first view's is "
+                f"{views[0].image.shape}; all views must have one size"
+            )
+    winners, margins = [], []
+    known = 0
+    for index, (view, depth) in enumerate(zip(views, depths, strict=True)):
+        carried = tracker.propagate(view) if index else np.zeros(view.image.shape[:2], np.int32)
+        detected = _detect(view, proposer, depth, carried)
+        first = without_crumbs(merge(carried, detected, known + 1))
+        known = max(known, int(first.max()))
+        tracker.add(view, first)
+        labels, margin = vote(_copies(view, tracker, first, replicas))
+        winners.append(labels)
+        margins.append(margin)
+    return LabelMaps(renumbered(np.stack(winners)), np.stack(margins))
+
+
+def merge(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
+    """Give every detected region the id of the propagated object it is, or a new one.
+
+    A region takes an old id whole if their IoU is above 0.5, or if most of the region is known and
+    nearly all of that is one object: views are cut up differently, and a piece of an object is
+    still that object. A region that is mostly unknown is a new object. A region that is
+    known as several objects is an under-segmentation of this view: each known pixel keeps its
+    object and the others take the nearest one in the region. Pixels without a detection keep what
+    was propagated. New ids count up from ``next_id`` in the order of the detected labels.
+
+    Parameters
+    ----------
+    carried, detected : int32 [H, W]
+        Propagated labels and detected regions, 0 where there is none.
+    next_id : int
+        First id that is not in use.
+    """
+    out = carried.copy()
+    regions, objects = int(detected.max(initial=0)) + 1, int(carried.max(initial=0)) + 1
+    table = np.bincount((detected.astype(np.int64) * objects + carried).ravel())
+    table = np.pad(table, (0, regions * objects - len(table))).reshape(regions, objects)
+    object_area = table.sum(0)
+    for region in range(1, regions):
+        shared = table[region].copy()
+        area = shared.sum()
+        if area == 0:
+            continue
+        shared[0] = 0
+        covered = shared.sum()
+        best = int(shared.argmax())
+        iou = shared[best] / (area + object_area[best] - shared[best])
+        inside = detected == region
+        if covered > 0 and (
+            iou > SAME_IOU or (covered >= KNOWN * area and shared[best] >= DOMINANT * covered)
+        ):
+            out[inside] = best
+        elif covered < KNOWN * area:
+            out[inside] = next_id
+            next_id += 1
+        else:
+            out[inside] = carried[nearest_pixel(inside & (carried > 0))][inside]
+    return out
+
+
+def _detect(
+    view: View, proposer: MaskProposer, depth: np.ndarray | None, carried: np.ndarray
+) -> np.ndarray:
+    """Proposals of a view as labels, asked for again where neither they nor the past reach."""
+    detected = flatten(proposer.propose(view.image, depth=depth))
+    missed = (detected == 0) & (carried == 0)
+    if missed.sum() >= CRUMB_SHARE * missed.size and detected.any():
+        more = flatten(proposer.propose(view.image, where=missed, depth=depth))
+        detected = np.where(missed & (more > 0), more + detected.max(), detected)
+    return detected
+
+
+def _copies(view: View, tracker: MaskTracker, first: np.ndarray, replicas: int) -> np.ndarray:
+    """The labels of all copies of a view, int32 [replicas, H, W]; see :func:`associate`."""
+    copies = [first]
+    while len(copies) < replicas:
+        copies.append(tracker.propagate(view))
+        if np.array_equal(copies[-1], copies[-2]):
+            copies += [copies[-1]] * (replicas - len(copies))
+    return np.stack(copies)

@@ -1,0 +1,181 @@
+"""How strongly every pixel looks like the border between two things.
+
+The cue is the half-disc contrast of Martin, Fowlkes and Malik (PAMI 2004): a disc at the pixel is
+cut in two along eight directions and the histograms of the halves are compared by chi-squared, on
+lightness, colour and texture codes. Where a depth map is at hand, jumps and creases of inverse
+depth are added; inverse depth is affine over any plane, so slanted floors and walls stay silent.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+ORIENTATIONS = 8
+TEXTURE_CODES = 27
+TONE_BINS = 20
+
+
+def lab_of(image: np.ndarray) -> np.ndarray:
+    """CIELAB float32 [H, W, 3] of a uint8 RGB image: L in 0 to 100, a and b about -100 to 100."""
+    return cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+
+
+def tone_codes(lab: np.ndarray) -> np.ndarray:
+    """Bins of L, a and b, uint8 [H, W, 3] in 0 .. 19.
+
+    L has bins of 5; a and b pass a signed square root, which spends the bins near grey, where
+    indoor photographs have their colours.
+    """
+    chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:]))
+    steps = np.concatenate([lab[..., :1] / 5, chroma + TONE_BINS / 2], -1)
+    return np.clip(steps, 0, TONE_BINS - 1).astype(np.uint8)
+
+
+def texture_codes(light: np.ndarray) -> np.ndarray:
+    """Texture code of every pixel of a lightness map [H, W], uint8 in 0 .. 26.
+
+    Edge (none, or weak or strong in one of four directions) x the sign of the blob response:
+    fixed bins in place of learned textons, so that equal pixels get equal codes in every image.
+    """
+    fine = cv2.GaussianBlur(light, (0, 0), 1.0)
+    coarse = cv2.GaussianBlur(light, (0, 0), 2.5)
+    gx = cv2.Sobel(fine, cv2.CV_32F, 1, 0, scale=1 / 8)
+    gy = cv2.Sobel(fine, cv2.CV_32F, 0, 1, scale=1 / 8)
+    strength = np.hypot(gx, gy)
+    direction = np.floor(np.arctan2(gy, gx) / np.pi * 4 + 0.5).astype(np.int32) % 4
+    level = (strength > 1.0).astype(np.int32) + (strength > 3.5)
+    edge = np.where(level == 0, 0, 1 + (level - 1) * 4 + direction)
+    blob = fine - coarse
+    sign = (blob > -0.8).astype(np.int32) + (blob > 0.8)
+    return (edge * 3 + sign).astype(np.uint8)
+
+
+def boundary_map(image: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
+    """Border strength, float32 [H, W], about 0 to 1.
+
+    Parameters
+    ----------
+    image : uint8 [H, W, 3]
+        RGB.
+    depth : float32 [H, W] or None
+        Predicted z-depth in scene units, 0 where unknown.
+    """
+    height, width = image.shape[:2]
+    lab = lab_of(image)
+    half_size = (max(width // 2, 1), max(height // 2, 1))
+    small = cv2.resize(lab, half_size, interpolation=cv2.INTER_AREA)
+    tones = tone_codes(small)
+    texture = texture_codes(lab[..., 0])[::2, ::2][: half_size[1], : half_size[0]]
+    wide = 0.3 * half_disc(tones[..., 0], TONE_BINS, 3, ordered=True)
+    for channel in (1, 2):
+        wide += 0.45 * half_disc(tones[..., channel], TONE_BINS, 4, ordered=True)
+    wide += 0.25 * half_disc(np.ascontiguousarray(texture), TEXTURE_CODES, 6, ordered=False)
+    total = 0.3 * half_disc(tone_codes(lab)[..., 0], TONE_BINS, 3, ordered=True)
+    strength = np.zeros((height, width), np.float32)
+    for orientation in range(ORIENTATIONS):
+        fused = total[orientation] + cv2.resize(wide[orientation], (width, height))
+        np.maximum(strength, cv2.GaussianBlur(fused, (0, 0), 0.8), out=strength)
+    if depth is not None:
+        strength += depth_boundary(depth)
+    return strength
+
+
+def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.ndarray:
+    """Contrast of the two halves of a disc at every pixel, float32 [8, H, W] in 0 to 1.
+
+    Parameters
+    ----------
+    codes : uint8 [H, W]
+        Histogram bin of every pixel.
+    bins, radius : int
+        Number of bins; disc radius in pixels.
+    ordered : bool
+        Whether neighbouring bins are alike, so that histograms are blurred before comparison.
+    """
+    return _half_disc(np.ascontiguousarray(codes), bins, radius, ordered)
+
+
+def depth_boundary(depth: np.ndarray) -> np.ndarray:
+    """Strength of depth jumps and creases, float32 [H, W] in 0 to 0.5; 0 where depth is unknown.
+
+    The second difference of inverse depth over 3 pixels to each side, relative to inverse depth:
+    zero on planes, about 0.5 at a jump where depth doubles. It stops at half the strength of a full
+    image border because predicted depth has false jumps where the image is blank.
+    """
+    known = depth > 0
+    inverse = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32)
+    strength = np.zeros_like(inverse)
+    reach = 3
+    for axis in (0, 1):
+        if inverse.shape[axis] <= 2 * reach:
+            continue
+        before, here, after = (
+            np.moveaxis(inverse, axis, 0)[part]
+            for part in (np.s_[: -2 * reach], np.s_[reach:-reach], np.s_[2 * reach :])
+        )
+        valid = (before > 0) & (here > 0) & (after > 0)
+        bend = np.abs(before + after - 2 * here) / np.maximum(here, 1e-12)
+        inner = np.moveaxis(strength, axis, 0)[reach:-reach]
+        np.maximum(inner, np.where(valid, bend, 0), out=inner)
+    return np.clip(cv2.GaussianBlur(strength, (0, 0), 1.0), 0, 0.5)
+
+
+@njit(cache=True, parallel=True)
+def _half_disc(codes, bins, radius, ordered):
+    H, W = codes.shape
+    size = 2 * radius + 1
+    sector = np.full((size, size), -1, np.int64)
+    for dy in range(-radius, radius + 1):
+        for dx in range(-radius, radius + 1):
+            if (dx != 0 or dy != 0) and dx * dx + dy * dy <= radius * radius + 1:
+                turn = (np.arctan2(dy, dx) / (2 * np.pi) + 1.0 + 1e-9) % 1.0
+                sector[dy + radius, dx + radius] = int(turn * 2 * ORIENTATIONS)
+    out = np.empty((ORIENTATIONS, H, W), np.float32)
+    for y in prange(H):
+        hist = np.empty((2 * ORIENTATIONS, bins), np.float32)
+        half = np.empty((2, bins), np.float32)
+        for x in range(W):
+            hist[:] = 0
+            for dy in range(-radius, radius + 1):
+                yy = _mirror(y + dy, H)
+                for dx in range(-radius, radius + 1):
+                    s = sector[dy + radius, dx + radius]
+                    if s >= 0:
+                        hist[s, codes[yy, _mirror(x + dx, W)]] += 1
+            if ordered:
+                for s in range(2 * ORIENTATIONS):
+                    last = hist[s, 0]
+                    for b in range(bins):
+                        here = hist[s, b]
+                        following = hist[s, b + 1] if b + 1 < bins else here
+                        hist[s, b] = 0.25 * last + 0.5 * here + 0.25 * following
+                        last = here
+            half[:] = 0
+            for s in range(2 * ORIENTATIONS):
+                for b in range(bins):
+                    half[s // ORIENTATIONS, b] += hist[s, b]
+            for o in range(ORIENTATIONS):
+                n0 = half[0].sum()
+                n1 = half[1].sum()
+                chi = np.float32(0)
+                for b in range(bins):
+                    p, q = half[0, b] / n0, half[1, b] / n1
+                    if p + q > 1e-6:
+                        chi += (p - q) * (p - q) / (p + q)
+                out[o, y, x] = 0.5 * chi
+                # Turn the diameter by one sector: one sector changes sides, its opposite returns.
+                for b in range(bins):
+                    move = hist[o + ORIENTATIONS, b] - hist[o, b]
+                    half[0, b] += move
+                    half[1, b] -= move
+    return out
+
+
+@njit(cache=True)
+def _mirror(index, size):
+    """Reflect an index at the frame, so that the frame itself is no border."""
+    index = abs(index)
+    index = index if index < size else 2 * size - 2 - index
+    return min(max(index, 0), size - 1)

@@ -1,0 +1,225 @@
+"""A binary merge tree over the leaves of an over-segmentation.
+
+Neighbouring regions are united cheapest first. The cost weighs the boundary between them, how
+differently they are coloured and textured and, where depth is known, how badly one plane explains
+both; it grows with the size of the smaller region, so that crumbs go early and things stay apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from slgaussian.masks.boundaries import TEXTURE_CODES, lab_of, texture_codes
+
+SIZE_POWER = 0.25
+COLOR_STEP = 30.0
+"""Distance of mean CIELAB colours that counts as one full unit of difference."""
+PLANE_STEP = 0.05
+"""Relative error of inverse depth, under one joint plane, that counts as one full unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class MergeTree:
+    """The order in which N leaves grow together.
+
+    Attributes
+    ----------
+    leaves : int32 [H, W]
+        Leaf of every pixel, 0 .. N-1; -1 where there is none.
+    parent : int32 [M]
+        Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents follow children.
+    height : float64 [M]
+        Cost at which a node was made, 0 for leaves; never below that of its children.
+    """
+
+    leaves: np.ndarray
+    parent: np.ndarray
+    height: np.ndarray
+
+    def cut(self, height: float, most: int) -> np.ndarray:
+        """The largest nodes not above ``height``; the cut rises until they are at most ``most``.
+
+        Returns int64 [K] node indices, ascending; together they cover every leaf once. K exceeds
+        ``most`` only where more roots than that exist.
+        """
+        merges = np.sort(self.height)[::-1]
+        spare = max(most - int((self.parent < 0).sum()), 0)
+        if spare < len(merges):
+            height = max(height, float(merges[spare]))
+        above = np.where(self.parent >= 0, self.height[self.parent], np.inf)
+        return np.flatnonzero((self.height <= height) & (above > height))
+
+    def labels(self, nodes: np.ndarray) -> np.ndarray:
+        """Paint nodes of a cut: int32 [H, W], k + 1 inside ``nodes[k]``, 0 where no leaf is."""
+        label = np.zeros(len(self.parent) + 1, np.int32)
+        label[nodes] = np.arange(1, len(nodes) + 1)
+        for node in range(len(self.parent) - 1, -1, -1):
+            label[node] = label[node] or label[self.parent[node]]
+        return label[self.leaves]
+
+
+def build_tree(
+    image: np.ndarray,
+    leaves: np.ndarray,
+    boundary: np.ndarray,
+    depth: np.ndarray | None = None,
+) -> MergeTree:
+    """Merge greedily until no two regions touch.
+
+    Parameters
+    ----------
+    image : uint8 [H, W, 3]
+        RGB.
+    leaves : int32 [H, W]
+        Leaves 0 .. N-1, or -1.
+    boundary : float32 [H, W]
+        Border strength.
+    depth : float32 [H, W] or None
+        Predicted depth, 0 where unknown.
+    """
+    n = int(leaves.max(initial=-1)) + 1
+    inside = leaves >= 0
+    index = leaves[inside]
+    lab = lab_of(image)
+    size = np.bincount(index, minlength=n).astype(np.float64)
+    color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
+    texture = texture_codes(lab[..., 0])[inside]
+    histogram = np.bincount(index * TEXTURE_CODES + texture, minlength=n * TEXTURE_CODES)
+    parent, height = _merge(
+        *adjacency(leaves, boundary),
+        size / leaves.size,
+        color / leaves.size,
+        histogram.reshape(n, TEXTURE_CODES) / leaves.size,
+        _plane_sums(leaves, depth, n),
+    )
+    return MergeTree(leaves, parent, height)
+
+
+def adjacency(leaves, boundary):
+    """Edges int64 [E, 2] (u < v, sorted), the length of each border and its summed strength."""
+    n = int(leaves.max(initial=-1)) + 1
+    keys, strengths = [], []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        p, q = leaves[a].astype(np.int64), leaves[b].astype(np.int64)
+        touch = (p != q) & (p >= 0) & (q >= 0)
+        keys.append(np.minimum(p, q)[touch] * n + np.maximum(p, q)[touch])
+        strengths.append(np.maximum(boundary[a], boundary[b])[touch])
+    unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+    edges = np.stack([unique // max(n, 1), unique % max(n, 1)], 1)
+    length = np.bincount(inverse, minlength=len(unique)).astype(np.float64)
+    return edges, length, np.bincount(inverse, np.concatenate(strengths), len(unique))
+
+
+def _plane_sums(leaves, depth, n):
+    """Sums of 1, u, v, uu, uv, vv, d, du, dv, dd per leaf: all that a plane fit d(u, v) needs.
+
+    ``d`` is inverse depth relative to its median, ``u`` and ``v`` are in units of the width.
+    """
+    sums = np.zeros((n, 10))
+    if depth is None or not (depth > 0).any():
+        return sums
+    use = (leaves >= 0) & (depth > 0)
+    index = leaves[use]
+    d = np.median(depth[use]) / depth[use].astype(np.float64)
+    v, u = (axis / leaves.shape[1] for axis in np.nonzero(use))
+    terms = (np.ones_like(d), u, v, u * u, u * v, v * v, d, d * u, d * v, d * d)
+    for column, term in enumerate(terms):
+        sums[:, column] = np.bincount(index, term, n)
+    return sums
+
+
+@njit(cache=True)
+def _plane_error(s):
+    """Sum of squared residuals of the best plane, from the sums of :func:`_plane_sums`."""
+    if s[0] < 3:
+        return 0.0
+    a, b = s[1] / s[0], s[2] / s[0]
+    ridge = 1e-6 * s[0]
+    uu, uv, vv = s[3] - a * s[1] + ridge, s[4] - a * s[2], s[5] - b * s[2] + ridge
+    du, dv = s[7] - a * s[6], s[8] - b * s[6]
+    dd = s[9] - s[6] * s[6] / s[0]
+    det = uu * vv - uv * uv
+    explained = (du * du * vv - 2 * du * dv * uv + dv * dv * uu) / det
+    return max(dd - explained, 0.0)
+
+
+@njit(cache=True)
+def _cost(a, b, length, strength, size, color, histogram, planes):
+    color_gap = 0.0
+    for c in range(3):
+        step = color[a, c] / size[a] - color[b, c] / size[b]
+        color_gap += step * step
+    color_gap = min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
+    texture_gap = 0.0
+    for k in range(histogram.shape[1]):
+        p, q = histogram[a, k] / size[a], histogram[b, k] / size[b]
+        if p + q > 0:
+            texture_gap += (p - q) * (p - q) / (p + q)
+    cost = strength / length + 0.3 * color_gap + 0.2 * texture_gap
+    na, nb = planes[a, 0], planes[b, 0]
+    if na > 0 and nb > 0:
+        joint = planes[a] + planes[b]
+        worse = _plane_error(joint) - _plane_error(planes[a]) - _plane_error(planes[b])
+        spread = np.sqrt(max(worse, 0.0) / min(na, nb)) * joint[0] / joint[6]
+        cost += 0.5 * min(spread / PLANE_STEP, 1.0)
+    return cost * (size[a] * size[b] / (size[a] + size[b])) ** SIZE_POWER
+
+
+@njit(cache=True)
+def _merge(edges, length, strength, size, color, histogram, planes):
+    n = size.shape[0]
+    parent = np.full(2 * n, -1, np.int32)
+    height = np.zeros(2 * n)
+    node = np.arange(n)
+    live = edges.shape[0]
+    cost = np.empty(live)
+    for e in range(live):
+        cost[e] = _cost(
+            edges[e, 0], edges[e, 1], length[e], strength[e], size, color, histogram, planes
+        )
+    edge_to = np.full(n, -1, np.int64)
+    count = n
+    while live > 0:
+        best = 0
+        for e in range(1, live):
+            if cost[e] < cost[best]:
+                best = e
+        keep, gone = edges[best]
+        size[keep] += size[gone]
+        color[keep] += color[gone]
+        histogram[keep] += histogram[gone]
+        planes[keep] += planes[gone]
+        height[count] = max(cost[best], height[node[keep]], height[node[gone]])
+        parent[node[keep]] = count
+        parent[node[gone]] = count
+        node[keep] = count
+        count += 1
+        # Rewrite the edges in place: those of `gone` go to `keep`, and doubled ones are joined.
+        kept = 0
+        for e in range(live):
+            a, b = edges[e]
+            if e == best:
+                continue
+            starts, ends = a in (keep, gone), b in (keep, gone)
+            if starts or ends:
+                other = b if starts else a
+                if edge_to[other] >= 0:
+                    twin = edge_to[other]
+                    length[twin] += length[e]
+                    strength[twin] += strength[e]
+                    continue
+                edge_to[other] = kept
+                a, b = min(keep, other), max(keep, other)
+            edges[kept, 0], edges[kept, 1] = a, b
+            length[kept], strength[kept], cost[kept] = length[e], strength[e], cost[e]
+            kept += 1
+        live = kept
+        for e in range(live):
+            a, b = edges[e]
+            if a == keep or b == keep:
+                edge_to[b if a == keep else a] = -1
+                cost[e] = _cost(a, b, length[e], strength[e], size, color, histogram, planes)
+    return parent[:count], height[:count]

@@ -1,0 +1,208 @@
+from functools import cache
+
+import numpy as np
+import pytest
+from drawn_views import SIZE, canvas, paste, view
+
+from slgaussian.datasets import procedural
+from slgaussian.errors import InputError
+from slgaussian.masks import Proposals
+from slgaussian.masks.associate import associate, merge
+from slgaussian.masks.flow import FlowTracker
+from slgaussian.masks.regions import Regions
+
+
+class Drawn:
+    """Proposes the boxes it was given for each image, in order of the calls."""
+
+    def __init__(self, *boxes_of_image):
+        self.pending = list(boxes_of_image)
+
+    def propose(self, image, where=None, depth=None):
+        boxes = self.pending.pop(0)
+        masks = np.zeros((len(boxes), *image.shape[:2]), bool)
+        for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
+            mask[top:bottom, left:right] = True
+        return Proposals(masks, np.ones(len(boxes), np.float32))
+
+
+class Wandering:
+    """A tracker with a working memory: every look at a frame nibbles one more row off its labels,
+    as a tracker does that re-segments its own last answer.
+    """
+
+    def __init__(self, looks_that_differ=99):
+        self.memory, self.looks, self.last = None, 0, looks_that_differ
+
+    def add(self, view, labels):
+        self.memory, self.looks = labels, 0
+
+    def propagate(self, view):
+        self.looks += 1
+        out = self.memory.copy()
+        out[: min(self.looks, self.last)] = 0
+        return out
+
+
+def picture(seed=0):
+    drawn = canvas((140, 140, 140), seed=seed)
+    paste(drawn, (20, 60, 20, 70), (200, 40, 40), 1)
+    paste(drawn, (60, 100, 90, 140), (40, 60, 200), 2)
+    return drawn
+
+
+WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
+
+
+def test_one_view_alone():
+    maps = associate([view(picture())], Regions(), FlowTracker())
+    assert maps.labels.shape == (1, *SIZE)
+    assert maps.ids.tolist() == list(range(1, maps.ids[-1] + 1))
+    assert (maps.labels > 0).all() and (maps.margin == 1).all()
+
+
+def test_identical_views_get_identical_labels():
+    maps = associate([view(picture()), view(picture(), "b")], Regions(), FlowTracker())
+    np.testing.assert_array_equal(maps.labels[0], maps.labels[1])
+
+
+def test_no_proposals_at_all():
+    views = [view(picture()), view(picture(1), "b")]
+    maps = associate(views, Drawn([], [], [], []), FlowTracker())
+    assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
+
+
+def test_blank_images_are_one_object():
+    blank = np.full((*SIZE, 3), 200)
+    maps = associate([view(blank), view(blank + 1, "b")], Regions(), FlowTracker())
+    assert all(len(np.unique(labels)) == 1 and labels[0, 0] > 0 for labels in maps.labels)
+
+
+def test_a_one_pixel_mask_is_absorbed_by_what_surrounds_it():
+    maps = associate([view(picture())], Drawn([WHOLE, (40, 41, 40, 41)]), FlowTracker())
+    assert (maps.labels == 1).all()  # a crumb is under 2.4 pixels here
+
+
+def test_an_object_seen_in_one_view_only_is_kept():
+    first, second = picture(), picture()
+    paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
+    boxes = [WHOLE, (20, 60, 20, 70), (60, 100, 90, 140)]
+    views = [view(first), view(second, "b")]
+    maps = associate(views, Drawn(boxes, [*boxes, (5, 35, 110, 150)]), FlowTracker())
+    new = maps.labels[1][20, 130]
+    assert new == 4 and not (maps.labels[0] == new).any()
+    swapped = associate(views[::-1], Drawn([*boxes, (5, 35, 110, 150)], boxes), FlowTracker())
+    gone = swapped.labels[0][20, 130]
+    assert gone > 0 and not (swapped.labels[1] == gone).any()
+    for maps_of_order in (maps, swapped):
+        assert (maps_of_order.labels[:, 40, 45] == maps_of_order.labels[0, 40, 45]).all()
+
+
+def test_regions_left_out_by_the_first_proposals_are_proposed_again():
+    drawn = Drawn([(0, 60, 0, SIZE[1])], [(60, SIZE[0], 0, SIZE[1])])
+    maps = associate([view(picture())], drawn, FlowTracker())
+    assert (maps.labels[0][:60] == 1).all() and (maps.labels[0][60:] == 2).all()
+
+
+def test_replicas_outvote_the_detection():
+    maps = associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=5)
+    # Copy k has lost k rows: row 0 is lost in 4 of 5 copies, row 2 in 2 of 5, row 4 in none.
+    assert not maps.labels[0][:2].any() and (maps.labels[0][2:] == 1).all()
+    np.testing.assert_allclose(maps.margin[0][:6, 0], [0.6, 0.2, 0.2, 0.6, 1, 1], atol=1e-6)
+    assert (associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=1).labels == 1).all()
+
+
+def test_copies_that_repeat_are_counted_and_not_computed():
+    settled = Wandering(looks_that_differ=2)
+    maps = associate([view(picture())], Drawn([WHOLE]), settled, replicas=9)
+    assert settled.looks == 3
+    computed = Wandering(looks_that_differ=2)
+    computed.add(None, np.ones(SIZE, np.int32))
+    lost = np.stack([computed.propagate(None) == 0 for _ in range(8)]).sum(0)
+    np.testing.assert_array_equal(maps.labels[0] == 0, lost > 4)
+
+
+def test_flow_asks_once_a_view_and_agrees():
+    asked = []
+
+    class Counted(FlowTracker):
+        def propagate(self, view):
+            asked.append(view.name)
+            return super().propagate(view)
+
+    maps = associate([view(picture()), view(picture(3), "b")], Regions(), Counted())
+    assert asked == ["a", "b", "b"] and (maps.margin == 1).all()
+
+
+@cache
+def room():
+    scene = procedural.read(seed=3, height=208, width=288, views=2)
+    return scene, [scene.read(name) for name in scene.cameras]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_objects_of_a_room_keep_their_ids(swapped):
+    scene, views = room()
+    views = views[::-1] if swapped else views
+    maps = associate(views, Regions(), FlowTracker(), depths=[v.depth for v in views])
+    hits = []
+    for instance, phrase in scene.phrases.items():
+        masks = [v.instances == instance for v in views]
+        if min(m.sum() for m in masks) >= 50 and "wall" not in phrase:
+            main = [
+                np.bincount(labels[mask]).argmax()
+                for labels, mask in zip(maps.labels, masks, strict=True)
+            ]
+            hits.append(main[0] == main[1])
+    assert len(hits) >= 8
+    assert np.mean(hits) >= 0.8
+    assert (maps.labels > 0).mean() > 0.99
+
+
+def test_same_bytes_again():
+    _, views = room()
+    one, two = (associate(views, Regions(), FlowTracker()).labels.tobytes() for _ in range(2))
+    assert one == two
+
+
+def grid(rows):
+    return np.array(rows, np.int32)
+
+
+def test_merge_keeps_the_old_id_of_a_piece_of_an_object():
+    carried = grid([[5, 5, 5, 5, 5, 5]])
+    assert merge(carried, grid([[1, 1, 2, 2, 3, 3]]), 9).tolist() == [[5, 5, 5, 5, 5, 5]]
+
+
+def test_merge_unites_by_iou_what_flow_carried_in_part():
+    carried = grid([[5, 5, 5, 0, 0, 7]])
+    assert merge(carried, grid([[1, 1, 1, 1, 1, 2]]), 9).tolist() == [[5, 5, 5, 5, 5, 7]]
+
+
+def test_merge_gives_new_ids_to_what_is_mostly_unknown():
+    carried = grid([[5, 0, 0, 0, 0, 0, 5, 5, 5, 5]])
+    detected = grid([[1, 1, 1, 1, 2, 2, 3, 3, 3, 3]])
+    assert merge(carried, detected, 9).tolist() == [[9, 9, 9, 9, 10, 10, 5, 5, 5, 5]]
+
+
+def test_merge_splits_a_region_that_was_known_as_two_objects():
+    carried = grid([[5, 5, 5, 0, 6, 6, 6, 6]])
+    assert merge(carried, np.ones_like(carried), 9).tolist() == [[5, 5, 5, 5, 6, 6, 6, 6]]
+
+
+def test_merge_keeps_what_no_region_covers():
+    assert merge(grid([[5, 0, 6]]), grid([[0, 0, 0]]), 9).tolist() == [[5, 0, 6]]
+
+
+@pytest.mark.parametrize(
+    ("views", "settings", "says"),
+    [
+        ([], {}, "no views"),
+        ([view(picture())], {"replicas": 0}, "replicas"),
+        ([view(picture())], {"depths": []}, "depths"),
+        ([view(picture()), view(picture()[:-1], "b")], {}, "'b'"),
+    ],
+)
+def test_bad_input_is_refused(views, settings, says):
+    with pytest.raises(InputError, match=says):
+        associate(views, Regions(), FlowTracker(), **settings)

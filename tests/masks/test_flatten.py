@@ -1,0 +1,75 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from slgaussian.masks import Proposals
+from slgaussian.masks.flatten import flatten, renumbered, without_crumbs
+
+
+def rectangles(*boxes, scores=None, size=(8, 10)):
+    masks = np.zeros((len(boxes), *size), bool)
+    for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
+        mask[top:bottom, left:right] = True
+    scores = np.ones(len(boxes)) if scores is None else scores
+    return Proposals(masks, np.asarray(scores, np.float32))
+
+
+def test_nested_masks_all_stay_visible():
+    labels = flatten(rectangles((3, 4, 3, 4), (0, 8, 0, 10), (2, 6, 2, 6)))
+    assert np.bincount(labels.ravel()).tolist() == [0, 80 - 16, 16 - 1, 1]
+    assert labels[3, 3] == 3 and labels[2, 2] == 2 and labels[0, 0] == 1
+
+
+def test_a_mask_that_is_covered_wholly_gets_no_label():
+    labels = flatten(rectangles((0, 4, 0, 3), (0, 2, 0, 3), (2, 4, 0, 3)))
+    assert sorted(np.unique(labels)) == [0, 1, 2]
+
+
+def test_of_equally_large_masks_the_better_scored_is_on_top():
+    boxes = ((0, 4, 0, 4), (2, 6, 0, 4))
+    assert flatten(rectangles(*boxes, scores=(0.9, 0.1)))[3, 0] == 2
+    assert (flatten(rectangles(*boxes, scores=(0.9, 0.1))) == 2)[0:4, 0:4].all()
+    assert (flatten(rectangles(*boxes, scores=(0.1, 0.9))) == 2)[2:6, 0:4].all()
+    assert (flatten(rectangles(*boxes)) == 2)[0:4, 0:4].all()  # equal scores: the earlier one
+
+
+def test_no_proposals_leave_everything_unassigned():
+    labels = flatten(rectangles())
+    assert labels.shape == (8, 10) and labels.dtype == np.int32 and not labels.any()
+
+
+@given(
+    hnp.arrays(bool, st.tuples(st.integers(0, 5), st.integers(1, 6), st.integers(1, 6))),
+    st.integers(0, 2**32 - 1),
+)
+def test_labels_cover_the_union_without_gaps_and_in_any_order(masks, seed):
+    areas_differ = np.argsort(np.random.default_rng(seed).random(len(masks)))
+    proposals = Proposals(masks, np.linspace(0, 1, len(masks), dtype=np.float32))
+    labels = flatten(proposals)
+    np.testing.assert_array_equal(labels > 0, masks.any(0))
+    assert set(np.unique(labels)) - {0} == set(range(1, labels.max(initial=0) + 1))
+    shuffled = Proposals(masks[areas_differ], proposals.scores[areas_differ])
+    np.testing.assert_array_equal(flatten(shuffled), labels)  # scores differ: no ties by index
+
+
+def test_renumbered_keeps_order_and_zero():
+    labels = np.array([[0, 7], [3, 900]], np.int32)
+    assert renumbered(labels).tolist() == [[0, 2], [1, 3]]
+    assert renumbered(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
+
+
+def test_crumbs_and_small_holes_go_to_the_nearest_piece():
+    labels = np.ones((100, 160), np.int32)  # a crumb is under 2 pixels here
+    labels[:, 80:] = 2
+    labels[50, 20] = 3
+    labels[10, 100] = 0
+    labels[60:62, 30] = 4  # two pixels: a piece
+    clean = without_crumbs(labels)
+    assert clean[50, 20] == 1 and clean[10, 100] == 2 and (clean[60:62, 30] == 4).all()
+    assert (clean != labels).sum() == 2
+
+
+def test_an_image_of_crumbs_alone_is_left_as_it_is():
+    labels = np.arange(1, 90001, dtype=np.int32).reshape(300, 300)
+    np.testing.assert_array_equal(without_crumbs(labels), labels)

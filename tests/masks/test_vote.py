@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from slgaussian.errors import InputError
+from slgaussian.masks.vote import vote
+
+
+def plain_vote(stack):
+    """The rule, written as loops over pixels and replicas."""
+    labels = np.zeros(stack.shape[1:], np.int32)
+    margin = np.zeros(stack.shape[1:])
+    for pixel in np.ndindex(labels.shape):
+        ballots = [int(replica[pixel]) for replica in stack]
+        counts = {label: ballots.count(label) for label in ballots}
+        winner = max(ballots, key=lambda label: counts[label])  # max keeps the first of equals
+        won = counts.pop(winner)
+        labels[pixel] = winner
+        margin[pixel] = (won - max(counts.values(), default=0)) / len(ballots)
+    return labels, margin
+
+
+stacks = hnp.arrays(
+    np.int32,
+    st.tuples(st.integers(1, 7), st.integers(1, 3), st.integers(1, 4)),
+    elements=st.integers(0, 4),
+)
+
+
+@given(stacks)
+def test_equals_the_plain_rule(stack):
+    labels, margin = vote(stack)
+    expected_labels, expected_margin = plain_vote(stack)
+    np.testing.assert_array_equal(labels, expected_labels)
+    np.testing.assert_allclose(margin, expected_margin, atol=1e-7)  # one float32 rounding of [0, 1]
+    assert labels.dtype == np.int32 and margin.dtype == np.float32
+
+
+@given(stacks)
+def test_equal_replicas_are_unanimous(stack):
+    labels, margin = vote(np.repeat(stack[:1], 5, 0))
+    np.testing.assert_array_equal(labels, stack[0])
+    assert (margin == 1).all()
+
+
+def column(*ballots):
+    return np.array(ballots, np.int32).reshape(-1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("ballots", "winner", "margin"),
+    [
+        ((7, 3, 3, 7), 7, 0.0),  # a tie: the first replica's label, though it is the higher id
+        ((3, 7, 7, 3), 3, 0.0),
+        ((9, 4, 2, 4, 2), 4, 0.0),  # the tied labels' first appearances count, not the loser's
+        ((1, 2, 3, 4, 5), 1, 0.0),
+        ((0, 0, 0, 6, 6), 0, 0.2),  # "no object here" is a vote like any other
+        ((0, 6, 6, 6, 6), 6, 0.6),
+        ((5,), 5, 1.0),
+    ],
+)
+def test_named_ballots(ballots, winner, margin):
+    labels, won_by = vote(column(*ballots))
+    assert labels[0, 0] == winner
+    assert won_by[0, 0] == pytest.approx(margin)
+
+
+@pytest.mark.parametrize(
+    "stack", [np.zeros((0, 2, 2), np.int32), np.zeros((2, 2), np.int32), np.zeros((2, 2, 2))]
+)
+def test_refuses_what_is_no_stack(stack):
+    with pytest.raises(InputError, match=r"expected int32 \[R, H, W\]"):
+        vote(stack)
