@@ -68,56 +68,56 @@ METRICS = (
 )
 
 
-def write_report(
+TIMES_HERE = "<!-- how long it took -->"
+"""Where :func:`with_times` puts what differs from run to run."""
+
+
+def render_report(
     results: Sequence[SceneResult],
     manifest: Mapping[str, Any],
-    path: str | Path,
-    times: Mapping[str, float] | None = None,
     failures: Sequence[Mapping[str, str]] = (),
-) -> None:
-    """Write one self-contained HTML page: no network, no script.
+) -> str:
+    """One self-contained HTML page: no network, no script, the same bytes from run to run.
 
     Parameters
     ----------
     results : sequence of SceneResult
+        Their times are not shown.
     manifest : mapping
-        Versions and settings, nested mappings allowed. What differs from run to run or machine to
-        machine goes under the key ``host``; it is printed last, with the times.
-    path : str or Path
-    times : {stage: float}, optional
-        Seconds of each stage of the run. Apart from these, the scenes' own times and ``host``, the
-        page is the same byte for byte from run to run.
+        Versions and settings, nested mappings allowed.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slgaussian.benchmark", "."),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    stable = {key: value for key, value in manifest.items() if key != "host"}
     shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
     scenes = [_scene(result, f"scene-{i}") for i, result in enumerate(results)]
-    page = environment.get_template("report.html.j2").render(
+    return _template("report.html.j2").render(
         metrics=shown,
         scenes=scenes,
         hero=_hero(results, scenes),
         means={m.key: _macro_mean(results, m.key) for m in shown},
         protocol=_protocol(results),
         failures=failures,
-        manifest=_flatten(stable),
-        host=_flatten(manifest.get("host", {})),
-        times=times or {},
+        manifest=_flatten(manifest),
         error_top=ERROR_TOP,
+        times_here=TIMES_HERE,
     )
-    _write(Path(path), page.encode())
+
+
+def with_times(
+    page: str,
+    times: Mapping[str, float],
+    scene_times: Mapping[str, Mapping[str, float]],
+    host: Mapping[str, str],
+) -> str:
+    """The page of :func:`render_report` with what is true of one run on one machine only.
+
+    ``times`` are seconds by stage, ``scene_times`` those of the evaluation by scene, and ``host``
+    says where it ran.
+    """
+    section = _template("times.html.j2").render(
+        times=times, scene_times=scene_times, host=_flatten(host)
+    )
+    return page.replace(TIMES_HERE, section)
 
 
 def write_samples(results: Sequence[SceneResult], out: str | Path) -> None:
@@ -161,6 +161,17 @@ def file_name(text: str) -> str:
     return f"{safe}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
+def _template(name: str) -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("slgaussian.benchmark", "."),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template(name)
+
+
 def _scene(result: SceneResult, anchor: str) -> dict[str, Any]:
     """What the template needs of one scene, pictures encoded."""
     images = {name: _data_uri(picture) for name, picture in result.pictures.items()}
@@ -178,7 +189,6 @@ def _scene(result: SceneResult, anchor: str) -> dict[str, Any]:
         "path": [frame for frame in ALONG_THE_WAY if f"render/{frame}" in images],
         "queries": _choose(result.rows),
         "rows": result.rows,
-        "times": result.times,
     }
 
 

@@ -12,13 +12,14 @@ from data_specs import load_spec
 from slgaussian.benchmark.report import (
     SHOWN_QUERIES,
     file_name,
+    render_report,
+    with_times,
     write_predictions,
-    write_report,
     write_samples,
 )
 from slgaussian.errors import InputError
 
-MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}, "host": {"cores": 2}}
+MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 
 
 class Page(HTMLParser):
@@ -50,17 +51,15 @@ class Page(HTMLParser):
         return re.sub(r"\s+", " ", " ".join(self.words))
 
 
-def page_of(folder, results, manifest=MANIFEST, times=None, failures=()) -> tuple[str, Page]:
-    path = folder / "report.html"
-    write_report(results, manifest, path, times, failures)
-    html = path.read_text("utf-8")
+def page_of(results, manifest=MANIFEST, failures=()) -> tuple[str, Page]:
+    html = render_report(results, manifest, failures)
     page = Page(html)
     assert page.open == []
     return html, page
 
 
-def test_the_page_needs_no_network_and_no_script(tmp_path, result):
-    html, page = page_of(tmp_path, [result])
+def test_the_page_needs_no_network_and_no_script(result):
+    html, page = page_of([result])
     assert not {"script", "link", "iframe"} & set(page.tags)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
     assert "url(" not in html
@@ -70,8 +69,8 @@ def test_the_page_needs_no_network_and_no_script(tmp_path, result):
         assert image["alt"]
 
 
-def test_the_page_shows_the_numbers_and_how_they_were_made(tmp_path, result):
-    _, page = page_of(tmp_path, [result])
+def test_the_page_shows_the_numbers_and_how_they_were_made(result):
+    _, page = page_of([result])
     for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
     assert "Protocol near-best" in page.text and "temperature 10.0" in page.text
@@ -82,20 +81,20 @@ def test_the_page_shows_the_numbers_and_how_they_were_made(tmp_path, result):
     assert "not understood" in page.text
 
 
-def test_the_mean_gives_every_scene_one_weight(tmp_path, result):
+def test_the_mean_gives_every_scene_one_weight(result):
     other = replace(
         result,
         scene="other",
         rows=result.rows[:1],
         scene_metrics=result.scene_metrics | {"iou": 0.0},
     )
-    _, page = page_of(tmp_path, [result, other])
+    _, page = page_of([result, other])
     mean = re.search(r" mean (\d\.\d+)", page.text)[1]
     assert mean == f"{result.scene_metrics['iou'] / 2:.3f}"
 
 
-def test_pictures_of_the_best_and_the_worst_queries_are_shown(tmp_path, result):
-    _, page = page_of(tmp_path, [result])
+def test_pictures_of_the_best_and_the_worst_queries_are_shown(result):
+    _, page = page_of([result])
     shown = [
         i["alt"].removeprefix("relevancy of ") for i in page.images if "relevancy of" in i["alt"]
     ]
@@ -106,28 +105,28 @@ def test_pictures_of_the_best_and_the_worst_queries_are_shown(tmp_path, result):
     assert scores[shown[-1]] == min(scores.values())
 
 
-def test_only_the_last_section_depends_on_time_and_machine(tmp_path, result):
+def test_only_the_last_section_depends_on_time_and_machine(result):
     slow = replace(result, times=dict.fromkeys(result.times, 9.0))
-    elsewhere = MANIFEST | {"host": {"cores": 64}}
-    one, _ = page_of(tmp_path, [result], times={"field": 1.0})
-    again, _ = page_of(tmp_path, [result], times={"field": 1.0})
-    other, _ = page_of(tmp_path, [slow], elsewhere, times={"field": 2.0})
-    assert one == again
-    assert one != other
-    mark = "How long it took"
-    assert one.split(mark)[0] == other.split(mark)[0]
-    assert one.count("<section", one.index(mark)) == 0
+    page, again = render_report([result], MANIFEST), render_report([slow], MANIFEST)
+    assert page == again
+    times = {result.scene: result.times}
+    whole = with_times(page, {"field": 1.25}, times, {"machine": {"cores": 64}})
+    assert Page(whole).open == []
+    before, _, after = whole.partition("How long it took")
+    assert page.startswith(before.removesuffix("<h2>").removesuffix("<section>\n"))
+    assert "<section" not in after
+    assert "1.25" in after and "machine.cores" in after and result.scene in after
 
 
-def test_failures_come_first(tmp_path, result):
+def test_failures_come_first(result):
     failure = {"scene": "attic", "stage": "ingest", "reason": "attic/a.png: cannot be read"}
-    _, page = page_of(tmp_path, [result], failures=[failure])
+    _, page = page_of([result], failures=[failure])
     assert page.text.index("attic/a.png: cannot be read") < page.text.index("Summary")
-    _, alone = page_of(tmp_path, [], failures=[failure])
+    _, alone = page_of([], failures=[failure])
     assert "attic/a.png" in alone.text and "Summary" not in alone.text
 
 
-def test_names_are_text_and_never_markup(tmp_path, result):
+def test_names_are_text_and_never_markup(result):
     rows = [{**result.rows[0], "query": "<b>&", "frame": "view_01"}]
     pictures = dict(result.pictures)
     for kind in ("relevancy", "mask"):
@@ -139,16 +138,16 @@ def test_names_are_text_and_never_markup(tmp_path, result):
         predictions={("view_01", "<b>&"): np.ones((104, 144), bool)},
         pictures=pictures,
     )
-    html, page = page_of(tmp_path, [odd])
+    html, page = page_of([odd])
     assert "script" not in page.tags
     assert "<script>x</script>" in page.text and "<b>&" in page.text
     assert "&lt;b&gt;&amp;" in html
 
 
-def test_a_scene_without_truth_has_pictures_and_dashes(tmp_path, result):
+def test_a_scene_without_truth_has_pictures_and_dashes(result):
     rows = [row for row in result.rows if row["frame"] == "halfway"]
     bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
-    _, page = page_of(tmp_path, [bare])
+    _, page = page_of([bare])
     assert "0 scored queries, 1 asked without truth" in page.text
     assert any("relevancy of" in image["alt"] for image in page.images)
 
@@ -215,7 +214,5 @@ def test_file_names_are_safe_and_differ():
 
 def test_an_unwritable_place_is_named(tmp_path, result):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file"):
-        write_report([result], MANIFEST, tmp_path / "file" / "report.html")
     with pytest.raises(InputError, match="file"):
         write_samples([result], tmp_path / "file")
