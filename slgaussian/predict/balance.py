@@ -1,0 +1,61 @@
+"""One exposure for all context views, so that their Gaussians do not make patches on a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slgaussian.predict.links import Link
+
+MIN_SAMPLES = 200
+"""Fewest shared pixels that two exposures are compared on."""
+
+DARK, BRIGHT = 8, 245
+"""Values outside are noise or clipped and say nothing about exposure."""
+
+MAX_GAIN = 2.0
+"""Larger gains are taken for a mistake and cut."""
+
+
+def color_gains(
+    images: Sequence[np.ndarray],
+    inverse_depths: Sequence[np.ndarray],
+    answered: Sequence[np.ndarray],
+    links: Sequence[Sequence[Link]],
+) -> np.ndarray:
+    """Factors float64 [V, 3] on the RGB values of each view that make the views agree.
+
+    For every linked pair the median ratio of values is taken over the answered pixels of the first
+    view and the pixels they land on in the second; the gains meet these ratios in least squares of
+    their logarithms, and their geometric mean over the views is 1.
+
+    Parameters
+    ----------
+    images : V of uint8 [H, W, 3]
+    inverse_depths : V of float32 [H, W]
+    answered : V of bool [H, W]
+    links : V sequences of Link
+    """
+    rows, ratios = [], []
+    for i, link in ((i, link) for i, sources in enumerate(links) for link in sources):
+        j = link.source
+        y, x = np.nonzero(answered[i])
+        here = images[i][y, x]
+        where, ratio = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
+        H, W = answered[j].shape
+        inside = (ratio > 0) & (where >= 0).all(1) & (where < (W, H)).all(1)
+        column, row = where[inside].astype(np.int64).T
+        pair = np.stack([here[inside], images[j][row, column]], 1)
+        fair = (pair.min((1, 2)) >= DARK) & (pair.max((1, 2)) <= BRIGHT)
+        if fair.sum() >= MIN_SAMPLES:
+            logs = np.log(pair[fair].astype(np.float64))
+            sign = np.zeros(len(images))
+            sign[i], sign[j] = 1, -1
+            rows.append(sign)
+            ratios.append(np.median(logs[:, 1] - logs[:, 0], 0))
+    if not rows:
+        return np.ones((len(images), 3))
+    # The least-norm solution: views that nothing is known about keep gain 1.
+    logs = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
+    return np.exp(logs).clip(1 / MAX_GAIN, MAX_GAIN)

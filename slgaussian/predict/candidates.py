@@ -1,0 +1,69 @@
+"""Which inverse depths to try: range from sparse matches, number from the motion in pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slgaussian.predict.pose import Relative
+
+MIN_MATCHES = 12
+"""Fewest triangulated matches that a depth range is estimated from."""
+
+MIN_CANDIDATES = 32
+MAX_CANDIDATES = 112
+"""Fewest that a sub-pixel fit is asked to interpolate, and most that memory and time allow."""
+
+MAX_DEPTH = 100.0
+"""Farthest estimated depth in baselines, where parallax of common cameras fades to a few pixels."""
+
+
+def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[float, float]:
+    """Least and greatest inverse depth to try, from those of sparse matches.
+
+    Matches sit on texture, not on the nearest or farthest surface, so the range is wider than they
+    are: half of the 2nd and 1.25 times the 98th percentile.
+
+    Parameters
+    ----------
+    inverse_depths : float64 [M]
+        One per match, 1 / scene units; M > 0.
+    baseline : float
+        Distance between the cameras, scene units.
+    """
+    low, high = np.percentile(inverse_depths, (2, 98))
+    floor = 1 / (MAX_DEPTH * baseline)
+    low = max(0.5 * low, floor)
+    return float(low), float(max(1.25 * high, 2 * low))
+
+
+def candidates(relative: Relative, size: tuple[int, int], low: float, high: float) -> np.ndarray:
+    """Inverse depths float64 [D], ascending and evenly spaced from ``low`` to ``high``.
+
+    The 90th percentile of the motion over the image between two neighbours is one pixel, as far
+    as :data:`MIN_CANDIDATES` and :data:`MAX_CANDIDATES` allow. ``size`` is (height, width).
+    """
+    grid = pixel_grid(size, 16)
+    count = 512
+    path = np.linspace(low, high, count)
+    tracks, ratio = relative.project(grid[:, None], path)
+    inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
+    steps = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)
+    seen = inside[:, 1:] & inside[:, :-1]
+    longest = np.percentile(steps[seen], 90) * (count - 1) if seen.any() else 0
+    number = int(np.clip(np.ceil(longest) + 1, MIN_CANDIDATES, MAX_CANDIDATES))
+    return np.linspace(low, high, number)
+
+
+def visible_share(relative: Relative, size: tuple[int, int], inverse_depths: np.ndarray) -> float:
+    """Share of a coarse grid of pixels that some candidate sees in the source view, 0 to 1."""
+    tracks, ratio = relative.project(pixel_grid(size, 16)[:, None], inverse_depths)
+    inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
+    return float(inside.any(1).mean())
+
+
+def pixel_grid(size: tuple[int, int], cells: int) -> np.ndarray:
+    """Pixels [cells * cells, 2] evenly spread over an image of ``size`` (height, width)."""
+    height, width = size
+    fractions = (np.arange(cells) + 0.5) / cells
+    u, v = np.meshgrid(fractions * width, fractions * height)
+    return np.stack([u.ravel(), v.ravel()], 1)

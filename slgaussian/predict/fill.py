@@ -1,0 +1,276 @@
+"""From raw winners to a whole depth map: cross-view check, speckles, planes, weighted median."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from slgaussian.predict.pose import Relative
+from slgaussian.predict.sgm import aggregate
+
+UNSEEN, AGREES, IN_FRONT, BEHIND = range(4)
+"""What the other view says about a pixel's depth: outside its image; the same surface; a point
+that the other view sees through; a point hidden behind what the other view sees."""
+
+RELATIVE_TOLERANCE = 0.04
+STEP_TOLERANCE = 1.5
+"""How far inverse depths of two views may differ and still agree: a share of the depth, or this
+many candidates, whichever is more."""
+
+MAX_PLANES = 8
+MIN_SUPPORT = 0.01
+TRIES = 2000
+JUDGES = 2000
+"""Planes to look for, least share of answered pixels on one, hypotheses a plane and the pixels
+that score them."""
+
+MEDIAN_RADIUS = 7
+MEDIAN_COLOR = 40.0
+"""Window of the weighted median, and the colour difference (sum over RGB, 0 to 765) that counts as
+one standard deviation."""
+
+POTTS = 200
+VOTE_STEPS = 3
+FREE_SPACE = 30
+"""Cost of a change of plane label in a flat part of the image; distance from a plane, in
+candidates, where an answered pixel's vote against it is full (100); vote of an unanswered pixel
+against a plane that another view sees through."""
+
+
+def cross_check(
+    inverse_depth: np.ndarray, other: np.ndarray, relative: Relative, step: float
+) -> np.ndarray:
+    """Compare a depth map with that of another view.
+
+    Depths agree within :data:`RELATIVE_TOLERANCE` or :data:`STEP_TOLERANCE` candidates.
+
+    Parameters
+    ----------
+    inverse_depth, other : float32 [H, W]
+        Of the reference and of the source; ``other`` may be infinite where nothing is known, which
+        reads as :data:`BEHIND`.
+    relative : Relative
+        From the reference to the source.
+    step : float
+        Distance between candidates.
+
+    Returns
+    -------
+    uint8 [H, W]
+        One of :data:`UNSEEN`, :data:`AGREES`, :data:`IN_FRONT`, :data:`BEHIND`.
+    """
+    return _cross_check(
+        inverse_depth, other, relative.infinity, relative.epipole, STEP_TOLERANCE * step
+    )
+
+
+@njit(cache=True, parallel=True)
+def _cross_check(inverse_depth, other, A, e, least_tolerance):
+    H, W = inverse_depth.shape
+    out = np.empty((H, W), np.uint8)
+    for y in prange(H):
+        for x in range(W):
+            u, v, w = x + 0.5, y + 0.5, float(inverse_depth[y, x])
+            z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + w * e[2]
+            out[y, x] = UNSEEN
+            if z > 1e-9:
+                i = math.floor((A[1, 0] * u + A[1, 1] * v + A[1, 2] + w * e[1]) / z)
+                j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
+                if 0 <= i < H and 0 <= j < W:
+                    here, seen = w / z, float(other[i, j])
+                    if abs(here - seen) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
+                        out[y, x] = AGREES
+                    else:
+                        out[y, x] = IN_FRONT if here > seen else BEHIND
+    return out
+
+
+def without_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarray:
+    """Drop from ``keep`` the connected patches of up to ``size`` pixels, bool [H, W].
+
+    ``index`` float32 [H, W] counts candidates; neighbours within one belong together.
+    """
+    none = -32
+    fixed = np.where(keep, np.round(index * 16), none).astype(np.int16)
+    cv2.filterSpeckles(fixed, none, size, 16)
+    return fixed != none
+
+
+def fit_planes(
+    inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Planes of the scene by sequential RANSAC, float64 [P, 3], at most :data:`MAX_PLANES`.
+
+    A plane in space is linear in inverse depth: ``w = p @ (x, y, 1)`` with x the column and y the
+    row. A hypothesis goes through three answered pixels close together, and the one that most
+    pixels agree with is refitted to them. Fewer than :data:`MIN_SUPPORT` of the answered pixels do
+    not make a plane.
+
+    Parameters
+    ----------
+    inverse_depth : float32 [H, W]
+    keep : bool [H, W]
+        The answered pixels.
+    tolerance : float
+        Largest residual of a pixel on the plane.
+    rng : Generator
+    """
+    H, W = keep.shape
+    fewest = max(50, int(MIN_SUPPORT * keep.sum()))
+    left = keep.copy()
+    reach = max(2, max(H, W) // 10)
+    planes: list[np.ndarray] = []
+    while len(planes) < MAX_PLANES:
+        rows, columns = np.nonzero(left)
+        if len(rows) < fewest:
+            break
+        seeds = rng.integers(len(rows), size=TRIES)
+        around = rng.integers(-reach, reach + 1, size=(2, TRIES, 3))
+        around[:, :, 0] = 0
+        y = np.clip(rows[seeds, None] + around[0], 0, H - 1)
+        x = np.clip(columns[seeds, None] + around[1], 0, W - 1)
+        corners = np.stack([x, y, np.ones_like(x)], -1).astype(np.float64)
+        # Three answered pixels that are not nearly on one line.
+        good = left[y, x].all(1) & (np.abs(np.linalg.det(corners)) > 0.1 * reach**2)
+        if not good.any():
+            break
+        values = inverse_depth[y, x][good].astype(np.float64)
+        guesses = np.linalg.solve(corners[good], values[..., None])[..., 0]
+        judges = rng.permutation(len(rows))[:JUDGES]
+        points = np.stack([columns[judges], rows[judges], np.ones(len(judges))], 1)
+        w = inverse_depth[rows[judges], columns[judges]].astype(np.float64)
+        support = (np.abs(points @ guesses.T - w[:, None]) < tolerance).sum(0)
+        plane = guesses[support.argmax()]
+        for _ in range(3):
+            inliers = np.abs(points @ plane - w) < tolerance
+            if inliers.sum() < 3:
+                break
+            plane = np.linalg.lstsq(points[inliers], w[inliers], rcond=None)[0]
+        explained = left & (np.abs(_plane_depths(plane, H, W) - inverse_depth) < tolerance)
+        if explained.sum() < fewest:
+            break
+        planes.append(plane)
+        left &= ~explained
+    return np.array(planes).reshape(-1, 3)
+
+
+def _plane_depths(plane: np.ndarray, H: int, W: int) -> np.ndarray:
+    """Inverse depth float32 [H, W] of a plane at every pixel."""
+    column = np.arange(H)[:, None] * plane[1] + plane[2]
+    return (column + np.arange(W) * plane[0]).astype(np.float32)
+
+
+def fill(
+    inverse_depth: np.ndarray,
+    keep: np.ndarray,
+    guide: np.ndarray,
+    planes: np.ndarray,
+    steps: np.ndarray,
+    witnesses: Sequence[tuple[Relative, np.ndarray]],
+) -> np.ndarray:
+    """Give every unanswered pixel the inverse depth of one plane, float32 [H, W].
+
+    A Potts model over plane labels decides which. Answered pixels vote for the planes near them.
+    Unanswered ones have no photometric opinion (it is what failed there) but vote against planes
+    that lie where another view sees through. Labels change where the guide image does. Without any
+    plane the median of the answered pixels is taken, or the middle of the candidates.
+
+    Parameters
+    ----------
+    inverse_depth : float32 [H, W]
+    keep : bool [H, W]
+        The answered pixels; they keep their value.
+    guide : float32 [H, W]
+        Grey image, 0 to 255.
+    planes : float64 [P, 3]
+        From :func:`fit_planes`.
+    steps : float64 [D]
+        Candidates; planes are clipped to their range.
+    witnesses : sequence of (Relative, float32 [H, W])
+        Other views: their geometry and inverse depth, infinite where unknown.
+    """
+    if not len(planes):
+        level = np.median(inverse_depth[keep]) if keep.any() else steps[[0, -1]].mean()
+        return np.where(keep, inverse_depth, np.float32(level))
+    H, W = keep.shape
+    step = steps[1] - steps[0]
+    levels = np.stack([_plane_depths(p, H, W) for p in planes], -1)
+    levels = levels.clip(*np.float32(steps[[0, -1]]))
+    cost = np.empty(levels.shape, np.uint8)
+    for k in range(len(planes)):
+        level = np.ascontiguousarray(levels[..., k])
+        off = np.minimum(np.abs(level - inverse_depth) / np.float32(VOTE_STEPS * step), 1)
+        through = np.zeros(keep.shape, bool)
+        for relative, known in witnesses:
+            through |= cross_check(level, known, relative, step) == IN_FRONT
+        cost[..., k] = np.where(keep, 100 * off, np.float32(FREE_SPACE) * through)
+    label = aggregate(cost, guide, p1=POTTS, p2=POTTS).argmin(-1)
+    chosen = np.take_along_axis(levels, label[..., None], -1)[..., 0]
+    return np.where(keep, inverse_depth, chosen)
+
+
+def weighted_median(
+    inverse_depth: np.ndarray, image: np.ndarray, low: float, step: float
+) -> np.ndarray:
+    """Median of each window, weighted by likeness of colour to the centre, float32 [H, W].
+
+    Moves depth edges onto colour edges and removes outliers (Ma et al., ICCV 2013). The median is
+    found in bins of half a candidate, then replaced by the weighted mean of the values within a
+    candidate and a half of it: on a slope these lie evenly on both sides, so it stays one.
+
+    Parameters
+    ----------
+    inverse_depth : float32 [H, W]
+    image : uint8 [H, W, 3]
+    low, step : float
+        Least candidate and distance between candidates.
+    """
+    distance = np.arange(3 * 255 + 1) / MEDIAN_COLOR
+    weights = np.exp(-0.5 * distance**2).astype(np.float32)
+    bins = ((inverse_depth - low) / step * 2 + 0.5).clip(0).astype(np.int32)
+    return _weighted_median(inverse_depth, bins, image, weights, MEDIAN_RADIUS)
+
+
+@njit(cache=True, parallel=True)
+def _weighted_median(values, bins, image, weights, radius):
+    H, W = values.shape
+    count = bins.max() + 1
+    out = np.empty((H, W), np.float32)
+    for y in prange(H):
+        mass = np.zeros(count, np.float32)
+        moment = np.zeros(count, np.float32)
+        for x in range(W):
+            r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
+            centre = values[y, x]
+            total = np.float32(0)
+            least, most = count, 0
+            for j in range(max(y - radius, 0), min(y + radius + 1, H)):
+                for i in range(max(x - radius, 0), min(x + radius + 1, W)):
+                    weight = weights[
+                        abs(image[j, i, 0] - r) + abs(image[j, i, 1] - g) + abs(image[j, i, 2] - b)
+                    ]
+                    k = bins[j, i]
+                    mass[k] += weight
+                    # Relative to the centre: keeps float32 exact enough.
+                    moment[k] += weight * (values[j, i] - centre)
+                    total += weight
+                    least, most = min(least, k), max(most, k)
+            below = np.float32(0)
+            median = least
+            for k in range(least, most + 1):
+                below += mass[k]
+                if 2 * below >= total:
+                    median = k
+                    break
+            near, lever = np.float32(0), np.float32(0)
+            for k in range(max(median - 3, least), min(median + 3, most) + 1):
+                near += mass[k]
+                lever += moment[k]
+            out[y, x] = centre + lever / near
+            mass[least : most + 1] = 0
+            moment[least : most + 1] = 0
+    return out

@@ -1,0 +1,65 @@
+"""Which views are matched with which, their refined geometry and their sparse matches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slgaussian.predict.pose import GATE, Relative, refine, sift_matches
+from slgaussian.scene import View
+
+NEIGHBOURS = 2
+"""Source views a reference is matched against, the nearest by baseline."""
+
+INLIER = 2.0
+"""Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """What is known about a reference view and one of its sources before any sweep.
+
+    Attributes
+    ----------
+    source : int
+        Index of the source view.
+    relative : Relative
+        From the reference to the source, refined for matching.
+    sparse : float64 [M]
+        Inverse depths of sparse matches in the reference.
+    """
+
+    source: int
+    relative: Relative
+    sparse: np.ndarray
+
+
+def link_views(views: Sequence[View]) -> list[list[Link]]:
+    """For each view, links to its :data:`NEIGHBOURS` nearest views in order of distance."""
+    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in views]
+    sources = [_nearest(views, i) for i in range(len(views))]
+    links: dict[tuple[int, int], Link] = {}
+    for i, j in sorted({(min(i, j), max(i, j)) for i, js in enumerate(sources) for j in js}):
+        given = Relative.between(views[i].camera, views[j].camera)
+        a, b = sift_matches(greys[i], greys[j])
+        possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*greys[i].shape)
+        a, b = a[possible], b[possible]
+        forth = refine(given, a, b)
+        back = forth.reversed()
+        fits = np.abs(forth.epipolar_distance(a, b)) < INLIER
+        a, b = a[fits], b[fits]
+        here, there = forth.triangulate(a, b), back.triangulate(b, a)
+        front = (here > 0) & (there > 0)
+        links[i, j] = Link(j, forth, here[front])
+        links[j, i] = Link(i, back, there[front])
+    return [[links[i, j] for j in js] for i, js in enumerate(sources)]
+
+
+def _nearest(views: Sequence[View], i: int) -> list[int]:
+    center = views[i].camera.center
+    others = [j for j in range(len(views)) if j != i]
+    others.sort(key=lambda j: float(np.linalg.norm(views[j].camera.center - center)))
+    return others[:NEIGHBOURS]

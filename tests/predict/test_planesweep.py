@@ -1,0 +1,201 @@
+"""The predictor as a whole: known planes, odd cameras, bad input, and a real pair."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from textured_planes import Plane, camera, sample
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import source_depths
+from slgaussian.predict import load_predictor
+from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.scene import Camera, Sample, View
+
+
+def depths_of(given: Sample, **settings: float) -> np.ndarray:
+    gaussians = PlaneSweep(**settings)(given)
+    gaussians.check_finite()
+    assert bool(((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all())
+    assert bool((gaussians.scales > 0).all())
+    return source_depths(gaussians, [view.camera for view in given.context])
+
+
+def errors(given: Sample, depths: np.ndarray) -> np.ndarray:
+    """Relative depth error of the pixels that some other view sees too, all views together."""
+    out = []
+    for view, depth in zip(given.context, depths, strict=True):
+        seen = np.zeros(depth.shape, bool)
+        for other in given.context:
+            if other is not view:
+                pixels, z = other.camera.project(view.camera.unproject(view.depth))
+                size = (other.camera.width, other.camera.height)
+                seen |= (z > 0) & (pixels >= 0).all(-1) & (pixels < size).all(-1)
+        out.append(np.abs(depth / view.depth - 1)[seen])
+    return np.concatenate(out)
+
+
+ODD = {
+    "sideways": (camera(), camera(x=0.3)),
+    "vertical": (camera(), camera(y=-0.25)),
+    "forward": (camera(), camera(x=0.1, z=0.5)),
+    "turned": (camera(turn=0.1), camera(x=0.4, turn=-0.1)),
+    "portrait": (camera(size=(160, 100)), camera(x=0.3, size=(160, 100))),
+    "off-centre": (camera(principal=(40, 90)), camera(x=0.3, principal=(100, 40))),
+    "two zooms": (camera(focal=140), camera(x=0.3, focal=180)),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_a_slanted_plane_is_recovered(case):
+    given = sample(*ODD[case])
+    off = errors(given, depths_of(given))
+    # Measured over the cases: median 0.16 to 0.46 %, 99th percentile 0.6 to 1.6 %; forward motion,
+    # whose centre has no parallax, is the worst.
+    assert np.median(off) < 0.008
+    assert np.percentile(off, 99) < 0.03
+
+
+def test_sub_pixel_depth_is_finer_than_the_candidates():
+    given = sample(camera(), camera(x=0.15))
+    off = errors(given, depths_of(given, near=1.0, far=8.0))
+    # 32 candidates over 1/8 to 1 are 0.028 apart: at 1/3, 8 % of the depth, 4 % when rounded.
+    # Measured 0.9 %, an eighth of a candidate.
+    assert np.median(off) < 0.015
+
+
+def test_given_range_and_camera_range_are_used():
+    given = sample(camera(near=2.0, far=5.0), camera(x=0.3, near=2.0, far=5.0))
+    from_camera = depths_of(given)
+    assert from_camera.min() >= 2.0 * 0.999
+    assert from_camera.max() <= 5.0 * 1.001
+    assert np.median(errors(given, from_camera)) < 0.006
+    overridden = depths_of(given, near=3.5, far=5.0)
+    assert overridden.min() >= 3.5 * 0.999
+
+
+def test_the_order_of_views_does_not_matter():
+    cameras = ODD["turned"]
+    there = depths_of(sample(*cameras))
+    back = depths_of(sample(*cameras[::-1]))[::-1]
+    # Not the same bytes: the pose is refined from the other side. Measured median 1e-3.
+    assert np.median(np.abs(there / back - 1)) < 3e-3
+
+
+def test_three_views():
+    given = sample(camera(), camera(x=0.3), camera(x=-0.1, y=0.25))
+    depths = depths_of(given)
+    assert depths.shape == (3, 120, 160)
+    off = errors(given, depths)
+    # Measured 0.19 % and 0.76 %.
+    assert np.median(off) < 0.006
+    assert np.percentile(off, 99) < 0.03
+
+
+def test_same_input_same_bytes():
+    given = sample(*ODD["sideways"])
+    first, second = PlaneSweep()(given), PlaneSweep()(given)
+    for (_, a), (_, b) in zip(first.items(), second.items(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_truth_and_targets_are_not_read():
+    given = sample(*ODD["sideways"])
+    blind = tuple(replace(view, depth=None) for view in given.context)
+    target = replace(given.context[0], name="t", image=np.zeros_like(given.context[0].image))
+    first = PlaneSweep()(given)
+    second = PlaneSweep()(replace(given, context=blind, targets=(target,)))
+    assert torch.equal(first.means, second.means)
+
+
+def blank(*cameras: Camera) -> Sample:
+    return Sample(
+        "wall",
+        tuple(
+            View(f"v{i}", c, np.full((c.height, c.width, 3), 180, np.uint8))
+            for i, c in enumerate(cameras)
+        ),
+    )
+
+
+def test_a_blank_wall_gets_a_depth_in_range_everywhere():
+    depths = depths_of(blank(camera(), camera(x=0.3)), near=1.0, far=4.0)
+    assert np.isfinite(depths).all()
+    assert depths.min() >= 0.999
+    assert depths.max() <= 4.001
+
+
+def test_a_surface_drawn_twice_is_opaque_and_free_space_is_not():
+    near, far = Plane(np.array([0, 0, 1.0]), 2.0, seed=5), Plane(np.array([0, 0, 1.0]), 4.0)
+    views = []
+    for i, c in enumerate((camera(), camera(x=0.3))):
+        back, front = far.view(f"v{i}", c), near.view(f"v{i}", c)
+        points = c.unproject(front.depth)
+        box = (np.abs(points[..., 0] - 0.15) < 0.3) & (np.abs(points[..., 1]) < 0.3)
+        image = np.where(box[..., None], front.image, back.image)
+        depth = np.where(box, front.depth, back.depth)
+        views.append(replace(back, image=image, depth=depth))
+    given = Sample("box", tuple(views))
+    gaussians = PlaneSweep()(given)
+    off = errors(given, source_depths(gaussians, [view.camera for view in given.context]))
+    # The rim of the box is fattened by half a window at most: a few per cent of the pixels. The
+    # refined pose of so small a pair is off by 0.1 px or so, which is 0.6 % of the depth.
+    assert np.median(off) < 0.012
+    assert (off > 0.1).mean() < 0.05
+    assert float(gaussians.opacities.min()) > 0
+    assert float((gaussians.opacities > 0.3).float().mean()) > 0.95
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"near": 0.0},
+        {"near": -1.0},
+        {"far": float("nan")},
+        {"far": float("inf")},
+        {"near": 3.0, "far": 3.0},
+        {"near": 3.0, "far": 1.0},
+    ],
+)
+def test_an_impossible_range_is_refused(settings):
+    with pytest.raises(InputError, match=r"near|far"):
+        load_predictor("planesweep", **settings)
+
+
+def test_near_beyond_the_camera_far_is_refused():
+    given = sample(camera(far=4.0), camera(x=0.3, far=4.0))
+    with pytest.raises(InputError, match="near 5 is not below far 4"):
+        PlaneSweep(near=5.0)(given)
+
+
+def test_without_texture_a_range_is_asked_for():
+    with pytest.raises(InputError, match="too little texture"):
+        PlaneSweep()(blank(camera(), camera(x=0.3)))
+
+
+def test_views_apart_within_the_range_are_refused():
+    # They overlap far away, but not at one metre.
+    given = sample(camera(), camera(x=4.0))
+    with pytest.raises(InputError, match=r"nothing in common between depths 0\.5 and 1"):
+        PlaneSweep(near=0.5, far=1.0)(given)
+
+
+def test_motorcycle_bad_pixels():
+    """The real pair of Scharstein et al. 2014 that scikit-image carries, at full size."""
+    data = pytest.importorskip("skimage.data")
+    left, right, disparity = data.stereo_motorcycle()
+    focal, baseline, offset = 994.978, 0.193001, 31.086
+    K = np.array([[focal, 0, 311.193], [0, focal, 254.877], [0, 0, 1]])
+    K_right, pose = K.copy(), np.eye(4)
+    K_right[0, 2] += offset
+    pose[0, 3] = baseline
+    H, W = disparity.shape
+    cameras = Camera(K, np.eye(4), W, H), Camera(K_right, pose, W, H)
+    given = Sample("motorcycle", (View("l", cameras[0], left), View("r", cameras[1], right)))
+    depth = source_depths(PlaneSweep()(given), cameras)[0]
+    found = focal * baseline / depth - offset
+    known = np.isfinite(disparity)
+    bad = (np.abs(found - disparity)[known] > 2).mean()
+    # Measured 5.4 to 5.9 %, by seed of the planes; 12 % is required, OpenCV's SGBM is at 17.9 %.
+    assert bad < 0.08

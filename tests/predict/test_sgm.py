@@ -1,0 +1,81 @@
+"""Semi-global aggregation and sub-pixel winners against plain references."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slgaussian.predict.sgm import DIRECTIONS, aggregate, winners
+
+
+def plain_paths(cost, guide, p1, p2, floor, contrast):
+    """The recursion of Hirschmueller 2008, eq. 13, pixel by pixel in float64."""
+    H, W, D = cost.shape
+    total = np.zeros((H, W, D))
+    for dy, dx in DIRECTIONS:
+        path = np.zeros((H, W, D))
+        rows = range(H) if dy >= 0 else range(H - 1, -1, -1)
+        columns = range(W) if dx >= 0 else range(W - 1, -1, -1)
+        for y in rows:
+            for x in columns:
+                py, px = y - dy, x - dx
+                path[y, x] = cost[y, x]
+                if not (0 <= py < H and 0 <= px < W):
+                    continue
+                before = path[py, px]
+                jump = int(max(floor, p2 / (1 + abs(guide[y, x] - guide[py, px]) / contrast)))
+                for d in range(D):
+                    ways = [before[d], before.min() + jump]
+                    ways += [before[e] + p1 for e in (d - 1, d + 1) if 0 <= e < D]
+                    path[y, x, d] += min(ways) - before.min()
+        total += path
+    return total
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 5), (1, 6, 4), (6, 1, 4), (5, 4, 2), (4, 5, 40)])
+@pytest.mark.parametrize("p1", [20, 200])
+def test_aggregation_is_exactly_the_recursion(shape, p1):
+    rng = np.random.default_rng(3)
+    cost = rng.integers(0, 201, shape, dtype=np.uint8)
+    guide = rng.integers(0, 256, shape[:2]).astype(np.float32)
+    fast = aggregate(cost, guide, p1=p1)
+    assert np.array_equal(fast, plain_paths(cost, guide.astype(np.float64), p1, 200, 12, 20.0))
+
+
+def test_the_largest_costs_do_not_overflow():
+    cost = np.full((40, 50, 6), 200, np.uint8)
+    cost[::3, ::2, 1] = 0
+    guide = np.zeros((40, 50), np.float32)
+    fast = aggregate(cost, guide)
+    assert np.array_equal(fast, plain_paths(cost, guide, 20, 200, 12, 20.0))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_aggregation_follows_a_mirrored_image(seed):
+    rng = np.random.default_rng(seed)
+    cost = rng.integers(0, 201, (6, 7, 5), dtype=np.uint8)
+    guide = rng.integers(0, 256, (6, 7)).astype(np.float32)
+    there = aggregate(cost, guide)
+    back = aggregate(cost[::-1, ::-1].copy(), guide[::-1, ::-1].copy())
+    assert np.array_equal(there, back[::-1, ::-1])
+
+
+def test_winner_is_the_vertex_of_a_parabola():
+    d = np.arange(12)
+    truth = np.linspace(1, 10, 40)
+    total = (100 * (d - truth[:, None]) ** 2 + 7).astype(np.uint16)[None]
+    index, margin = winners(total)
+    # Costs are whole numbers of at least 100 at one candidate's distance: off by up to 1 %.
+    assert np.abs(index[0] - truth).max() < 0.01
+    assert (margin > 0).all()
+
+
+def test_flat_costs_win_nothing_and_ends_get_no_offset():
+    flat = np.full((2, 3, 8), 500, np.uint16)
+    index, margin = winners(flat)
+    assert (margin == 0).all()
+    assert (index == 0).all()
+    falling = np.broadcast_to(np.arange(80, 0, -10, dtype=np.uint16), (2, 3, 8)).copy()
+    index, _ = winners(falling)
+    assert (index == 7).all()
