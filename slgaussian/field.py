@@ -25,10 +25,8 @@ from slgaussian.language.codes import nearest_code
 from slgaussian.language.query import QueryResult, find, segment
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
+from slgaussian.semantic.decode import VISIBLE, object_ids
 from slgaussian.store import decode, encode_arrays, encode_table
-
-VISIBLE = 0.5
-"""A pixel has an object when at least this share of its light comes from labelled Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class FieldView:
     Attributes
     ----------
     rgb : uint8 [H, W, 3]
-        Colour over black.
+        Mean colour of what is there; it fades to black where ``alpha`` is below :data:`VISIBLE`.
     ids : int32 [H, W]
         Object ids, 0 where there is none.
     alpha : float32 [H, W]
@@ -97,14 +95,10 @@ class SemanticField:
         values = torch.cat([self.gaussians.colors(), self.gaussians.features], 1)
         image = rasterize(self.gaussians, values, camera, backend)
         drawn = image.values.float().numpy()
-        weight = drawn[..., 6]
-        visible = weight >= VISIBLE
-        ids = np.zeros(visible.shape, np.int32)
-        if len(self.bank.ids):
-            codes = drawn[visible, 3:6] / weight[visible, None]
-            ids[visible] = self.bank.ids[nearest_code(codes, self.bank.codes)]
-        rgb = np.rint(drawn[..., :3].clip(0, 1) * 255).astype(np.uint8)
+        ids = object_ids(drawn[..., 3:], self.bank)
         alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()
+        colour = drawn[..., :3] / np.maximum(alpha, VISIBLE)[..., None]
+        rgb = np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
         return FieldView(rgb, ids, alpha, depth, self.bank, self.encoder)
 
     def objects(self) -> pa.Table:
