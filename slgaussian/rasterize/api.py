@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians
+from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.registry import resolve
 from slgaussian.scene import Camera
 
@@ -78,8 +78,7 @@ def rasterize(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"
         )
     gaussians.check_finite()
-    if not bool(torch.isfinite(values).all()):
-        index = int(torch.nonzero(~torch.isfinite(values).all(1))[0, 0])
+    if (index := first_not_finite(values)) is not None:
         raise InputError(f"rasterize values[{index}]: holds NaN or infinity")
     render = resolve("rasterizer", BACKENDS, "cpu" if backend == "auto" else backend)
     return render(gaussians, values, camera)
