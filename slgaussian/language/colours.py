@@ -3,8 +3,8 @@
 Explicit and free of training: every name has swatches (``vocabulary.toml``), and a colour is shared
 among names by its distance in CIELAB to the nearest swatch of each. A swatch stands for a line of
 colours: the same surface under less light, which is a scaling of linear RGB, as far as people keep
-its name (a dark red wall is red, while dark orange is called brown). Near black those lines meet,
-so the chroma needed to be called red shrinks with lightness.
+its name (a dark red wall is red, while very dark orange is called brown). Near black those lines
+meet, so the chroma needed to be called red shrinks with lightness.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from slgaussian.language.colours import ColourNames, to_lab
 
 SURFACES = (
     "light", "colourful", "shiny", "plain", "striped", "checked", "dotted", "speckled", "grained",
-    "veined", "gritty", "upright",
+    "veined", "gritty", "varied", "upright",
 )  # fmt: skip
 OUTLINES = ("compact", "rectangular", "long", "tall")
 PLACES = ("size", "low", "bottom", "top", "border")
@@ -94,22 +94,28 @@ def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[fl
     two_toned = min(_ramp(p.contrast, 18, 40), _ramp(p.two_tone, 0.6, 0.8))
     parallel, crossed = _ramp(p.along, 0.4, 0.7), _ramp(p.crossed, 0.12, 0.35)
     discs, even = _ramp(p.spot_fill, 0.84, 0.94), _ramp(p.minor, 0.3, 0.44)
-    rough, coarse = _ramp(p.roughness, 1.0, 2.2), _ramp(p.roughness, 2.5, 4.5)
+    rough, coarse = _ramp(p.roughness, 0.7, 1.6), _ramp(p.roughness, 2.5, 4.5)
     striped = min(two_toned, parallel, _ramp(p.minor, 0.15, 0.35))
     checked = min(two_toned, -parallel, crossed, even)
     dotted = min(
         two_toned, -parallel, -crossed, discs, _ramp(p.spots, 2, 7), -_ramp(p.minor, 0.42, 0.5)
     )
-    speckled = min(coarse, _ramp(p.contrast, 12, 28), -crossed, -discs, -even)
-    grained = min(_ramp(p.along, 0.3, 0.55), _ramp(p.roughness, 0.7, 1.3), -coarse)
+    specks = max(-discs, -_ramp(p.minor / max(p.spots, 1), 0.008, 0.025))
+    speckled = min(specks, _ramp(p.spots, 4, 9), _ramp(p.contrast, 12, 28), -crossed, -even)
+    # Boards of furniture meet at right angles.
+    aligned = max(_ramp(p.along, 0.3, 0.55), _ramp(p.crossed, 0.35, 0.6))
+    grained = min(aligned, _ramp(p.roughness, 0.7, 1.3), -coarse)
     veined = min(rough, -coarse, -_ramp(p.along, 0.4, 0.6), _ramp(p.contrast, 8, 16))
-    gritty = min(_ramp(p.roughness, 0.7, 1.6), -parallel, -_ramp(p.two_tone, 0.75, 0.9))
+    bold = max(_ramp(p.two_tone, 0.75, 0.9), _ramp(p.contrast, 30, 45))
+    gritty = min(rough, -parallel, -bold)
+    lively = min(_ramp(p.roughness, 2.0, 4.5), _ramp(p.contrast, 12, 28))
+    varied = min(lively, -_ramp(p.two_tone, 0.6, 0.8), -speckled)
     return [
         float(_ramp(lightness.mean(), 30, 80)),
         float(_ramp(kinds, 2.0, 4.5)),
         float(min(_ramp(bright - median, 15, 40), _ramp(bright, 70, 95))),
         float(-_ramp(p.roughness, 1.2, 4.0)),
-        *(float(e) for e in (striped, checked, dotted, speckled, grained, veined, gritty)),
+        *(float(e) for e in (striped, checked, dotted, speckled, grained, veined, gritty, varied)),
         float(_ramp(p.upright, -0.2, 0.6)),
     ]
 

@@ -9,7 +9,10 @@ silent. Two more axes make this work with cosines:
 - *rest* takes up the length that a region's evidence leaves, so all regions have the same length
   before they are made unit vectors and their cosines compare;
 - *neutral*, on which no region lies, is the direction of phrases that say nothing ("object"), so
-  that relevancy is above 0.5 exactly if the evidence for a text outweighs that against it.
+  that relevancy is above 0.5 exactly if the evidence for a text outweighs that against it. It also
+  takes up the length that a text's words leave. A word's weights sum to 1, so one that spreads them
+  over many habits ("picture") lies nearer to "object" than one that asks for a single measurement,
+  and does not outbid a text that says more: relevancies of different texts compare.
 
 What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
 and how each is measured are listed in docs/lexicon.md.
@@ -29,6 +32,10 @@ from slgaussian.language.vocabulary import load_vocabulary
 POSITIVE = 0.8
 """Evidence for a descriptor counts this much of evidence against: one word that does not fit
 outweighs one that does, so a red box is not, on balance, a red ball."""
+
+SAYS = 0.5
+"""Length, in a text's unit vector, of a word that asks for one descriptor: four such words fill it.
+The order of objects for one text does not depend on it."""
 
 
 class Lexicon:
@@ -103,9 +110,10 @@ class Lexicon:
                 total = sum(abs(weight) for weight in word.weights.values())
                 for name, weight in word.weights.items():
                     vector[self._axis[name]] += weight / total
-            if not vector.any():
-                vector[-1] = 1.0
-        return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+            vector *= SAYS
+            vector /= max(1.0, float(np.linalg.norm(vector)))
+            vector[-1] = np.sqrt(max(0.0, 1.0 - vector @ vector))
+        return vectors.astype(np.float32)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError as in :meth:`encode_text`."""

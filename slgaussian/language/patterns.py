@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 _EDGE = 2  # pixels left out along the outline, where the neighbours show
+_HOLE = 0.25  # least radius of a ring's hole, in root mean square distances from its centre
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Pattern:
     minor : float
         Share of the smaller cluster, in [0, 0.5].
     along : float
-        Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel.
+        Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel. On a
+        ring, directions are relative to the spokes, here and in ``crossed``.
     crossed : float
         Fourth harmonic, in [0, 1]: 1 if all edges are parallel or at right angles.
     upright : float
@@ -57,7 +59,7 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     inside = cv2.erode(np.pad(mask, 1).view(np.uint8), kernel)[1:-1, 1:-1].view(bool)
     if inside.sum() < 16:
         inside = mask
-    along, crossed, upright, roughness = _directions(lab, inside)
+    along, crossed, upright, roughness = _directions(lab, inside, _around(mask))
     two_tone, contrast, second = _two_tones(lab, inside)
     minor = second.sum() / inside.sum()
     spots, fill, length = _spots(second)
@@ -66,7 +68,26 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     )
 
 
-def _directions(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, float, float]:
+def _around(mask: np.ndarray) -> np.ndarray | None:
+    """Unit complex numbers [h, w] that turn doubled directions into the frame of a pixel's spoke.
+
+    For rings, whose pattern runs around the hole; None if the middle is not an enclosed hole.
+    """
+    y, x = (axis - axis[mask].mean() for axis in np.mgrid[: mask.shape[0], : mask.shape[1]])
+    spread = np.hypot(x, y)
+    if spread[mask].min() < _HOLE * np.sqrt((spread[mask] ** 2).mean()):
+        return None
+    empty = np.pad(~mask, 1, constant_values=True).view(np.uint8)
+    _, holes = cv2.connectedComponents(empty, connectivity=4)
+    centre = np.unravel_index(spread.argmin(), mask.shape)
+    if holes[1:-1, 1:-1][centre] == holes[0, 0]:
+        return None
+    return ((x - 1j * y) / np.maximum(spread, 1e-9)) ** 2
+
+
+def _directions(
+    lab: np.ndarray, inside: np.ndarray, around: np.ndarray | None
+) -> tuple[float, float, float, float]:
     smooth = cv2.GaussianBlur(lab, (0, 0), 0.8)
     gx = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)[inside]
     gy = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)[inside]
@@ -74,10 +95,12 @@ def _directions(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, floa
     energy = xx + yy
     total = float(energy.sum()) + 1e-6
     double = (xx - yy) + 2j * xy
+    upright = float(double.real.sum()) / total
+    if around is not None:
+        double = double * around[inside]
     unit = double / (np.abs(double) + 1e-6)
     along = abs(complex(double.sum())) / total
     crossed = abs(complex((np.abs(double) * unit * unit).sum())) / total
-    upright = float(double.real.sum()) / total
     return along, crossed, upright, float(np.sqrt(energy).mean())
 
 

@@ -92,8 +92,7 @@ def find(
     rows = _bank_rows(ids_map, bank)
     gaps = _gaps([text], bank, encoder)[0]
     scores = expit(temperature * gaps)
-    visible = np.unique(rows)
-    visible = visible[visible >= 0]
+    visible = np.flatnonzero(np.bincount(rows.ravel() + 1)[1:])
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     best = gaps[ranked[0]] if len(ranked) else -np.inf
     if threshold is None:

@@ -90,7 +90,8 @@ def _solids() -> Iterator[tuple[str, np.ndarray, float]]:
                 yield "box", _project(np.concatenate([foot, foot + top]), tilt, lean), 0.0
     for tilt, tube in product([*_TILTS, np.radians(60)], (0.16, 0.24, 0.32)):
         lying = circle * (1 - tube)
-        yield "ring", _project(lying, tilt), tube / 2
+        for lean in _LEANS:
+            yield "ring", _project(lying, tilt, lean), tube / 2
         for turn in _TURNS:
             yield "ring", _project(lying[:, [0, 2, 1]] @ _turned(turn), tilt), tube / 2
 

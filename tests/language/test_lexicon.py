@@ -2,15 +2,30 @@
 
 import numpy as np
 import pytest
-from drawn import BLUE, GREEN, GREY, HEIGHT, RED, WHITE, WIDTH, ball, bank_of, box, cone, photograph
+from drawn import (
+    BLUE,
+    GREEN,
+    GREY,
+    HEIGHT,
+    RED,
+    WHITE,
+    WIDTH,
+    ball,
+    bank_of,
+    box,
+    cone,
+    paint,
+    photograph,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from slgaussian.datasets.names import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors
-from slgaussian.language.query import find
+from slgaussian.language.query import find, segment
 from slgaussian.language.vocabulary import load_vocabulary
 
 VOCABULARY = load_vocabulary()
@@ -132,12 +147,18 @@ def test_any_text_gives_a_unit_vector_or_one_clear_error(lexicon, text):
         assert np.isfinite(vector).all()
 
 
-def test_canonical_phrases_are_orthogonal_to_regions_and_words(lexicon):
+def test_canonical_phrases_are_orthogonal_to_regions(lexicon):
     canonical = lexicon.encode_text(lexicon.canonical)
     image, ids = photograph([(ball(100, 100, 30), RED), (box(220, 100, 30), BLUE)])
     regions = lexicon.encode_regions(image, np.stack([ids == 1, ids == 2]))
     assert not (regions @ canonical.T).any()
-    assert not (lexicon.encode_text(["red", "wall"]) @ canonical.T).any()
+
+
+def test_the_more_a_text_says_the_further_it_is_from_object(lexicon):
+    texts = ["object", "picture", "red", "red striped", "red striped ball"]
+    nearness = lexicon.encode_text(texts) @ lexicon.encode_text(["object"])[0]
+    assert nearness[0] == 1
+    assert (np.diff(nearness) < 0).all()
 
 
 # --- Colours -------------------------------------------------------------------------------------
@@ -247,6 +268,58 @@ def test_a_red_ball_is_preferred_to_a_red_box_and_a_blue_ball(lexicon):
     assert wanted > 0
     assert wanted > max(others) + 0.05
     assert min(others) <= max(others) < 0.02  # a half-truth is no more relevant than "object"
+
+
+def test_a_vague_text_does_not_outbid_a_precise_one_that_fits(lexicon, arranged):
+    ids, bank = arranged
+    vague = ["picture", "table", "shelf", "bag", "book", "cup"]
+    got = segment([*vague, *ARRANGED], ids, bank, lexicon)
+    expected = np.where(ids > 0, ids + len(vague), 0)
+    np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("pattern", ["striped", "checked"])
+def test_a_pattern_that_runs_around_a_ring_is_seen(lexicon, pattern):
+    image, _ = photograph([])
+    y, x = np.mgrid[:HEIGHT, :WIDTH] - np.array([120, 160])[:, None, None]
+    radius, sector = np.hypot(x, y), np.floor(np.arctan2(y, x) / np.pi * 8)
+    ring = (radius > 48) & (radius < 90)
+    second = (sector + (pattern == "checked") * np.floor(radius / 23)) % 2 == 1
+    image[ring] = RED
+    image[ring & second] = WHITE
+    texts = ["red striped ring", "red checked ring", "red dotted ring", "red speckled ring"]
+    best = max(texts, key=lambda text: scores(lexicon, text, image, [ring])[0])
+    assert best == f"red {pattern} ring"
+    assert scores(lexicon, best, image, [ring])[0] > 0.05
+
+
+def test_sparse_specks_are_not_dots(lexicon):
+    image, _ = photograph([])
+    noise = np.random.default_rng(4).normal(size=(HEIGHT, WIDTH))
+    smooth = ndimage.gaussian_filter(noise, 2)
+    dotted, speckled = ball(90, 120, 32), box(230, 120, 60)
+    paint(image, dotted, BLUE, "dotted")
+    image[speckled] = BLUE
+    image[speckled & (smooth > np.quantile(smooth, 0.9))] = WHITE
+    image = ndimage.gaussian_filter(image, (0.7, 0.7, 0))
+    dots, specks = (scores(lexicon, w, image, [dotted, speckled]) for w in ("dotted", "speckled"))
+    assert dots[0] > dots[1]
+    assert specks[1] > 0 > specks[0]
+
+
+def test_a_picture_is_varied_where_a_pattern_is_not(lexicon):
+    image, _ = photograph([])
+    frame = np.zeros((HEIGHT, WIDTH), bool)
+    frame[20:90, 20:110] = True
+    rng = np.random.default_rng(7)
+    scene = np.repeat(np.repeat(rng.integers(0, 256, (7, 9, 3), dtype=np.uint8), 10, 0), 10, 1)
+    image[20:90, 20:110] = scene
+    others = []
+    for k, pattern in enumerate(["plain", "striped", "checked"]):
+        others.append(np.roll(frame, 100 * k + 100, 1) if k < 2 else np.roll(frame, 110, 0))
+        paint(image, others[-1], RED, pattern)
+    picture, *rest = scores(lexicon, "picture", image, [frame, *others])
+    assert picture > max(0, *rest)
 
 
 def test_two_colours_are_both_heard(lexicon):
