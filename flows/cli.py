@@ -217,7 +217,11 @@ def _run(settings: Any, verbose: bool) -> None:
         from flows.tables import scores_table
 
         ready()
-        finished = pipeline.run(settings, store, verbose)
+        try:
+            finished = pipeline.run(settings, store, verbose)
+        except KeyboardInterrupt:
+            typer.echo("\nstopped; the same command goes on from here", err=True)
+            raise
     if finished.results:
         typer.echo(scores_table(finished.results))
     if finished.report is not None:

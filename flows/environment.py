@@ -54,8 +54,8 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
         return
     server = LocalServer(Path(os.environ["PREFECT_HOME"]))
     os.environ["PREFECT_API_URL"] = server.url
-    server.start()
     try:
+        server.start()
         from prefect.events.clients import NullEventsClient
         from prefect.events.worker import EventsWorker
 

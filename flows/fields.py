@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -99,24 +101,28 @@ def to_ply(folder: Path, out: Path) -> None:
     """Write the Gaussians of a field as a standard ``.ply``."""
     field = SemanticField.load(folder)
     try:
-        draft = out.with_name(f".{out.name}.tmp")
-        save_ply(field.gaussians, draft)
-        draft.replace(out)
+        # Beside the target, so that what cannot be moved there is found before the work.
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as draft:
+            save_ply(field.gaussians, Path(draft, out.name))
+            os.replace(Path(draft, out.name), out)
     except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from error
+        raise _unwritable(out, error) from error
 
 
 def _view_of(scene: Scene, photo: str, folder: Path) -> str:
-    path = Path(photo)
-    if not path.is_file():
-        return scene.find(photo)
-    name = scene.find(path.name)
-    if not (folder / name).is_file() or not path.samefile(folder / name):
+    place = Path(photo).resolve()
+    for name in scene.cameras:
+        listed = (folder / name).resolve()
+        # A missing file is found too, and reading it then says what is missing.
+        if listed in (place, place.with_suffix("")):
+            return name
+    if Path(photo).is_file():
         raise InputError(
-            f"{photo}: the camera file lists {name!r} in {folder}, which is another file; give a "
-            "photograph that the camera file lists, or the name of a view"
+            f"{photo}: no camera for this photograph; {folder} has cameras for "
+            f"{len(scene.cameras)}, such as {', '.join(list(scene.cameras)[:4])}: give one of "
+            "them, or add a camera"
         )
-    return name
+    return scene.find(photo)
 
 
 def _look(folder: Path, view: str) -> tuple[str, FieldView]:
@@ -138,4 +144,11 @@ def _write_png(path: Path, image: np.ndarray) -> None:
     try:
         write_atomic(path, pictures.encode_png(image))
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists and "
+        "that you may write to"
+    )

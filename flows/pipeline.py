@@ -18,6 +18,7 @@ from slgaussian import __version__
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import read_pairs
 from slgaussian.benchmark.report import with_times, write_predictions, write_samples
+from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, write_atomic
 from tasks.artifacts import result_from_arrays
@@ -44,30 +45,35 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     Raises
     ------
     InputError
-        If there is nothing to do, or the store or the output folder cannot be written.
+        If there is nothing to do, a part of the method is unknown, or the store or the output
+        folder cannot be written.
     """
     scenes = scenes_of(settings)
+    check_parts(**settings.part_names())
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
     outcome, report = _pipeline(settings, scenes, store, progress)
-    write_atomic(settings.out / "failures.parquet", encode_table(failures_table(outcome.failures)))
     done = [scene.name for scene in scenes if scene.name in outcome.refs]
     results = [load_result(store, outcome.refs[name]) for name in done]
-    write_samples(results, settings.out)
-    write_predictions(results, settings.out / "predictions")
     page = None
     if report is not None:
-        page = settings.out / "report.html"
-        text = with_times(
+        page = with_times(
             store.get(report)["html"].tobytes().decode(),
             _seconds_by_stage(outcome),
             {result.scene: result.times for result in results},
             {"python": platform.python_version(), "machine": platform.platform()},
         )
-        write_atomic(page, text.encode())
+    try:
+        _write(settings.out, results, outcome.failures, page)
+    except OSError as error:
+        raise InputError(
+            f"{settings.out}: cannot write the results ({error.strerror}); they are kept in the "
+            "store, so make room there, or choose another folder with -o, and run again"
+        ) from error
     progress.summary()
-    return Finished(results, outcome.failures, page)
+    written = None if page is None else settings.out / "report.html"
+    return Finished(results, outcome.failures, written)
 
 
 def scenes_of(settings: Settings) -> list[SceneSettings]:
@@ -150,6 +156,19 @@ def check_folder(out: Path) -> None:
         raise InputError(
             f"{out}: cannot write there ({error.strerror}); choose another folder with -o"
         ) from error
+
+
+def _write(
+    out: Path, results: Sequence[SceneResult], failures: Sequence[Failure], page: str | None
+) -> None:
+    write_atomic(out / "failures.parquet", encode_table(failures_table(failures)))
+    write_samples(results, out)
+    write_predictions(results, out / "predictions")
+    if page is None:
+        # That of an earlier run is not about these scenes.
+        (out / "report.html").unlink(missing_ok=True)
+    else:
+        write_atomic(out / "report.html", page.encode())
 
 
 def _pipeline(

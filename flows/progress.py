@@ -7,6 +7,8 @@ import time
 import traceback
 from typing import TextIO
 
+from slgaussian.errors import SLGaussianError
+
 REMIND = 30.0
 """Seconds between progress lines where there is no terminal to keep one live line on."""
 
@@ -66,7 +68,7 @@ class Progress:
         self.active.pop(scene, None)
         self.total -= self.stages - len(self.done.get(scene, []))
         self._line(f"{scene}  left out at {stage}: {reason}")
-        if self.verbose:
+        if self.verbose and not isinstance(error, SLGaussianError):
             self._line("".join(traceback.format_exception(error)).rstrip())
 
     def summary(self) -> None:
@@ -83,7 +85,7 @@ class Progress:
 
     def _status(self) -> None:
         now = time.perf_counter()
-        if not self.live and now - self.last < REMIND:
+        if not self.active or (not self.live and now - self.last < REMIND):
             return
         self.last = now
         doing = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())

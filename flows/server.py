@@ -16,7 +16,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-from slgaussian.errors import SLGaussianError
+from slgaussian.errors import InputError, SLGaussianError
 
 START_TIMEOUT = 120.0
 """Seconds to wait for the server; its first start in a store also makes the database."""
@@ -37,11 +37,18 @@ class LocalServer:
         self.process: subprocess.Popen | None = None
 
     def start(self) -> None:
-        """Start the server process."""
-        self.home.mkdir(parents=True, exist_ok=True)
+        """Start the server process; InputError if its folder cannot be written."""
         inherited = self.socket.fileno()
-        # Its own output file: a pipe of ours that it inherited would keep our readers waiting.
-        with self.log.open("wb") as log:
+        try:
+            self.home.mkdir(parents=True, exist_ok=True)
+            # Its own output file: a pipe of ours that it inherited would keep our readers waiting.
+            log = self.log.open("wb")
+        except OSError as error:
+            raise InputError(
+                f"{self.home}: cannot keep the records of runs there ({error.strerror}); choose a "
+                "writable folder with --store"
+            ) from error
+        with log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "flows.server", str(inherited)],
                 stdin=subprocess.PIPE,
@@ -68,7 +75,9 @@ class LocalServer:
         except (OSError, urllib.error.URLError) as error:
             self.stop()
             raise SLGaussianError(
-                f"the Prefect server did not start ({error}); its output is in {self.log}"
+                f"the Prefect server did not start ({error}); its output is in {self.log}; make "
+                f"sure that the disk has room, or, if its database is damaged, delete {self.home}, "
+                "which holds only the history of runs"
             ) from error
 
     def stop(self) -> None:

@@ -6,26 +6,52 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+)
+from pydantic_core import PydanticCustomError
 
 from slgaussian import threads
 from slgaussian.errors import InputError
 
+SIDES = range(16, 8193)
+"""Heights and widths, in pixels, that views may be brought to."""
+
 
 def _parse_size(value: Any) -> Any:
-    """``"416x576"`` (height x width) as the command line gives it."""
-    if isinstance(value, str) and "x" in value:
-        return tuple(value.split("x"))
-    return value
+    """``"416x576"`` (height x width) as the command line gives it, or a pair, or a word."""
+    if value in ("auto", "original"):
+        return value
+    try:
+        height, width = map(int, value.split("x") if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        height = width = 0
+    if height not in SIDES or width not in SIDES:
+        raise PydanticCustomError(
+            "size",
+            f"expected height and width as in 416x576, each from {SIDES[0]} to {SIDES[-1]}, or "
+            "'auto' or 'original'",
+        )
+    return height, width
 
 
 Size = Annotated[tuple[int, int] | Literal["auto", "original"], BeforeValidator(_parse_size)]
+Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
+
+
+PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
+"""The settings that name a part of the method."""
 
 
 class Method(BaseModel):
     """The parts of the method and their settings: what a result depends on."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     size: Size = Field(
         "auto",
@@ -45,20 +71,13 @@ class Method(BaseModel):
     )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
 
+    def part_names(self) -> dict[str, str]:
+        """The name of each part, as :func:`slgaussian.build.check_parts` takes them."""
+        return self.model_dump(include=PARTS)
+
     def parts(self) -> dict[str, Any]:
         """What :func:`slgaussian.build.build_field` takes besides the sample."""
-        return self.model_dump(
-            include={
-                "predictor",
-                "proposer",
-                "tracker",
-                "encoder",
-                "codes",
-                "lifting",
-                "replicas",
-                "seed",
-            }
-        )
+        return self.model_dump(include=PARTS | {"replicas", "seed"})
 
 
 class SceneSettings(BaseModel):
@@ -74,8 +93,8 @@ class SceneSettings(BaseModel):
     targets: list[str] = []
     size: Size | None = None
     labels: Path | None = None
-    categories: list[str] = []
-    queries: list[str] = []
+    categories: list[Phrase] = []
+    queries: list[Phrase] = []
 
 
 class Settings(Method):
@@ -127,7 +146,8 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     _anchor(values, PATHS, here)
     if isinstance(values.get("store"), str) and "://" not in values["store"]:
         values["store"] = str(here / values["store"])
-    for scene in values.get("scenes", []):
+    scenes = values.get("scenes")
+    for scene in scenes if isinstance(scenes, list) else []:
         if isinstance(scene, dict):
             _anchor(scene, ("path", "labels"), here)
     return make_settings({**values, **overrides}, str(path))
@@ -137,6 +157,15 @@ def _anchor(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:
     for key in keys:
         if isinstance(table.get(key), str):
             table[key] = folder / table[key]
+
+
+SAID = {
+    "path_type": "expected a path, in quotes",
+    "model_type": "expected a table",
+    "too_short": "expected at least {min_length}",
+    "string_too_short": "expected some text",
+}
+"""What Pydantic says in its own terms, said in those of a configuration, by its error type."""
 
 
 def _sentence(error: ValidationError) -> str:
@@ -149,5 +178,8 @@ def _sentence(error: ValidationError) -> str:
         return f"unknown key {key!r}; the keys are {', '.join(model.model_fields)}"
     if first["type"] == "missing":
         return f"{key} is missing"
-    message = first["msg"][0].lower() + first["msg"][1:]
+    if first["type"] in SAID:
+        message = SAID[first["type"]].format(**first.get("ctx", {}))
+    else:
+        message = first["msg"][0].lower() + first["msg"][1:]
     return f"{key}: found {first['input']!r}; {message}"

@@ -45,6 +45,7 @@ def build_field(
     InputError
         If a name is unknown or the views cannot be used; the message says which and why.
     """
+    check_parts(predictor, proposer, tracker, encoder, codes, lifting)
     gaussians = load_predictor(predictor)(sample)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas)
     bank = remember(sample, label_maps, encoder, codes, seed)
@@ -60,6 +61,18 @@ def build_field(
         "seed": seed,
     }
     return lift_field(sample, gaussians, label_maps, bank, lifting, settings)
+
+
+def check_parts(
+    predictor: str, proposer: str, tracker: str, encoder: str, codes: str, lifting: str
+) -> None:
+    """Raise InputError if no part has one of these names, before the others have worked."""
+    load_predictor(predictor)
+    load_proposer(proposer)
+    load_tracker(tracker)
+    load_encoder(encoder)
+    load_codes(codes)
+    load_lifting(lifting)
 
 
 def label_views(

@@ -140,8 +140,10 @@ class SemanticField:
                 shutil.rmtree(old)
             else:
                 os.rename(draft, path)
-        except BaseException:
+        except BaseException as error:
             shutil.rmtree(draft, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise _unwritable(path, error) from error
             raise
 
     @staticmethod
@@ -151,7 +153,8 @@ class SemanticField:
         Raises
         ------
         SpecError
-            If a file of it is missing or damaged; the message names the file.
+            If a file of it is missing or damaged, or the encoder is no longer that of the bank;
+            the message names the file.
         """
         path = Path(path)
         about_file = path / "field.json"
@@ -167,10 +170,18 @@ class SemanticField:
                 for name, c in about["cameras"].items()
             }
             settings = dict(about["settings"])
+            encoder = load_encoder(settings["encoder"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise SpecError(f"{about_file}: damaged ({error}); build the field again") from error
         gaussians = Gaussians.from_arrays(_read(path / "gaussians.npz"))
+        if gaussians.features is None or gaussians.features.shape[1] != 4:
+            raise SpecError(f"{path / 'gaussians.npz'}: no features [N, 4]; build the field again")
         bank = MemoryBank.from_arrays(_read(path / "bank.npz"))
+        if bank.features.shape[2] != encoder.encode_text(encoder.canonical).shape[1]:
+            raise SpecError(
+                f"{path / 'bank.npz'}: made by another version of the encoder {encoder.name!r}; "
+                "build the field again"
+            )
         return SemanticField(gaussians, bank, cameras, settings)
 
     def _arrays(self) -> dict[str, dict[str, np.ndarray]]:
@@ -207,9 +218,14 @@ def check_target(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"
-        ) from error
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, on "
+        "a disk with room"
+    )
 
 
 def _read(file: Path) -> dict[str, np.ndarray]:
@@ -218,7 +234,7 @@ def _read(file: Path) -> dict[str, np.ndarray]:
         data = file.read_bytes()
     except OSError as error:
         raise SpecError(f"{file}: {error.strerror}; build the field again") from error
-    arrays = decode(data, rules, str(file))
+    arrays = decode(data, rules, str(file), repair="build the field again")
     rules.check_arrays(arrays, str(file))
     return arrays
 

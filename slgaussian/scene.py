@@ -216,8 +216,8 @@ class Sample:
     Raises
     ------
     InputError
-        If context views have different sizes, share one position (no baseline), or cannot see a
-        common point.
+        If context views have different sizes, are one picture, share one position (no baseline),
+        or cannot see a common point.
     """
 
     scene: str
@@ -228,7 +228,8 @@ class Sample:
     def __post_init__(self) -> None:
         if len(self.context) < 2:
             raise InputError(
-                f"scene {self.scene!r}: {len(self.context)} context view(s), expected at least two"
+                f"scene {self.scene!r}: found {len(self.context)} context view(s), expected at "
+                "least two; add a photograph of the same things from some way apart"
             )
         first, *others = self.context
         for view in others:
@@ -236,7 +237,7 @@ class Sample:
                 (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
                 raise InputError(
                     f"scene {self.scene!r}: {first.name!r} is {w0}x{h0} and {view.name!r} is "
-                    f"{w1}x{h1}; context views must have one size (resize them, or pass a size)"
+                    f"{w1}x{h1}; context views must have one size; give the size to bring them to"
                 )
         for i, a in enumerate(self.context):
             for b in self.context[i + 1 :]:
@@ -286,12 +287,13 @@ class Scene:
             return hits[0]
         if hits:
             raise InputError(
-                f"scene {self.name!r}: view {name!r} is ambiguous: {', '.join(hits[:4])}"
+                f"scene {self.name!r}: view {name!r} is ambiguous: it may be "
+                f"{', '.join(hits[:4])}; say more of its path"
             )
         few = ", ".join(list(self.cameras)[:4])
         raise InputError(
-            f"scene {self.name!r}: the camera file has no view {name!r}; it has "
-            f"{len(self.cameras)}, such as {few}"
+            f"scene {self.name!r}: no view {name!r} among the {len(self.cameras)} that have a "
+            f"camera, such as {few}; choose one of them, or add its camera"
         )
 
     def sample(
@@ -311,9 +313,17 @@ class Scene:
         Raises
         ------
         InputError
-            If a view cannot be found or read, or the views do not make a sample.
+            If a view cannot be found or read, is named twice in the context, or the views do not
+            make a sample.
         """
-        views = [self.read(self.find(name)) for name in (*context, *targets)]
+        names = [self.find(name) for name in (*context, *targets)]
+        for i, name in enumerate(names[: len(context)]):
+            if name in names[:i]:
+                raise InputError(
+                    f"scene {self.name!r}: the context names {name!r} twice; depth needs "
+                    "photographs taken from different positions"
+                )
+        views = [self.read(name) for name in names]
         views = [view if size == "original" else view.resized(*_fit(view, size)) for view in views]
         n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
@@ -341,6 +351,12 @@ def _check_pair(scene: str, a: View, b: View) -> None:
             f"scene {scene!r}: {a.name!r} and {b.name!r} were taken from the same position (no "
             "baseline), so depth cannot be found; choose two photographs taken some way apart"
         )
+    blank = (a.image == a.image[0, 0]).all()
+    if not blank and np.array_equal(a.image, b.image):
+        raise InputError(
+            f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their poses "
+            "differ; one of the two photographs is the wrong file"
+        )
     # The depth is unknown here, so try all that a two-view method could resolve.
     depths = baseline * np.geomspace(0.5, 1e4, 40)
     seen = max(
@@ -349,7 +365,8 @@ def _check_pair(scene: str, a: View, b: View) -> None:
     if seen == 0:
         raise InputError(
             f"scene {scene!r}: {a.name!r} and {b.name!r} do not overlap at any depth; choose views "
-            "that see the same things, and check that poses are camera-to-world with OpenCV axes"
+            "that see the same things, and check that their poses are camera-to-world and follow "
+            "the axes of their file format"
         )
 
 

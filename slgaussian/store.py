@@ -37,7 +37,8 @@ _EPOCH = (
     0,
     0,
 )  # the earliest time a zip can hold; a real one would change the bytes
-_REPAIR = "delete the file and run again to have it made anew"
+REPAIR = "delete the file and run again to have it made anew"
+"""What to do about a damaged artifact."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,18 @@ class ArtifactStore:
     root : str or path
         A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). Made when first
         written to.
+
+    Raises
+    ------
+    InputError
+        If fsspec does not know the URL, or lacks the package that speaks its protocol.
     """
 
     def __init__(self, root: str | os.PathLike[str] = "./slg-data") -> None:
-        self.fs, self.path = fsspec.core.url_to_fs(os.fspath(root))
+        try:
+            self.fs, self.path = fsspec.core.url_to_fs(os.fspath(root))
+        except (ImportError, ValueError) as error:
+            raise InputError(f"store {root}: {error}; or choose a folder with --store") from error
         self.local = isinstance(self.fs, LocalFileSystem)
         self.root = self.path if self.local else os.fspath(root).rstrip("/")
 
@@ -127,7 +136,7 @@ class ArtifactStore:
             rules.check_arrays(content, file)
             digest = arrays_digest(content)
         if digest != ref.digest:
-            found, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {_REPAIR}"
+            found, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
             raise mismatch(file, "digest", found, expected)
         return content
 
@@ -211,27 +220,32 @@ def encode_table(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def decode(data: bytes, spec: Spec, file: str) -> Arrays | pa.Table:
+def decode(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays | pa.Table:
     """Read what :func:`encode_arrays` or :func:`encode_table` wrote.
 
     Raises
     ------
     SpecError
-        Naming ``file`` if the bytes are damaged or cut short.
+        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short.
     """
     try:
         if spec.columns:
-            return pq.read_table(io.BytesIO(data))
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            table = pq.read_table(io.BytesIO(data))
+            table.validate(full=True)
+            return table
+        # Not np.load, which takes whatever is no zip file for a pickle and says so.
+        with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (
         OSError,
         ValueError,
         EOFError,
         KeyError,
+        MemoryError,  # a damaged length
+        RuntimeError,  # damaged flags: encrypted, or by a method not implemented
         zipfile.BadZipFile,
         zlib.error,
         pa.ArrowInvalid,
     ) as error:
         found = f"{len(data)} bytes that cannot be read ({error})"
-        raise mismatch(file, "file", found, f"a whole {spec.suffix} file; {_REPAIR}") from error
+        raise mismatch(file, "file", found, f"a whole {spec.suffix} file; {repair}") from error

@@ -192,5 +192,5 @@ def _pack(blobs: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unpack(ends: Sequence[int], data: np.ndarray) -> list[bytes]:
-    starts = [0, *ends[:-1]]
+    starts = [0, *ends][:-1]
     return [data[a:b].tobytes() for a, b in zip(starts, ends, strict=True)]

@@ -1,5 +1,7 @@
 """Cameras, views and samples: conventions, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,7 +26,8 @@ def camera(width=32, height=24, focal=30.0, **where) -> Camera:
 
 def view(name="a", cam=None) -> View:
     cam = cam or camera()
-    ramp = np.arange(cam.height * cam.width * 3) % 255
+    start = sum(name.encode())  # another picture for another name
+    ramp = np.arange(start, start + cam.height * cam.width * 3) % 255
     return View(name, cam, ramp.reshape(cam.height, cam.width, 3).astype(np.uint8))
 
 
@@ -104,6 +107,22 @@ def test_two_identical_cameras_are_refused():
 def test_views_that_look_apart_are_refused():
     with pytest.raises(InputError, match="do not overlap"):
         Sample("s", (view("a"), view("b", camera(x=1, yaw=np.pi))))
+
+
+def test_one_picture_with_two_poses_is_refused_unless_it_is_blank():
+    with pytest.raises(InputError, match="'a' and 'b' are the same picture"):
+        Sample("s", (view("a"), replace(view("a", camera(x=1)), name="b")))
+    blank = np.full((24, 32, 3), 180, np.uint8)
+    views = (replace(v, image=blank) for v in (view("a"), view("b", camera(x=1))))
+    assert len(Sample("s", tuple(views)).context) == 2
+
+
+def test_a_view_named_twice_is_refused_in_those_words():
+    cams = {"images/a.png": camera(), "images/b.png": camera(x=1)}
+    scene = Scene("s", cams, lambda name: view(name, cams[name]))
+    with pytest.raises(InputError, match=r"the context names .* twice"):
+        scene.sample(["a.png", "images/a.png"])
+    assert len(scene.sample(["a", "b"], targets=["a"]).targets) == 1
 
 
 def test_one_view_is_not_enough():

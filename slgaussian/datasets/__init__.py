@@ -1,7 +1,9 @@
 """One reader a format, each returning a Scene in the project's one camera convention."""
 
+import inspect
 from typing import Any
 
+from slgaussian.errors import InputError
 from slgaussian.registry import resolve
 from slgaussian.scene import Scene
 
@@ -20,6 +22,12 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
     Raises
     ------
     InputError
-        If the format is unknown or the data cannot be used.
+        If the format is unknown, it does not take these arguments or the data cannot be used.
     """
-    return resolve("data format", READERS, format)(*args, **settings)
+    read = resolve("data format", READERS, format)
+    try:
+        inspect.signature(read).bind(*args, **settings)
+    except TypeError as error:
+        takes = ", ".join(inspect.signature(read).parameters) or "nothing"
+        raise InputError(f"data format {format!r}: {error}; it takes {takes}") from None
+    return read(*args, **settings)

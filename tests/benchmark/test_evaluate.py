@@ -114,7 +114,8 @@ def test_a_rectified_pair_is_judged_in_pixels_of_disparity(room):
     a = room.sample.context[0]
     move = np.eye(4)
     move[0, 3] = 0.3
-    beside = replace(a, name="beside", camera=replace(a.camera, c2w=a.camera.c2w @ move))
+    camera = replace(a.camera, c2w=a.camera.c2w @ move)
+    beside = replace(a, name="beside", camera=camera, image=255 - a.image)  # no mere copy
     pair = Sample("pair", (a, beside))
     result = evaluate(room.field, pair, room.label_maps, {})
     depths = source_depths(room.field.gaussians, [view.camera for view in pair.context])

@@ -120,6 +120,33 @@ def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, wo
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_export_that_cannot_be_put_in_place_leaves_nothing(field, tmp_path, monkeypatch, capsys):
+    (tmp_path / "folder").mkdir()
+    assert run(monkeypatch, "export", field, "-o", tmp_path / "folder") == 2
+    assert "folder: cannot be written" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+def test_an_unknown_part_is_named_before_the_work(tmp_path, monkeypatch, capsys):
+    config = toml(tmp_path, 'lifting = "soft"\n[[scenes]]\nname="a"\ncontext=["1","2"]')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    assert run(monkeypatch, "run", config) == 2
+    assert capsys.readouterr().err == "error: unknown lifting 'soft': expected one of hard\n"
+
+
+def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("in the way")
+    config = toml(tmp_path, '[[scenes]]\nname="a"\ncontext=["1","2"]')
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    monkeypatch.delenv("PREFECT_HOME", raising=False)
+    for store, sentence in [("foo://x", "store foo://x"), (tmp_path / "file", "file/.prefect")]:
+        assert run(monkeypatch, "run", config, "--store", store) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert sentence in said
+        assert said.count("\n") == 1
+
+
 def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png", "--view", "1") == 0
     assert run(monkeypatch, "export", field, "-o", tmp_path / "scene.ply") == 0
@@ -141,7 +168,26 @@ def test_a_field_that_is_not_there_or_damaged_is_one_sentence(field, tmp_path, m
         said = capsys.readouterr().err
         assert said.startswith("error: ")
         assert name in said
+        assert "build the field again" in said
         assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "width"), [({}, 0), ({"encoder": ["lexicon"]}, 0), ({"encoder": "lexicon"}, 1)]
+)
+def test_a_field_of_another_encoder_is_one_sentence(
+    field, tmp_path, monkeypatch, capsys, settings, width
+):
+    loaded = SemanticField.load(field)
+    bank = loaded.bank
+    wider = np.pad(bank.features, ((0, 0), (0, 0), (0, width)))
+    bank = MemoryBank(bank.ids, bank.codes, wider, bank.present)
+    SemanticField(loaded.gaussians, bank, loaded.cameras, settings).save(tmp_path / "field")
+    assert run(monkeypatch, "query", tmp_path / "field", "red") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert "build the field again" in said
+    assert said.count("\n") == 1
 
 
 def test_field_stops_before_the_work_when_it_cannot_end_well(tmp_path, monkeypatch, capsys):
@@ -182,7 +228,20 @@ def test_a_configuration_is_read_with_paths_from_its_folder(tmp_path):
         ('[[scenes]]\nname = "a"\ncontex = []', r"unknown key 'scenes.0.contex'; .*context"),
         ('[[scenes]]\nname = "a"', "scenes.0.context is missing"),
         ("replicas = 0", "replicas: found 0; .*greater than or equal to 1"),
-        ("size = [1, 2, 3]", "size: found"),
+        ("size = [1, 2, 3]", "size: found .*expected height and width as in 416x576"),
+        ('size = "abc"', "size: found 'abc'; expected height and width"),
+        ('size = "99999x99999"', "size: .*each from 16 to 8192"),
+        ("temperature = nan", "temperature: found nan"),
+        ("temperature = inf", "temperature: found inf; input should be a finite number"),
+        ("threshold = 2", "threshold: found 2; input should be less than 1"),
+        ("scenes = 3", "scenes: found 3"),
+        ("scenes = [3]", "scenes.0: found 3; expected a table"),
+        ("out = 3", "out: found 3; expected a path, in quotes"),
+        ('[[scenes]]\nname="a"\ncontext=["1"]', "scenes.0.context: .*expected at least 2"),
+        (
+            '[[scenes]]\nname="a"\ncontext=["1","2"]\nqueries=[" "]',
+            "scenes.0.queries.0: found ' '; expected some text",
+        ),
         ("seed = ", "not valid TOML"),
         (
             '[[scenes]]\nname="a"\ncontext=["1","2"]\n[[scenes]]\nname="a"\ncontext=["1","2"]',

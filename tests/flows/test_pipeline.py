@@ -133,3 +133,18 @@ def test_progress_tells_rate_and_time_left(monkeypatch):
     assert "a  ingest 0.5 s · masks 0.5 s\n" in text
     assert "b  2 stages cached\n" in text
     assert "masks        1 in 0.5 s, 1 cached\n" in text
+
+
+def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects_alone():
+    from flows.progress import Progress
+    from slgaussian.errors import InputError
+
+    seen = io.StringIO()
+    told = Progress(2, 1, verbose=True, stream=seen)
+    for scene, error in (("a", InputError("too dark")), ("b", ZeroDivisionError("a defect"))):
+        told.started(scene, "ingest")
+        told.finished(scene, "ingest", 0.5, cached=False)
+        told.failed(scene, "masks", str(error), error)
+    lines = seen.getvalue().splitlines()
+    assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
+    assert lines[4:] == ["ZeroDivisionError: a defect"]

@@ -163,6 +163,30 @@ def test_a_damaged_table_is_a_spec_error(store):
         store.get(ref)
 
 
+def test_no_damaged_byte_escapes_as_another_error(local):
+    """Flags, versions and lengths inside the file formats too, not only the content."""
+    label_maps = {"labels": np.ones((1, 2, 3), np.int32), "margin": np.ones((1, 2, 3), np.float32)}
+    rows = [{"scene": "é", "stage": "b", "kind": "c", "reason": "d"}]
+    table = pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
+    for spec, content in (("labels", label_maps), ("failures", table)):
+        ref = local.put(spec, content)
+        path = Path(local.path) / ref.uri
+        whole = path.read_bytes()
+        for place in range(0, len(whole), 3):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x81]) + whole[place + 1 :])
+            try:
+                local.get(ref)  # a byte that says nothing, such as a date
+            except SpecError as error:
+                assert str(path) in str(error)
+
+
+@pytest.mark.parametrize("root", ["foo://bucket", "s3://"])
+def test_a_place_that_cannot_be_a_store_is_an_input_error(root, monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(InputError, match=f"store {root}"):
+        ArtifactStore(root)
+
+
 def test_what_a_spec_forbids_is_neither_written_nor_read(local):
     wrong = {**labels(), "margin": np.zeros((2, 4, 5), np.float64)}
     with pytest.raises(SpecError, match=r"margin: found float64 .*expected float32"):

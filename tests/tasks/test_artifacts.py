@@ -122,6 +122,9 @@ def test_a_result_keeps_every_pixel(sample, store):
         np.testing.assert_array_equal(back.predictions[key], mask)
     np.testing.assert_array_equal(back.pictures["input/f"], image)
     assert result_from_arrays(arrays, {}, with_pictures=False).pictures == {}
+    nothing = SceneResult("a", [], {}, {}, {}, {})
+    empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)), {})
+    assert vars(empty) == vars(nothing)
     later = replace(result, times={"query": 9.0})
     assert store.put("scene_result", result_to_arrays(later)) == store.put(
         "scene_result", result_to_arrays(result)
