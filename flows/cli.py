@@ -9,8 +9,8 @@ from flows.options import with_options
 from slgaussian.errors import SLGaussianError
 
 METHOD = (
-    "size", "predictor", "proposer", "tracker", "encoder", "codes", "lifting", "replicas",
-    "temperature", "threshold", "seed",
+    "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
+    "replicas", "temperature", "threshold", "seed",
 )  # fmt: skip
 BUILD = tuple(name for name in METHOD if name not in ("temperature", "threshold"))
 RUN = (*METHOD, "store", "workers", "method")
@@ -145,6 +145,20 @@ def query(
 
     answer = ask(field, text, view, out, temperature, threshold)
     typer.echo(json.dumps(answer) if as_json else _spoken(answer))
+
+
+@app.command()
+def words() -> None:
+    """List the words that the lexicon knows, by family, synonyms in brackets.
+
+    \b
+    slgaussian words
+    """
+    from slgaussian.language.vocabulary import load_vocabulary
+
+    for family, spellings in load_vocabulary().families().items():
+        listed = (f"{name} ({', '.join(o)})" if o else name for name, o in spellings.items())
+        typer.echo(f"{family}: {', '.join(listed)}")
 
 
 @app.command()

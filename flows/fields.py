@@ -39,7 +39,7 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     folder = cameras if cameras.is_dir() else cameras.parent
     names = [_view_of(scene, photo, folder) for photo in photos]
     start = time.perf_counter()
-    sample = scene.sample(names, size=method.size)
+    sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
     height, width = sample.context[0].image.shape[:2]
     print(f"building a field from {len(names)} views of {width}x{height}", file=sys.stderr)
     field = build_field(sample, **method.parts())

@@ -110,6 +110,8 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             "context": scene.context,
             "targets": scene.targets,
             "size": scene.size or method.size,
+            "near": scene.near or method.near,
+            "far": scene.far or method.far,
             "files": {} if scene.path is None else file_hashes(scene.path, views),
         },
         where=where,

@@ -58,6 +58,12 @@ class Method(BaseModel):
         description="Height and width, as 416x576; 'original'; or 'auto': shrunk to as many pixels "
         "as that if larger.",
     )
+    near: float | None = Field(
+        None,
+        gt=0,
+        description="Least depth in scene units, found from the photographs if left out.",
+    )
+    far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
     predictor: str = Field("planesweep", description="What makes Gaussians of photographs.")
     proposer: str = Field("regions", description="What proposes object masks.")
     tracker: str = Field("flow", description="What carries masks from view to view.")
@@ -92,6 +98,8 @@ class SceneSettings(BaseModel):
     context: list[str] = Field(min_length=2)
     targets: list[str] = []
     size: Size | None = None
+    near: float | None = Field(None, gt=0)
+    far: float | None = Field(None, gt=0)
     labels: Path | None = None
     categories: list[Phrase] = []
     queries: list[Phrase] = []

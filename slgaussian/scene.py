@@ -297,7 +297,12 @@ class Scene:
         )
 
     def sample(
-        self, context: Sequence[str], targets: Sequence[str] = (), size: Size = "auto"
+        self,
+        context: Sequence[str],
+        targets: Sequence[str] = (),
+        size: Size = "auto",
+        near: float | None = None,
+        far: float | None = None,
     ) -> Sample:
         """Read the named views, the context first, and bring them to a size.
 
@@ -309,6 +314,9 @@ class Scene:
             A pair scales and centre-crops. "auto" shrinks views of more than
             :data:`PAPER_PIXELS` pixels to that many, their shape kept: a Gaussian a pixel of a
             camera's full resolution would be millions.
+        near, far : float, optional
+            Depth range along z in scene units, for all views; without it each keeps what its
+            camera says, mostly nothing, and a predictor finds its own.
 
         Raises
         ------
@@ -325,6 +333,8 @@ class Scene:
                 )
         views = [self.read(name) for name in names]
         views = [view if size == "original" else view.resized(*_fit(view, size)) for view in views]
+        given = {name: z for name, z in (("near", near), ("far", far)) if z is not None}
+        views = [replace(view, camera=replace(view.camera, **given)) for view in views]
         n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
 

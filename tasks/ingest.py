@@ -18,7 +18,7 @@ VERSION = 1
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``sample``. Settings: scene, format, options, context, targets, size, files.
+    """Spec ``sample``. Settings: scene, format, options, context, targets, size, near, far, files.
 
     ``where["path"]`` is the data folder of a format that reads files; ``files`` holds what
     :func:`file_hashes` says of them.
@@ -28,7 +28,11 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     scene = datasets.load(settings["format"], *paths, **settings["options"])
     size = settings["size"]
     sample = scene.sample(
-        settings["context"], settings["targets"], size if isinstance(size, str) else tuple(size)
+        settings["context"],
+        settings["targets"],
+        size if isinstance(size, str) else tuple(size),
+        settings["near"],
+        settings["far"],
     )
     return store.put("sample", sample_to_arrays(replace(sample, scene=settings["scene"])))
 

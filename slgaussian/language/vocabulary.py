@@ -93,9 +93,19 @@ class Vocabulary:
             unused = _short(", ".join(left_out)) or "they carry no meaning here"
             raise InputError(
                 f"query {_short(text)!r}: none of its words can be used ({unused}); use the "
-                "lexicon's words, listed in docs/lexicon.md"
+                "lexicon's words, which `slgaussian words` lists"
             )
         return Reading(tuple(words.values()), tuple(dict.fromkeys(left_out)))
+
+    def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
+        """Every word that counts by family, with its synonyms."""
+        found: dict[str, dict[str, tuple[str, ...]]] = {}
+        for spelling, word in self.words.items():
+            if word.weights:
+                family = found.setdefault(word.family, {})
+                synonyms = family.get(word.name, ())
+                family[word.name] = synonyms + ((spelling,) if spelling != word.name else ())
+        return found
 
     def _look_up(self, spelling: str) -> Word | None:
         for form in _singulars(spelling):

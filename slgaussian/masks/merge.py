@@ -93,7 +93,7 @@ def build_tree(
         size / leaves.size,
         color / leaves.size,
         histogram.reshape(n, TEXTURE_CODES) / leaves.size,
-        _plane_sums(leaves, depth, n),
+        plane_sums(leaves, depth, n),
     )
     return MergeTree(leaves, parent, height)
 
@@ -113,7 +113,7 @@ def adjacency(leaves, boundary):
     return edges, length, np.bincount(inverse, np.concatenate(strengths), len(unique))
 
 
-def _plane_sums(leaves, depth, n):
+def plane_sums(leaves, depth, n):
     """Sums of 1, u, v, uu, uv, vv, d, du, dv, dd per leaf: all that a plane fit d(u, v) needs.
 
     ``d`` is inverse depth relative to its median, ``u`` and ``v`` are in units of the width.
@@ -133,7 +133,7 @@ def _plane_sums(leaves, depth, n):
 
 @njit(cache=True)
 def _plane_error(s):
-    """Sum of squared residuals of the best plane, from the sums of :func:`_plane_sums`."""
+    """Sum of squared residuals of the best plane, from the sums of :func:`plane_sums`."""
     if s[0] < 3:
         return 0.0
     a, b = s[1] / s[0], s[2] / s[0]
@@ -144,6 +144,19 @@ def _plane_error(s):
     det = uu * vv - uv * uv
     explained = (du * du * vv - 2 * du * dv * uv + dv * dv * uu) / det
     return max(dd - explained, 0.0)
+
+
+@njit(cache=True)
+def plane_gap(a, b):
+    """By how much, relative to inverse depth, one plane explains two regions worse than two do.
+
+    ``a`` and ``b`` are rows of :func:`plane_sums`; 0 where the depth of either is unknown.
+    """
+    if a[0] == 0 or b[0] == 0:
+        return 0.0
+    joint = a + b
+    worse = _plane_error(joint) - _plane_error(a) - _plane_error(b)
+    return np.sqrt(max(worse, 0.0) / min(a[0], b[0])) * joint[0] / joint[6]
 
 
 @njit(cache=True)
@@ -159,12 +172,7 @@ def _cost(a, b, length, strength, size, color, histogram, planes):
         if p + q > 0:
             texture_gap += (p - q) * (p - q) / (p + q)
     cost = strength / length + 0.3 * color_gap + 0.2 * texture_gap
-    na, nb = planes[a, 0], planes[b, 0]
-    if na > 0 and nb > 0:
-        joint = planes[a] + planes[b]
-        worse = _plane_error(joint) - _plane_error(planes[a]) - _plane_error(planes[b])
-        spread = np.sqrt(max(worse, 0.0) / min(na, nb)) * joint[0] / joint[6]
-        cost += 0.5 * min(spread / PLANE_STEP, 1.0)
+    cost += 0.5 * min(plane_gap(planes[a], planes[b]) / PLANE_STEP, 1.0)
     return cost * (size[a] * size[b] / (size[a] + size[b])) ** SIZE_POWER
 
 

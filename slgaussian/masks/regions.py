@@ -13,9 +13,13 @@ from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
 from slgaussian.masks.boundaries import boundary_map
 from slgaussian.masks.merge import MergeTree, build_tree
+from slgaussian.masks.patterns import join_patterns
 
 LEAF_REACH = 7
 """Side in pixels of the window in which a boundary minimum seeds a leaf."""
+
+FINE = 0.12
+"""Cut of the tree, far below that for objects, at which repeated patterns are looked for."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +76,20 @@ class Regions:
 def grow_tree(
     image: np.ndarray, where: np.ndarray | None = None, depth: np.ndarray | None = None
 ) -> MergeTree:
-    """The whole merge tree of an image; arguments as in :meth:`Regions.propose`."""
+    """The merge tree of an image; arguments as in :meth:`Regions.propose`.
+
+    It is grown twice: a low cut of the first tree shows the elements of patterns, and from these,
+    with every pattern joined (:func:`join_patterns`), the second one grows. Its leaves are regions.
+    """
     boundary = boundary_map(image, depth)
     leaves = watershed_leaves(boundary)
     if where is not None:
         leaves = np.where(where, leaves, -1)
         packed = np.unique(leaves[where], return_inverse=True)[1]
         leaves[where] = packed.astype(np.int32)
-    return build_tree(image, leaves, boundary, depth)
+    fine = build_tree(image, leaves, boundary, depth)
+    elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
+    return build_tree(image, join_patterns(image, elements, depth), boundary, depth)
 
 
 def watershed_leaves(boundary: np.ndarray) -> np.ndarray:

@@ -274,3 +274,20 @@ def test_pools_share_the_cores():
     finally:
         assert threads.share(1) == all_cores
     assert numba.get_num_threads() == min(all_cores, numba.config.NUMBA_NUM_THREADS)
+
+
+def test_words_lists_the_vocabulary_by_family(monkeypatch, capsys):
+    assert run(monkeypatch, "words") == 0
+    lines = dict(line.split(": ", 1) for line in capsys.readouterr().out.splitlines())
+    assert "red (crimson" in lines["colour"]
+    assert "ball (sphere" in lines["solid"]
+
+
+def test_near_and_far_reach_the_cameras():
+    from slgaussian import datasets
+
+    room = datasets.load("procedural", seed=1, height=48, width=64, objects=2)
+    sample = room.sample(["view_00", "view_03"], near=1.5, far=9.0)
+    assert {(v.camera.near, v.camera.far) for v in sample.context} == {(1.5, 9.0)}
+    with pytest.raises(InputError, match="far"):
+        room.sample(["view_00", "view_03"], near=3.0, far=2.0)

@@ -6,7 +6,7 @@ from drawn_views import SIZE, canvas, main_label, paste, view
 from slgaussian.errors import InputError
 from slgaussian.masks.boundaries import depth_boundary, half_disc
 from slgaussian.masks.flatten import flatten
-from slgaussian.masks.merge import _plane_error, _plane_sums, build_tree
+from slgaussian.masks.merge import _plane_error, build_tree, plane_sums
 from slgaussian.masks.regions import Regions, grow_tree
 
 BALL = (30, 70, 20, 60)
@@ -155,7 +155,7 @@ def test_plane_error_equals_least_squares():
     rng = np.random.default_rng(5)
     leaves = rng.integers(0, 3, (20, 30)).astype(np.int32)
     depth = rng.uniform(1, 3, leaves.shape).astype(np.float32)
-    sums = _plane_sums(leaves, depth, 3)
+    sums = plane_sums(leaves, depth, 3)
     for leaf in range(3):
         v, u = np.nonzero(leaves == leaf)
         d = np.median(depth) / depth[leaves == leaf].astype(np.float64)
