@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError
@@ -147,8 +148,9 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
     window = np.pad(region[y : y + h, x : x + w], 1).view(np.uint8)
     _, components, stats, _ = cv2.connectedComponentsWithStats(window, connectivity=4)
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-    inside = (components == largest).view(np.uint8)
-    depth = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # SciPy's distances are roots of exact integers. OpenCV's differ in the last bit with the number
+    # of threads, and with them which of several equally deep pixels comes first.
+    depth = distance_transform_edt(components == largest)
     row, column = np.unravel_index(int(depth.argmax()), depth.shape)
     return int(column) + x - 1, int(row) + y - 1
 
