@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from fsspec.implementations.local import LocalFileSystem
 
 from data_specs import Spec, load_spec, mismatch
-from slgaussian.errors import InputError, SpecError
+from slgaussian.errors import InputError
 
 Arrays = dict[str, np.ndarray]
 
@@ -139,14 +139,6 @@ class ArtifactStore:
             found, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
             raise mismatch(file, "digest", found, expected)
         return content
-
-    def intact(self, ref: ArtifactRef) -> bool:
-        """Whether :meth:`get` would succeed."""
-        try:
-            self.get(ref)
-        except SpecError:
-            return False
-        return True
 
     def check_writable(self) -> None:
         """Raise :class:`InputError` now rather than after the work if nothing can be written."""

@@ -37,8 +37,6 @@ class Pattern:
     spot_fill : float
         Area of those pieces over that of ellipses with their moments, weighted by area; near 1
         for discs, lower for ragged and branching pieces.
-    spot_length : float
-        Ratio of axes of those ellipses, weighted by area; 1 for discs.
     """
 
     roughness: float
@@ -50,7 +48,6 @@ class Pattern:
     upright: float
     spots: float
     spot_fill: float
-    spot_length: float
 
 
 def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
@@ -62,10 +59,8 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     along, crossed, upright, roughness = _directions(lab, inside, _around(mask))
     two_tone, contrast, second = _two_tones(lab, inside)
     minor = second.sum() / inside.sum()
-    spots, fill, length = _spots(second)
-    return Pattern(
-        roughness, two_tone, contrast, minor, along, crossed, upright, spots, fill, length
-    )
+    spots, fill = _spots(second)
+    return Pattern(roughness, two_tone, contrast, minor, along, crossed, upright, spots, fill)
 
 
 def _around(mask: np.ndarray) -> np.ndarray | None:
@@ -126,10 +121,10 @@ def _two_tones(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, np.nd
     return float(explained), float(np.sqrt(difference @ difference)), second
 
 
-def _spots(second: np.ndarray) -> tuple[float, float, float]:
+def _spots(second: np.ndarray) -> tuple[float, float]:
     count, labels = cv2.connectedComponents(second.view(np.uint8), connectivity=4)
     if count == 1:
-        return 0.0, 0.0, 1.0
+        return 0.0, 0.0
     rows, cols = np.nonzero(labels)
     piece = labels[rows, cols]
     area = np.bincount(piece, minlength=count)[1:].astype(float)
@@ -140,8 +135,6 @@ def _spots(second: np.ndarray) -> tuple[float, float, float]:
     xx = np.bincount(piece, dx * dx, count)[1:] / area + 1 / 12
     yy = np.bincount(piece, dy * dy, count)[1:] / area + 1 / 12
     xy = np.bincount(piece, dx * dy, count)[1:] / area
-    middle, half = (xx + yy) / 2, np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
     fill = area / (4 * np.pi * np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9)))
-    length = np.sqrt((middle + half) / np.maximum(middle - half, 1e-9))
     share = area / area.sum()
-    return float((share > 0.01).sum()), float(share @ fill), float(share @ np.minimum(length, 10))
+    return float((share > 0.01).sum()), float(share @ fill)
