@@ -163,18 +163,29 @@ def words() -> None:
 
 @app.command()
 def render(
-    field: Folder,
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="PNG file.")],
-    view: ViewName = "0",
+    cameras: Annotated[
+        Path | None,
+        typer.Option(help="transforms.json with the cameras of a .ply, or new ones of a field."),
+    ] = None,
+    view: Annotated[str, typer.Option("--view", help="View by name, or its number from 0.")] = "0",
 ) -> None:
-    """Render colour, depth and objects of a field from one of its context cameras.
+    """Render a field, or a .ply of Gaussians that anybody made; no GPU is needed.
+
+    Colour and depth; of a field its objects too, and from one of its own cameras unless others are
+    given. A .ply comes without cameras: theirs must be in its world, photographs are not needed.
 
     \b
     slgaussian render field/ -o picture.png --view 1
+    slgaussian render scene.ply --cameras transforms.json --view 0007.png -o picture.png
     """
     from flows.fields import picture
 
-    picture(field, view, out)
+    picture(source, cameras, view, out)
     typer.echo(out)
 
 
@@ -183,10 +194,14 @@ def export(
     field: Folder,
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file.")],
 ) -> None:
-    """Write the Gaussians of a field as a standard 3DGS .ply that viewers open.
+    """Write a field as a standard 3DGS .ply that viewers open.
+
+    Beside what viewers read, each Gaussian has its code times its weight and that weight (f_sem_0
+    to f_sem_3), the pixel that it came from (source) and its object (label, 0 for none).
 
     \b
     slgaussian export field/ -o scene.ply
+    slgaussian render scene.ply --cameras transforms.json -o picture.png
     """
     from flows.fields import to_ply
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from flows.settings import make_settings
-from slgaussian import datasets
+from slgaussian import datasets, harmonics
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField, check_target
-from slgaussian.gaussians import save_ply
-from slgaussian.scene import Scene
+from slgaussian.ply import load_ply, save_ply
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Camera, Scene
+from slgaussian.semantic.decode import VISIBLE
 from slgaussian.store import write_atomic
 
 
@@ -87,26 +87,54 @@ def ask(
     }
 
 
-def picture(folder: Path, view: str, out: Path) -> None:
-    """Draw colour, depth and objects of a field side by side."""
-    name, seen = _look(folder, view)
-    depth = pictures.paint_depth(seen.depth, *pictures.depth_range(seen.depth))
-    objects = pictures.paint_labels(seen.ids, seen.rgb)
-    _write_png(
-        out, pictures.side_by_side([(name, seen.rgb), ("depth", depth), ("objects", objects)])
-    )
+def picture(source: Path, cameras: Path | None, view: str, out: Path) -> None:
+    """Draw colour and depth of a field or a ``.ply`` side by side, and the objects of a field.
+
+    A field is seen from one of its own cameras, unless ``cameras`` is given; a ``.ply`` has none.
+    """
+    if source.suffix.lower() != ".ply" or source.is_dir():
+        name, seen = _look(source, view, cameras)
+        panels = [(name, seen.rgb), _depth_panel(seen.depth)]
+        panels.append(("objects", pictures.paint_labels(seen.ids, seen.rgb)))
+    else:
+        if cameras is None:
+            raise InputError(
+                f"{source}: a .ply has no cameras; add --cameras transforms.json, in the world of "
+                "the .ply, and --view with the name of one of its frames"
+            )
+        scene = datasets.load("nerfstudio", cameras)
+        name = _choose(scene, view)
+        panels = _ply_panels(source, name, scene.cameras[name])
+    _write_png(out, pictures.side_by_side(panels))
 
 
 def to_ply(folder: Path, out: Path) -> None:
-    """Write the Gaussians of a field as a standard ``.ply``."""
+    """Write a field as a standard ``.ply``: its Gaussians, their codes and their objects."""
     field = SemanticField.load(folder)
-    try:
-        # Beside the target, so that what cannot be moved there is found before the work.
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as draft:
-            save_ply(field.gaussians, Path(draft, out.name))
-            os.replace(Path(draft, out.name), out)
-    except OSError as error:
-        raise _unwritable(out, error) from error
+    save_ply(field.gaussians, out, field.labels())
+
+
+def _ply_panels(file: Path, name: str, camera: Camera) -> list[tuple[str, np.ndarray]]:
+    gaussians, _ = load_ply(file)
+    if not len(gaussians):
+        raise InputError(f"{file}: holds no Gaussians, so there is nothing to draw")
+    seen = rasterize(gaussians, harmonics.colors(gaussians, camera), camera)
+    alpha = seen.alpha.numpy()
+    if not (alpha >= VISIBLE).any():
+        middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
+        print(
+            f"hardly anything of {file} is in view of {name!r}: the middle of its "
+            f"{len(gaussians)} Gaussians is at ({middle}), the camera at "
+            f"({', '.join(f'{x:.3g}' for x in camera.center)}); do both use one world?",
+            file=sys.stderr,
+        )
+    # Over black, as such files are trained; where little is seen, its mean depth says nothing.
+    rgb = np.rint(seen.values.numpy().clip(0, 1) * 255).astype(np.uint8)
+    return [(name, rgb), _depth_panel(np.where(alpha >= VISIBLE, seen.depth.numpy(), 0))]
+
+
+def _depth_panel(depth: np.ndarray) -> tuple[str, np.ndarray]:
+    return "depth", pictures.paint_depth(depth, *pictures.depth_range(depth))
 
 
 def _view_of(scene: Scene, photo: str, folder: Path) -> str:
@@ -125,15 +153,23 @@ def _view_of(scene: Scene, photo: str, folder: Path) -> str:
     return scene.find(photo)
 
 
-def _look(folder: Path, view: str) -> tuple[str, FieldView]:
+def _look(folder: Path, view: str, cameras: Path | None = None) -> tuple[str, FieldView]:
     field = SemanticField.load(folder)
-    names = list(field.cameras)
-    if view.isdecimal() and str(int(view)) == view and int(view) < len(names):
-        name = names[int(view)]
-    else:
+    if cameras is None:
         # A scene without photographs: only to find names the one way that names are found.
-        name = Scene(str(folder), field.cameras, read=_unreadable).find(view)
-    return name, field.render(field.cameras[name])
+        scene = Scene(str(folder), field.cameras, read=_unreadable)
+    else:
+        scene = datasets.load("nerfstudio", cameras)
+    name = _choose(scene, view)
+    return name, field.render(scene.cameras[name])
+
+
+def _choose(scene: Scene, view: str) -> str:
+    """The name of the view called ``view``, or of that number."""
+    names = list(scene.cameras)
+    if view.isdecimal() and str(int(view)) == view and int(view) < len(names):
+        return names[int(view)]
+    return scene.find(view)
 
 
 def _unreadable(name: str) -> Any:

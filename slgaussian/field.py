@@ -101,11 +101,20 @@ class SemanticField:
         rgb = np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
         return FieldView(rgb, ids, alpha, depth, self.bank, self.encoder)
 
-    def objects(self) -> pa.Table:
-        """One row an object: its id, its code and how many Gaussians carry it most of all."""
+    def labels(self) -> np.ndarray:
+        """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""
         features = self.gaussians.features.numpy()
         labelled = features[:, 3] >= VISIBLE
-        rows = nearest_code(features[labelled, :3] / features[labelled, 3:], self.bank.codes)
+        ids = np.zeros(len(features), np.int32)
+        if labelled.any():
+            rows = nearest_code(features[labelled, :3] / features[labelled, 3:], self.bank.codes)
+            ids[labelled] = self.bank.ids[rows]
+        return ids
+
+    def objects(self) -> pa.Table:
+        """One row an object: its id, its code and how many Gaussians carry it most of all."""
+        labels = self.labels()
+        rows = np.searchsorted(self.bank.ids, labels[labels > 0])  # ids are positive and ascending
         counts = np.bincount(rows, minlength=len(self.bank.ids))
         columns = {"id": self.bank.ids.astype(np.int64)}
         for channel, letter in enumerate("rgb"):

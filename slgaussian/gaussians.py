@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -153,35 +152,3 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
         mine = source // (H * W) == index
         depths[source[mine]] = camera.project(means[mine])[1]
     return depths.reshape(len(cameras), H, W)
-
-
-def save_ply(gaussians: Gaussians, path: str | Path) -> None:
-    """Write a standard 3DGS ``.ply`` that common viewers open.
-
-    Property names and their non-linear forms (log scale, logit opacity) are those of the reference
-    implementation of Kerbl et al. 2023; features are added as ``f_sem_*``.
-    """
-    from plyfile import PlyData, PlyElement
-
-    arrays = gaussians.to_arrays()
-    n = len(gaussians)
-    opacity = np.clip(arrays["opacities"].astype(np.float64), 1e-6, 1 - 1e-6)
-    rest = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(n, -1)
-    columns: dict[str, np.ndarray] = {}
-
-    def add(names: Sequence[str], values: np.ndarray) -> None:
-        columns.update(zip(names, values.T, strict=True))
-
-    add(["x", "y", "z"], arrays["means"])
-    add(["nx", "ny", "nz"], np.zeros((n, 3)))
-    add([f"f_dc_{i}" for i in range(3)], arrays["sh"][:, 0])
-    add([f"f_rest_{i}" for i in range(rest.shape[1])], rest)
-    add(["opacity"], np.log(opacity / (1 - opacity))[:, None])
-    add([f"scale_{i}" for i in range(3)], np.log(arrays["scales"]))
-    add([f"rot_{i}" for i in range(4)], arrays["quats"])
-    if "features" in arrays:
-        add([f"f_sem_{i}" for i in range(arrays["features"].shape[1])], arrays["features"])
-    table = np.empty(n, dtype=[(name, "<f4") for name in columns])
-    for name, values in columns.items():
-        table[name] = values
-    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))

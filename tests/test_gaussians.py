@@ -1,12 +1,11 @@
-"""Gaussians: rotations, covariances, depth maps and the standard file."""
+"""Gaussians: rotations, covariances and depth maps."""
 
 import numpy as np
 import pytest
 import torch
-from plyfile import PlyData
 
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians, covariances, rgb_to_sh, save_ply, source_depths
+from slgaussian.gaussians import Gaussians, covariances, rgb_to_sh, source_depths
 from slgaussian.scene import Camera
 
 
@@ -64,17 +63,6 @@ def test_source_depths_puts_each_depth_at_its_pixel():
     assert depths[0].max() == 0
     depth[1, 1] = 0
     np.testing.assert_allclose(depths[1], depth, rtol=1e-6)
-
-
-def test_ply_has_the_standard_properties(tmp_path):
-    made = some()
-    save_ply(made, tmp_path / "scene.ply")
-    vertex = PlyData.read(str(tmp_path / "scene.ply"))["vertex"]
-    np.testing.assert_allclose(np.exp(vertex["scale_1"]), made.scales[:, 1], rtol=1e-5)
-    opacity = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
-    np.testing.assert_allclose(opacity, made.opacities, atol=1e-6)
-    np.testing.assert_allclose(vertex["f_dc_2"], made.sh[:, 0, 2])
-    np.testing.assert_allclose(vertex["rot_0"], made.quats[:, 0])
 
 
 def test_shapes_that_disagree_are_refused():

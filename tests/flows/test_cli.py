@@ -2,11 +2,13 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from flows import cli
 from flows.settings import Settings, make_settings, read_toml
@@ -15,6 +17,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import MemoryBank
+from slgaussian.ply import load_ply, save_ply
 from slgaussian.scene import Camera
 
 ROOT = Path(__file__).parent.parent.parent
@@ -151,8 +154,80 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png", "--view", "1") == 0
     assert run(monkeypatch, "export", field, "-o", tmp_path / "scene.ply") == 0
     assert (tmp_path / "seen.png").read_bytes()[:4] == b"\x89PNG"
-    assert (tmp_path / "scene.ply").read_bytes()[:4] == b"ply\n"
     assert len(list(tmp_path.iterdir())) == 2
+    made, extra = load_ply(tmp_path / "scene.ply")
+    kept = SemanticField.load(field).gaussians
+    assert torch.equal(made.features, kept.features)
+    assert torch.equal(made.source, kept.source)
+    is_red = (np.arange(32 * 48) % 48) < 24
+    assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
+
+
+def transforms(folder, shift=0.0) -> Path:
+    """A camera file without photographs: one frame, 96x64, ``shift`` to the right."""
+    pose = np.diag([1.0, -1, -1, 1])  # OpenGL's axes
+    pose[0, 3] = shift
+    frame = {"file_path": "new/007.png", "transform_matrix": pose.tolist()}
+    about = {"fl_x": 80, "cx": 48, "cy": 32, "w": 96, "h": 64, "frames": [frame]}
+    (folder / "transforms.json").write_text(json.dumps(about))
+    return folder / "transforms.json"
+
+
+def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypatch, capsys):
+    loaded = SemanticField.load(field).gaussians
+    sh = torch.zeros(len(loaded), 4, 3)
+    sh[:, :1] = loaded.sh
+    sh[:, 3, 1] = -2.0  # greener to the right of the camera, by 0.49 * 2 * x of the direction
+    save_ply(replace(loaded, sh=sh), tmp_path / "scene.ply")
+    given = ["--cameras", transforms(tmp_path), "--view", "007"]
+    assert run(monkeypatch, "render", tmp_path / "scene.ply", *given, "-o", tmp_path / "a.png") == 0
+    said = capsys.readouterr()
+    assert (said.out.strip(), said.err) == (str(tmp_path / "a.png"), "")
+    sheet = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    seen, depth = sheet[12:76, 12:108], sheet[12:76, 120:216]
+    # There the wall is 0.8125 to the right at a depth of 2: x of the direction is 0.376.
+    assert np.abs(seen[32, 80] - np.array([0.05, 0.1 + 0.9772 * 0.376, 0.8]) * 255).max() <= 6
+    assert np.abs(seen[32, 16] - np.array([0.8, 0, 0.05]) * 255).max() <= 4  # clamped at 0
+    assert (depth[32, 16] != 28).any()
+    # The same cameras serve a field, which has its objects too.
+    assert run(monkeypatch, "render", field, *given, "-o", tmp_path / "b.png") == 0
+    assert Image.open(tmp_path / "b.png").width == sheet.shape[1] + 108
+
+
+def test_a_ply_that_is_out_of_view_is_drawn_and_said(field, tmp_path, monkeypatch, capsys):
+    save_ply(SemanticField.load(field).gaussians, tmp_path / "scene.ply")
+    words = ["--cameras", transforms(tmp_path, 50.0), "-o", tmp_path / "a.png"]
+    assert run(monkeypatch, "render", tmp_path / "scene.ply", *words) == 0
+    said = capsys.readouterr().err
+    assert "hardly anything" in said
+    assert "the camera at (50, 0, 0)" in said
+    assert (tmp_path / "a.png").is_file()
+
+
+def test_a_ply_that_cannot_be_rendered_is_one_sentence(field, tmp_path, monkeypatch, capsys):
+    few = SemanticField.load(field).gaussians
+    save_ply(few, tmp_path / "scene.ply")
+    save_ply(few[:0], tmp_path / "empty.ply")
+    points = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "points.ply").write_text(f"ply\nformat ascii 1.0\n{points}end_header\n1 2 3\n")
+    cameras = ["--cameras", transforms(tmp_path)]
+    for words, sentence in [
+        (["scene.ply"], "a .ply has no cameras; add --cameras transforms.json"),
+        (["scene.ply", *cameras, "--view", "008"], "no view '008'"),
+        (["scene.ply", "--cameras", tmp_path / "none.json"], "none.json: cannot be read"),
+        (["none.ply", *cameras], "none.ply: cannot be read"),
+        (["points.ply", *cameras], "points.ply: holds no Gaussians: lacks f_dc_0"),
+        (["empty.ply", *cameras], "empty.ply: holds no Gaussians"),
+        (["scene", *cameras], "no field.json there"),
+    ]:
+        file, *others = words
+        words = ["render", tmp_path / file, *others, "-o", tmp_path / "a.png"]
+        assert run(monkeypatch, *words) == 2, sentence
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert sentence in said
+        assert said.count("\n") == 1
+    assert not (tmp_path / "a.png").exists()
 
 
 def test_a_field_that_is_not_there_or_damaged_is_one_sentence(field, tmp_path, monkeypatch, capsys):
