@@ -93,7 +93,7 @@ class SemanticField:
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""
         values = torch.cat([self.gaussians.colors(), self.gaussians.features], 1)
-        image = rasterize(self.gaussians, values, camera, backend)
+        image = rasterize(self.gaussians, values, camera, backend=backend)
         drawn = image.values.float().numpy()
         ids = object_ids(drawn[..., 3:], self.bank)
         alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()

@@ -30,7 +30,7 @@ class Gaussians:
     scales : float32 [N, 3]
         Standard deviations along the local axes, scene units, positive.
     quats : float32 [N, 4]
-        Rotations local-to-world, wxyz, unit length.
+        Rotations local-to-world, wxyz; of unit length, though any but zero is taken.
     opacities : float32 [N]
         In [0, 1].
     sh : float32 [N, K, 3]
@@ -44,7 +44,7 @@ class Gaussians:
     Raises
     ------
     InputError
-        If shapes disagree; :meth:`check_finite` looks at the numbers.
+        If shapes disagree; :meth:`check` looks at the numbers.
     """
 
     means: torch.Tensor
@@ -79,11 +79,25 @@ class Gaussians:
         pairs = ((f.name, getattr(self, f.name)) for f in fields(self))
         return [(name, value) for name, value in pairs if value is not None]
 
-    def check_finite(self) -> None:
-        """Raise :class:`InputError` naming the first field and index that is NaN or infinite."""
+    def check(self) -> None:
+        """Raise :class:`InputError` naming the first field and index whose numbers make no sense.
+
+        That is NaN or infinity anywhere, a negative scale, an opacity outside [0, 1] or a
+        quaternion of length zero.
+        """
         for name, value in self.items():
             if (index := first_not_finite(value)) is not None:
                 raise InputError(f"gaussians {name}[{index}]: holds NaN or infinity")
+        rules = {
+            "scales": ((self.scales < 0).any(1), "expected 0 or more"),
+            "opacities": ((self.opacities < 0) | (self.opacities > 1), "expected 0 to 1"),
+            "quats": ((self.quats == 0).all(1), "a quaternion of length zero is no rotation"),
+        }
+        for name, (bad, expected) in rules.items():
+            if bad.any():
+                index = int(bad.nonzero()[0, 0])
+                found = getattr(self, name)[index].tolist()
+                raise InputError(f"gaussians {name}[{index}]: found {found}, {expected}")
 
     def colors(self) -> torch.Tensor:
         """View-independent RGB, float [N, 3]: the degree-0 part of ``sh``."""

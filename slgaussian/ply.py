@@ -64,7 +64,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` do not fit,
         or the file cannot be written.
     """
-    gaussians.check_finite()
+    gaussians.check()
     arrays = gaussians.to_arrays()
     n = len(gaussians)
     opacities, scales, sh = arrays["opacities"], arrays["scales"], arrays["sh"]

@@ -15,5 +15,5 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``gaussians``. Settings: predictor. Inputs: sample."""
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     gaussians = load_predictor(call.settings["predictor"])(sample)
-    gaussians.check_finite()
+    gaussians.check()
     return store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})

@@ -1,36 +1,33 @@
 """The one call that turns Gaussians into images, and what all backends agree on.
 
 A Gaussian is projected by the local affine approximation of perspective (Zwicker et al., "EWA
-splatting", 2001), widened by a low-pass filter of :data:`LOW_PASS` px^2, and composited front to
-back by the depth of its centre (paper, eq. 2): ``F(v) = sum_i f_i a_i prod_{j<i} (1 - a_j)``.
+splatting", 2001), widened by a low-pass filter, and composited front to back by the depth of its
+centre (paper, eq. 2): ``F(v) = sum_i f_i a_i prod_{j<i} (1 - a_j)``. The order is that of z
+rounded to float32, and of the index where these are equal.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, first_not_finite
+from slgaussian.harmonics import colors
+from slgaussian.rasterize.settings import Settings, find_settings
 from slgaussian.registry import resolve
 from slgaussian.scene import Camera
 
 BACKENDS = {
     "cpu": "slgaussian.rasterize.cpu:render",
+    "cuda": "slgaussian.rasterize.cuda:render",
     "reference": "slgaussian.rasterize.reference:render",
 }
 
-LOW_PASS = 0.3
-"""Added to the diagonal of every projected covariance, px^2, so that no Gaussian is lost between
-pixel centres (Kerbl et al. 2023)."""
-
-NEAR_PLANE = 0.01
-"""Gaussians whose centre has z at or below this (scene units) are not drawn."""
-
 FRUSTUM_MARGIN = 0.3
-"""The affine approximation is evaluated at most this share of half the field of view outside the
-image; further off it explodes (Kerbl et al. 2023 use the same 1.3 times)."""
+"""The affine approximation is evaluated at most this share of half the image size outside the
+image; further off it explodes (Kerbl et al. 2023 and gsplat take the same share)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,46 +36,88 @@ class Render:
 
     Attributes
     ----------
-    values : [H, W, C]
-        Composited values, premultiplied: divide by ``alpha`` for the mean of what is there.
-    alpha : [H, W]
+    values : float [H, W, C]
+        Composited values, the background included. Without one they are premultiplied: divide by
+        ``alpha`` for the mean of what is there.
+    alpha : float [H, W]
         Accumulated opacity in [0, 1].
-    depth : [H, W]
-        Mean z-depth of what is there, scene units; 0 where ``alpha`` is 0.
+    depth : float [H, W]
+        Expected z-depth: the mean over what is there, scene units; 0 where ``alpha`` is 0.
+    median : float [H, W] or None
+        Median z-depth: of the Gaussian with which ``alpha`` reaches one half; 0 where it does not.
+        It carries no gradient.
     """
 
     values: torch.Tensor
     alpha: torch.Tensor
     depth: torch.Tensor
+    median: torch.Tensor | None = None
 
 
 def rasterize(
-    gaussians: Gaussians, values: torch.Tensor, camera: Camera, backend: str = "auto"
+    gaussians: Gaussians,
+    values: torch.Tensor | None,
+    camera: Camera,
+    *,
+    backend: str = "auto",
+    settings: Settings | str = "fast",
+    background: torch.Tensor | None = None,
+    median: bool = False,
 ) -> Render:
     """Render any number of channels of ``gaussians`` as ``camera`` sees them, in one pass.
+
+    Differentiable in the means, scales, quaternions, opacities and values, and through the colours
+    in the spherical harmonics; first derivatives only.
 
     Parameters
     ----------
     gaussians : Gaussians
-    values : float [N, C]
-        What each Gaussian carries: colour, ID code, anything linear.
+        Quaternions of any length but zero.
+    values : float [N, C] or None
+        What each Gaussian carries: colour, ID code, anything linear. None draws their colour: the
+        spherical harmonics as seen from the camera.
     camera : Camera
-    backend : "auto", "cpu" or "reference"
-        ``cpu`` is parallel Numba in float32; ``reference`` is plain float64 torch that leaves
-        nothing out, slow, for comparison. ``auto`` takes the fastest there is.
+        Its principal point may lie anywhere; ``near`` and ``far`` play no part.
+    backend : "auto", "cpu", "cuda" or "reference"
+        ``cpu`` is parallel Numba in float32; ``cuda`` is gsplat; ``reference`` is plain float64
+        torch that leaves nothing out, slow, for comparison. ``auto`` takes ``cuda`` for tensors
+        that are on a GPU, else ``cpu``.
+    settings : Settings or "fast", "exact", "3dgs", "mvsplat"
+        What is drawn and what is cut; see :mod:`slgaussian.rasterize.settings`.
+    background : float [C], optional
+        Seen through what is not opaque; nothing (zeros) if not given.
+    median : bool
+        Whether to find the median depth too.
 
     Raises
     ------
     InputError
-        If ``values`` does not have a row a Gaussian, or a parameter is NaN or infinite (named with
-        its index).
+        If ``values`` or ``background`` has the wrong shape, a parameter is NaN, infinite or out of
+        its range (named with its index), or the backend cannot do what is asked.
     """
+    settings = find_settings(settings)
+    if values is None:
+        values = colors(gaussians, camera, settings.harmonics)
     if values.ndim != 2 or values.shape[0] != len(gaussians):
         raise InputError(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"
         )
-    gaussians.check_finite()
+    if background is not None and background.shape != values.shape[1:]:
+        raise InputError(
+            f"rasterize background: found shape {tuple(background.shape)}, expected "
+            f"({values.shape[1]},)"
+        )
+    if backend == "auto":
+        backend = "cuda" if gaussians.means.is_cuda else "cpu"
+    drawn = resolve("rasterizer", BACKENDS, backend)(gaussians, values, camera, settings, median)
+    if background is None:
+        return drawn
+    behind = background.to(drawn.values) * (1 - drawn.alpha)[..., None]
+    return replace(drawn, values=drawn.values + behind)
+
+
+def check_inputs(gaussians: Gaussians, values: torch.Tensor) -> None:
+    """Raise InputError naming the first number that cannot be drawn."""
+    gaussians.check()
     if (index := first_not_finite(values)) is not None:
         raise InputError(f"rasterize values[{index}]: holds NaN or infinity")
-    render = resolve("rasterizer", BACKENDS, "cpu" if backend == "auto" else backend)
-    return render(gaussians, values, camera)

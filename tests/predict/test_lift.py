@@ -45,7 +45,7 @@ def test_one_gaussian_a_pixel_at_the_given_depth(lifted):
     views, gaussians = lifted
     assert len(gaussians) == 2 * 120 * 160
     assert torch.equal(gaussians.source, torch.arange(len(gaussians), dtype=torch.int32))
-    gaussians.check_finite()
+    gaussians.check()
     depths = source_depths(gaussians, CAMERAS)
     assert np.allclose(depths, [view.depth for view in views], rtol=1e-5)
     colors = gaussians.colors().reshape(2, 120, 160, 3).numpy() * 255

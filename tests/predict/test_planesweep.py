@@ -16,7 +16,7 @@ from slgaussian.scene import Camera, Sample, View
 
 def depths_of(given: Sample, **settings: float) -> np.ndarray:
     gaussians = PlaneSweep(**settings)(given)
-    gaussians.check_finite()
+    gaussians.check()
     assert bool(((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all())
     assert bool((gaussians.scales > 0).all())
     return source_depths(gaussians, [view.camera for view in given.context])

@@ -1,0 +1,248 @@
+"""Composite splats into pixels, tile by tile, and carry gradients back to the splats."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from slgaussian.rasterize.project import MOMENTS
+from slgaussian.rasterize.tiles import (
+    LOCAL_CUT,
+    LOCAL_OPACITY,
+    LOCAL_PRECISION,
+    LOCAL_ROW_PRECISION,
+    LOCAL_SLOPE,
+    LOCAL_X,
+    LOCAL_Y,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    fullest,
+    load_tile,
+    make_workspace,
+    tile_range,
+)
+from slgaussian.simd import LANES, vany, vexp2, viota, vload, vstore, vsum, vwhere
+
+BLOCKS = 64
+"""Shares of the image that threads take, each every 64th tile, so that all are about as much work;
+each has one workspace."""
+
+PATIENCE = 8
+"""Splats drawn in a row before looking whether any of its pixels lets light through."""
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_median):
+    """Composite front to back.
+
+    Parameters
+    ----------
+    splats, boxes : as :func:`slgaussian.rasterize.project.project` gives them
+    values : float32 [N, C]
+    bins : Bins
+    alpha_max, pass_min : float32
+        See :class:`slgaussian.rasterize.settings.Settings`.
+
+    Returns
+    -------
+    image : float32 [H, W, C]
+    alpha : float32 [H, W]
+    depth : float32 [H, W]
+        Mean z; 0 where alpha is.
+    median : float32 [H, W], or [0, 0] without ``with_median``
+    """
+    channels = values.shape[1] + 1
+    image = np.empty((height, width, channels - 1), np.float32)
+    alpha = np.empty((height, width), np.float32)
+    depth = np.zeros((height, width), np.float32)
+    median = np.zeros((height, width) if with_median else (0, 0), np.float32)
+    most = fullest(bins)
+    for block in numba.prange(BLOCKS):
+        work = make_workspace(most, channels - 1)
+        sums = np.empty((channels + 3) * LANES, np.float32)
+        solids = np.empty(LANES, np.float32)
+        for tile in range(block, bins.across * bins.down, BLOCKS):
+            left, top = load_tile(tile, bins, splats, boxes, values, work)
+            columns = min(TILE_WIDTH, width - left)
+            for row in range(min(TILE_HEIGHT, height - top)):
+                used, _, solid = weigh_row(row, work, alpha_max, pass_min)
+                vstore(solids, 0, solid)
+                _sum_row(row, used, channels, work, sums)
+                y = top + row
+                for x in range(columns):
+                    for c in range(channels - 1):
+                        image[y, left + x, c] = sums[c * LANES + x]
+                    # Rounded, a sum of weights may pass 1.
+                    alpha[y, left + x] = min(solids[x], np.float32(1))
+                    if solids[x] > 0:
+                        depth[y, left + x] = sums[(channels - 1) * LANES + x] / solids[x]
+                if with_median:
+                    vstore(sums, 0, _median_row(row, used, channels, work))
+                    for x in range(columns):
+                        median[y, left + x] = sums[x]
+    return image, alpha, depth, median
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_image, d_alpha, d_z):
+    """Gradients of the splats, one row a tile that they touch.
+
+    The weights are computed again; then each row is walked back to front. With R the composite of
+    everything behind a splat as if nothing were before it, ``dL/dalpha = T (f - R)``, where T is
+    the light before the splat and f its values, all times the upstream gradient. T is the light
+    after the splat plus its weight: no division, so that opaque splats do no harm.
+
+    Parameters
+    ----------
+    firsts : int64 [N + 1]
+        See :func:`slgaussian.rasterize.project.project_backward`.
+    d_image, d_alpha, d_z : float32 [H, W, C], [H, W], [H, W]
+        Upstream gradients; the last of the composited, not the mean, z.
+
+    Returns
+    -------
+    float32 [firsts[N], MOMENTS + C + 1]
+    """
+    height, width, channels = d_image.shape
+    channels += 1
+    sums = MOMENTS + channels
+    grads = np.empty((firsts[-1], sums), np.float32)
+    most = fullest(bins)
+    for block in numba.prange(BLOCKS):
+        work = make_workspace(most, channels - 1)
+        totals = np.empty(most * sums * LANES, np.float32)
+        upstream = np.empty((channels + 1) * LANES, np.float32)
+        for tile in range(block, bins.across * bins.down, BLOCKS):
+            left, top = load_tile(tile, bins, splats, boxes, values, work)
+            start = bins.starts[tile]
+            n = bins.starts[tile + 1] - start
+            totals[: n * sums * LANES] = 0
+            columns = min(TILE_WIDTH, width - left)
+            for row in range(min(TILE_HEIGHT, height - top)):
+                used, light, _ = weigh_row(row, work, alpha_max, pass_min)
+                upstream[:] = 0
+                for x in range(columns):
+                    for c in range(channels - 1):
+                        upstream[c * LANES + x] = d_image[top + row, left + x, c]
+                    upstream[(channels - 1) * LANES + x] = d_z[top + row, left + x]
+                    # What is behind everything counts for the alpha that it does not have.
+                    upstream[channels * LANES + x] = -d_alpha[top + row, left + x]
+                _row_backward(row, used, channels, work, upstream, light, alpha_max, totals)
+            for k in range(n):
+                i = bins.entries[start + k]
+                x0, x1, y0, _ = tile_range(boxes[i])
+                place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
+                place += tile % bins.across - x0
+                for m in range(sums):
+                    grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
+    return grads
+
+
+@numba.njit(cache=True)
+def weigh_row(row, work, alpha_max, pass_min):
+    """Write the weights of one row of a loaded tile, a vector a splat of its list.
+
+    Returns how many splats of the list were looked at, the light that is left, and the sum of the
+    weights: the alpha, with all its digits where there is little of it.
+    """
+    most = len(work.order)
+    across = viota()
+    solid = across * np.float32(0)
+    light = solid + np.float32(1)
+    finished = max(pass_min, np.float32(1e-30))
+    j, count = 0, work.counts[row]
+    while j < count and vany(light >= finished):
+        for now in range(j, min(j + PATIENCE, count)):
+            k = np.uint32(work.rows[row * most + now])
+            local = work.local[k]
+            dy, e = _offsets(row, across, local)
+            power = e * e * local[LOCAL_PRECISION] + local[LOCAL_ROW_PRECISION] * dy * dy
+            alpha = vexp2(power) * local[LOCAL_OPACITY]
+            alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
+            alpha = vwhere(alpha >= local[LOCAL_CUT], alpha, np.float32(0))
+            weight = vwhere(light >= finished, alpha * light, np.float32(0))
+            vstore(work.weights, now * LANES, weight)
+            light = light - weight
+            solid = solid + weight
+        j = min(j + PATIENCE, count)
+    return j, light, solid
+
+
+@numba.njit(cache=True)
+def _offsets(row, across, local):
+    """How far a row is below a splat's centre, and its pixels are right of where it crosses."""
+    crossing = local[LOCAL_X] + local[LOCAL_SLOPE] * np.float32(row - TILE_HEIGHT // 2)
+    return np.float32(row) - local[LOCAL_Y], across - crossing
+
+
+@numba.njit(cache=True)
+def _sum_row(row, used, channels, work, sums):
+    """Weighted sums of what the splats of a row carry: a vector a channel."""
+    first = row * len(work.order)
+    zero = viota() * np.float32(0)
+    # Four at a time, so that each weight is loaded once for four sums that do not wait for one
+    # another. Sums past the last channel are of the next splat's values, and not used.
+    for c in range(0, channels, 4):
+        a, b, d, e = zero, zero, zero, zero
+        for j in range(used):
+            weight = vload(work.weights, j * LANES)
+            at = np.uint32(work.rows[first + j]) * channels + c
+            a = a + weight * work.carried[at]
+            b = b + weight * work.carried[at + 1]
+            d = d + weight * work.carried[at + 2]
+            e = e + weight * work.carried[at + 3]
+        vstore(sums, c * LANES, a)
+        vstore(sums, (c + 1) * LANES, b)
+        vstore(sums, (c + 2) * LANES, d)
+        vstore(sums, (c + 3) * LANES, e)
+
+
+@numba.njit(cache=True)
+def _median_row(row, used, channels, work):
+    """The z of the splat with which the light falls to one half; 0 where it does not."""
+    first = row * len(work.order)
+    found = viota() * np.float32(0)
+    light = found + np.float32(1)
+    for j in range(used):
+        after = light - vload(work.weights, j * LANES)
+        k = np.uint32(work.rows[first + j])
+        z = work.carried[k * channels + channels - 1]
+        reached = (light > np.float32(0.5)) & (after <= np.float32(0.5))
+        found = vwhere(reached, z, found)
+        light = after
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _row_backward(row, used, channels, work, upstream, light, alpha_max, totals):
+    first = row * len(work.order)
+    sums = MOMENTS + channels
+    # A clamped alpha does not move with the splat. The weight over the light is alpha rounded.
+    free = alpha_max * np.float32(1 - 1e-6) if alpha_max < 1 else np.float32(2)
+    behind = vload(upstream, channels * LANES)
+    across = viota()
+    for j in range(used - 1, -1, -1):
+        k = np.uint32(work.rows[first + j])
+        weight = vload(work.weights, j * LANES)
+        light = light + weight
+        alpha = vwhere(weight > np.float32(0), weight / light, np.float32(0))
+        value = across * np.float32(0)
+        at = k * channels
+        to = (k * sums + MOMENTS) * LANES
+        for c in range(channels):
+            slope = vload(upstream, c * LANES)
+            value = value + slope * work.carried[at + c]
+            vstore(totals, to, vload(totals, to) + weight * slope)
+            to += LANES
+        ahead = value - behind
+        h = vwhere(alpha < free, weight * ahead, np.float32(0))
+        behind = behind + alpha * ahead
+        dy, e = _offsets(row, across, work.local[k])
+        he = h * e
+        to = k * sums * LANES
+        vstore(totals, to, vload(totals, to) + h)
+        vstore(totals, to + LANES, vload(totals, to + LANES) + he)
+        vstore(totals, to + 2 * LANES, vload(totals, to + 2 * LANES) + he * e)
+        vstore(totals, to + 3 * LANES, vload(totals, to + 3 * LANES) + h * dy)
+        vstore(totals, to + 4 * LANES, vload(totals, to + 4 * LANES) + he * dy)
+        vstore(totals, to + 5 * LANES, vload(totals, to + 5 * LANES) + h * (dy * dy))

@@ -1,0 +1,131 @@
+"""The rasteriser of GPUs: gsplat (Ye et al., JMLR 2025, https://docs.gsplat.studio, Apache-2.0).
+
+Only this module knows gsplat, and imports it when it is used. Its kernels have constants of their
+own, so pictures differ from those of the other backends, and from what the settings ask, by this:
+
+- Alphas are clamped to 0.999, whatever ``alpha_max`` says.
+- A Gaussian is cut where its alpha is below 1/255 and outside of a rectangle of at most 3.33
+  standard deviations, whatever ``alpha_min`` and ``sigmas`` say.
+- A pixel is finished before the Gaussian that would leave it with at most 1e-4 of the light,
+  whatever ``pass_min`` says.
+- A Gaussian whose z is exactly ``near`` is drawn.
+- The arithmetic is float32, without IEEE rounding of divisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.rasterize.api import Render, check_inputs
+from slgaussian.rasterize.settings import Settings
+from slgaussian.scene import Camera
+
+LEAST_ALPHA_MAX = 0.99
+"""The constant of Kerbl et al. 2023: nearer than 0.01 to gsplat's own 0.999. Below it a clamp is
+meant to be seen, and is refused."""
+
+FAR = torch.finfo(torch.float32).max
+"""gsplat's far plane, which nothing reaches: a camera's ``far`` plays no part."""
+
+
+def render(
+    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
+) -> Render:
+    """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
+
+    ``near``, ``low_pass`` and ``compensate`` are honoured, and any number of channels; see the top
+    of this module for what differs.
+
+    Raises
+    ------
+    InputError
+        If the tensors are not on one CUDA device, gsplat is not installed or has no compiled
+        kernels, or something is asked that it cannot do: the median depth, pixels with skew, or an
+        ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+    """
+    _check_possible(camera, settings, median)
+    device = _one_device(gaussians, values)
+    rasterization = _load()
+    check_inputs(gaussians, values)
+
+    # Seen from the camera's place in float64: a million units from the origin, float32 would keep
+    # places to a sixteenth of one. Quaternions of any length are normalised there too.
+    R = torch.from_numpy(camera.c2w[:3, :3].T.copy()).to(device)
+    offsets = gaussians.means.double() - torch.from_numpy(camera.center.copy()).to(device)
+    quats = gaussians.quats.double()
+    world_to_camera = torch.eye(4, device=device)
+    world_to_camera[:3, :3] = R
+    # Depth is one more channel, so that there always is one: gsplat takes no less.
+    carried = torch.cat([values.float(), (offsets @ R[2]).float()[:, None]], 1)
+    image, alpha, _ = rasterization(
+        means=offsets.float(),
+        quats=(quats / quats.norm(dim=-1, keepdim=True)).float(),
+        scales=gaussians.scales.float(),
+        opacities=gaussians.opacities.float(),
+        colors=carried,
+        viewmats=world_to_camera[None],
+        Ks=torch.from_numpy(camera.K).float().to(device)[None],
+        width=camera.width,
+        height=camera.height,
+        near_plane=settings.near,
+        far_plane=FAR,
+        eps2d=settings.low_pass,
+        packed=False,
+        rasterize_mode="antialiased" if settings.compensate else "classic",
+    )
+    image, alpha = image[0], alpha[0, ..., 0]
+    # Where anything is drawn alpha is at least 1/255, so this is 0 elsewhere and nowhere biased.
+    depth = image[..., -1] / alpha.clamp_min(1e-10)
+    return Render(image[..., :-1], alpha, depth)
+
+
+def _check_possible(camera: Camera, settings: Settings, median: bool) -> None:
+    instead = "use backend 'cpu' for it"
+    if median:
+        raise InputError(f"rasterize: gsplat (backend 'cuda') finds no median depth; {instead}")
+    if camera.K[0, 1] != 0:
+        raise InputError(
+            f"camera K: found a skew of {camera.K[0, 1]:g} px, expected 0, as gsplat (backend "
+            f"'cuda') has no skew; {instead}"
+        )
+    if settings.alpha_max < LEAST_ALPHA_MAX:
+        raise InputError(
+            f"rasterize settings alpha_max: found {settings.alpha_max}, expected "
+            f"{LEAST_ALPHA_MAX} or more, as gsplat (backend 'cuda') clamps to 0.999; {instead}"
+        )
+
+
+def _one_device(gaussians: Gaussians, values: torch.Tensor) -> torch.device:
+    fields = ("means", "scales", "quats", "opacities")
+    drawn = {f"gaussians {name}": getattr(gaussians, name) for name in fields}
+    drawn["rasterize values"] = values
+    device = gaussians.means.device
+    for name, value in drawn.items():
+        if not value.is_cuda or value.device != device:
+            raise InputError(
+                f"{name}: found on device {str(value.device)!r}, expected all tensors on one CUDA "
+                "device for backend 'cuda'; move them there, or use backend 'cpu'"
+            )
+    return device
+
+
+def _load() -> Callable:
+    try:
+        from gsplat import rasterization
+        from gsplat.cuda._backend import _C as kernels
+    except ImportError as error:
+        raise InputError(
+            f"rasterize backend 'cuda': cannot import gsplat ({error}); install it with "
+            "`pip install slgaussian[cuda]`, or use backend 'cpu'"
+        ) from error
+    if kernels is None:
+        raise InputError(
+            "rasterize backend 'cuda': gsplat found neither compiled kernels nor a CUDA toolkit to "
+            "compile them with; install nvcc or one of gsplat's compiled wheels "
+            "(https://docs.gsplat.studio), or use backend 'cpu'"
+        )
+    return rasterization

@@ -1,0 +1,406 @@
+"""From Gaussians in the world to splats on the image, and gradients the way back.
+
+A splat is kept in the form in which a row of pixels asks for it. Cut along a row, a 2D Gaussian is
+a 1D Gaussian: its centre moves along a line from row to row, its variance is the same on all. So
+``alpha(x, y) = opacity exp(-1/2 (e^2 / var + dy^2 / yy))`` with ``dy = y - v``,
+``e = x - u - slope dy``, ``slope = xy / yy`` and ``var = xx - xy^2 / yy``. Nothing cancels in that,
+however long and thin the splat, as it does in ``a dx^2 + 2 b dx dy + c dy^2``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from slgaussian.rasterize.api import FRUSTUM_MARGIN
+from slgaussian.rasterize.settings import Settings
+from slgaussian.scene import Camera
+
+U, V, PRECISION, SLOPE, ROW_PRECISION, OPACITY, CUT, Z = range(8)
+"""Columns of a splat: centre in pixels, 1 / var, slope, 1 / yy, opacity, the alpha under which it
+is cut, z. A row of float64 is one cache line."""
+
+MOMENTS = 6
+"""The gradient of a splat is made of sums over pixels of ``h = alpha dL/dalpha`` times 1, e, e^2,
+dy, e dy and dy^2, in this order."""
+
+FAR = 1e15
+"""Image coordinates are clamped to this, so that nothing overflows in float32."""
+
+
+class Eye(NamedTuple):
+    """A camera, and what of the settings concerns projection, as kernels take them."""
+
+    R: np.ndarray
+    """World to camera, float64 [3, 3]."""
+    centre: np.ndarray
+    fx: float
+    skew: float
+    cx: float
+    fy: float
+    cy: float
+    width: int
+    height: int
+    left: float
+    """Least x / z at which the affine approximation is taken; likewise right, top, bottom."""
+    right: float
+    top: float
+    bottom: float
+    near: float
+    low_pass: float
+    compensate: bool
+    alpha_min: float
+    share: float
+    """A splat is also cut where its alpha is below this share of its opacity."""
+
+
+def eye_of(camera: Camera, settings: Settings) -> Eye:
+    """What kernels need to know of a camera and settings."""
+    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
+    margin_x = FRUSTUM_MARGIN * camera.width / (2 * fx)
+    margin_y = FRUSTUM_MARGIN * camera.height / (2 * fy)
+    return Eye(
+        R=np.ascontiguousarray(camera.c2w[:3, :3].T),
+        centre=np.ascontiguousarray(camera.center),
+        fx=fx,
+        skew=skew,
+        cx=cx,
+        fy=fy,
+        cy=cy,
+        width=camera.width,
+        height=camera.height,
+        left=-cx / fx - margin_x,
+        right=(camera.width - cx) / fx + margin_x,
+        top=-cy / fy - margin_y,
+        bottom=(camera.height - cy) / fy + margin_y,
+        near=settings.near,
+        low_pass=settings.low_pass,
+        compensate=settings.compensate,
+        alpha_min=settings.alpha_min,
+        share=math.exp(-0.5 * settings.sigmas**2),
+    )
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def project(means, scales, quats, opacities, values, eye):
+    """Project every Gaussian, in float64.
+
+    Parameters
+    ----------
+    means, scales, quats, opacities, values : float32 [N, 3], [N, 3], [N, 4], [N], [N, C]
+    eye : Eye
+
+    Returns
+    -------
+    splats : float64 [N, 8]
+    boxes : int32 [N, 4]
+        The pixels x0, x1, y0, y1 that a splat may touch, half-open; empty where it is not drawn.
+    refused : int
+        How many Gaussians hold numbers that make no sense; their splats do not either.
+    """
+    n = means.shape[0]
+    splats = np.empty((n, 8))
+    boxes = np.empty((n, 4), np.int32)
+    refused = 0
+    for i in numba.prange(n):
+        if not _sensible(means[i], scales[i], quats[i], opacities[i], values[i]):
+            refused += 1
+            continue
+        opacity = np.float64(opacities[i])
+        x, y, z = _to_camera(means[i], eye)
+        A = _image_rows(x, y, z, eye)
+        px, py = _spread(A, _rotation(quats[i]), scales[i])
+        xx, xy, yy, det = _covariance(px, py)
+        wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
+        if eye.compensate:
+            opacity *= math.sqrt(det / wide)
+        xx += eye.low_pass
+        yy += eye.low_pass
+        u, v = _to_pixel(x, y, eye)
+        cut = max(eye.alpha_min, opacity * eye.share)
+        reach = -1.0
+        if z > eye.near and opacity > eye.alpha_min:
+            reach = math.sqrt(2 * math.log(opacity / cut)) if cut > 0 else np.inf
+        boxes[i, 0], boxes[i, 1] = _pixels(u, reach * math.sqrt(xx), eye.width)
+        boxes[i, 2], boxes[i, 3] = _pixels(v, reach * math.sqrt(yy), eye.height)
+        splats[i, U] = min(max(u, -FAR), FAR)
+        splats[i, V] = min(max(v, -FAR), FAR)
+        splats[i, PRECISION] = yy / wide
+        splats[i, SLOPE] = min(max(xy / yy, -FAR), FAR)
+        splats[i, ROW_PRECISION] = 1 / yy
+        splats[i, OPACITY] = opacity
+        splats[i, CUT] = cut
+        splats[i, Z] = z
+    return splats, boxes, refused
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads):
+    """Gradients of the Gaussians from those of the splats.
+
+    Parameters
+    ----------
+    means, scales, quats, opacities, eye, splats
+        As :func:`project` took and gave them.
+    firsts : int64 [N + 1]
+        Gaussian i has the rows ``firsts[i]`` to ``firsts[i + 1]`` of ``grads``.
+    grads : float32 [rows, MOMENTS + C + 1]
+        By tile: the moments, and the gradients of the C values and of z.
+
+    Returns
+    -------
+    float32 [N, 3], [N, 3], [N, 4], [N], [N, C]
+        Of means, scales, quats, opacities and values; zero for what is not drawn.
+    """
+    n, channels = means.shape[0], grads.shape[1] - MOMENTS - 1
+    d_means = np.zeros((n, 3), np.float32)
+    d_scales = np.zeros((n, 3), np.float32)
+    d_quats = np.zeros((n, 4), np.float32)
+    d_opacities = np.zeros(n, np.float32)
+    d_values = np.zeros((n, channels), np.float32)
+    for i in numba.prange(n):
+        if firsts[i] == firsts[i + 1]:
+            continue
+        m0 = m1 = m2 = m3 = m4 = m5 = dz = 0.0
+        for row in range(firsts[i], firsts[i + 1]):
+            m0 += grads[row, 0]
+            m1 += grads[row, 1]
+            m2 += grads[row, 2]
+            m3 += grads[row, 3]
+            m4 += grads[row, 4]
+            m5 += grads[row, 5]
+            for k in range(channels):
+                d_values[i, k] += grads[row, MOMENTS + k]
+            dz += grads[row, MOMENTS + channels]
+        precision, slope = splats[i, PRECISION], splats[i, SLOPE]
+        row_precision, opacity = splats[i, ROW_PRECISION], splats[i, OPACITY]
+        d_opacity = m0 / opacity
+        du = precision * m1
+        dv = row_precision * m3 - slope * du
+        # var = xx - xy^2 / yy, slope = xy / yy.
+        d_var = 0.5 * precision * precision * m2
+        d_slope = precision * m4
+        dxx = d_var
+        dxy = d_slope * row_precision - 2 * slope * d_var
+        dyy = slope * slope * d_var - slope * row_precision * d_slope
+        dyy += 0.5 * row_precision * row_precision * m5
+
+        x, y, z = _to_camera(means[i], eye)
+        A = _image_rows(x, y, z, eye)
+        R = _rotation(quats[i])
+        px, py = _spread(A, R, scales[i])
+        if eye.compensate:
+            # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
+            xx, xy, yy, det = _covariance(px, py)
+            wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
+            share = math.sqrt(det / wide)
+            d_share = d_opacity * opacities[i]
+            d_opacity *= share
+            if share > 0:
+                d_det = d_share / (2 * share) * (wide - det) / (wide * wide)
+                d_trace = -d_share / (2 * share) * det / (wide * wide) * eye.low_pass
+                dxx += d_det * yy + d_trace
+                dxy -= d_det * 2 * xy
+                dyy += d_det * xx + d_trace
+        d_opacities[i] = d_opacity
+
+        dAx0 = dAx1 = dAx2 = dAy0 = dAy1 = dAy2 = 0.0
+        dR = np.empty((3, 3))
+        for k in range(3):
+            dpx = 2 * dxx * px[k] + dxy * py[k]
+            dpy = 2 * dyy * py[k] + dxy * px[k]
+            sx, sy = scales[i, k] * dpx, scales[i, k] * dpy
+            dAx0 += sx * R[0][k]
+            dAx1 += sx * R[1][k]
+            dAx2 += sx * R[2][k]
+            dAy0 += sy * R[0][k]
+            dAy1 += sy * R[1][k]
+            dAy2 += sy * R[2][k]
+            d_scales[i, k] = dpx * (
+                A[0][0] * R[0][k] + A[0][1] * R[1][k] + A[0][2] * R[2][k]
+            ) + dpy * (A[1][0] * R[0][k] + A[1][1] * R[1][k] + A[1][2] * R[2][k])
+            for j in range(3):
+                dR[j, k] = sx * A[0][j] + sy * A[1][j]
+        _rotation_backward(quats[i], dR, d_quats[i])
+
+        # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
+        W = eye.R
+        dJ00 = dAx0 * W[0, 0] + dAx1 * W[0, 1] + dAx2 * W[0, 2]
+        dJ01 = dAx0 * W[1, 0] + dAx1 * W[1, 1] + dAx2 * W[1, 2]
+        dJ02 = dAx0 * W[2, 0] + dAx1 * W[2, 1] + dAx2 * W[2, 2]
+        dJ11 = dAy0 * W[1, 0] + dAy1 * W[1, 1] + dAy2 * W[1, 2]
+        dJ12 = dAy0 * W[2, 0] + dAy1 * W[2, 1] + dAy2 * W[2, 2]
+        tx, ty = min(max(x, eye.left), eye.right), min(max(y, eye.top), eye.bottom)
+        dz -= (
+            dJ00 * eye.fx
+            + dJ01 * eye.skew
+            - dJ02 * (eye.fx * tx + eye.skew * ty)
+            + dJ11 * eye.fy
+            - dJ12 * eye.fy * ty
+        ) / (z * z)
+        dx = du * eye.fx
+        dy = du * eye.skew + dv * eye.fy
+        if tx == x:
+            dx -= dJ02 * eye.fx / z
+        if ty == y:
+            dy -= (dJ02 * eye.skew + dJ12 * eye.fy) / z
+        # x and y are divided by z already.
+        dz -= (dx * x + dy * y) / z
+        for k in range(3):
+            d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
+    return d_means, d_scales, d_quats, d_opacities, d_values
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sensible(mean, scale, quat, opacity, values):
+    # A sum is finite if all its terms are, in float64, where it cannot overflow; and NaN fails
+    # every comparison. Numba's float() would leave float32 as it is.
+    total = np.float64(mean[0]) + np.float64(mean[1]) + np.float64(mean[2])
+    total += np.float64(scale[0]) + np.float64(scale[1]) + np.float64(scale[2])
+    for k in range(len(values)):
+        total += np.float64(values[k])
+    q = (
+        abs(np.float64(quat[0]))
+        + abs(np.float64(quat[1]))
+        + abs(np.float64(quat[2]))
+        + abs(np.float64(quat[3]))
+    )
+    return (
+        abs(total) < np.inf
+        and min(scale[0], scale[1], scale[2]) >= 0
+        and 0 < q < np.inf
+        and 0 <= opacity <= 1
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _to_camera(mean, eye):
+    """x / z, y / z and z; z as it is, but 1 for the divisions where it is not past near."""
+    x = np.float64(mean[0]) - eye.centre[0]
+    y = np.float64(mean[1]) - eye.centre[1]
+    z = np.float64(mean[2]) - eye.centre[2]
+    R = eye.R
+    depth = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+    safe = depth if depth > eye.near else 1.0
+    return (
+        (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z) / safe,
+        (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z) / safe,
+        depth,
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _to_pixel(x, y, eye):
+    return eye.fx * x + eye.skew * y + eye.cx, eye.fy * y + eye.cy
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _image_rows(x, y, z, eye):
+    """How image x and y change with the world position, to first order: two rows of three."""
+    tx, ty = min(max(x, eye.left), eye.right), min(max(y, eye.top), eye.bottom)
+    inverse = 1 / z
+    a, b, c = eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse
+    d, e = eye.fy * inverse, -eye.fy * ty * inverse
+    R = eye.R
+    return (
+        (
+            a * R[0, 0] + b * R[1, 0] + c * R[2, 0],
+            a * R[0, 1] + b * R[1, 1] + c * R[2, 1],
+            a * R[0, 2] + b * R[1, 2] + c * R[2, 2],
+        ),
+        (
+            d * R[1, 0] + e * R[2, 0],
+            d * R[1, 1] + e * R[2, 1],
+            d * R[1, 2] + e * R[2, 2],
+        ),
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rotation(quat):
+    """Rows of the rotation matrix of a quaternion wxyz of any length but zero."""
+    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+    t = 2 / (w * w + x * x + y * y + z * z)
+    return (
+        (1 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)),
+        (t * (x * y + w * z), 1 - t * (x * x + z * z), t * (y * z - w * x)),
+        (t * (x * z - w * y), t * (y * z + w * x), 1 - t * (x * x + y * y)),
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rotation_backward(quat, dR, out):
+    """Write the gradient of the quaternion to ``out``; it is orthogonal to the quaternion."""
+    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / length, x / length, y / length, z / length
+    dw = 2 * (x * (dR[2, 1] - dR[1, 2]) + y * (dR[0, 2] - dR[2, 0]) + z * (dR[1, 0] - dR[0, 1]))
+    dx = 2 * (
+        y * (dR[0, 1] + dR[1, 0])
+        + z * (dR[0, 2] + dR[2, 0])
+        + w * (dR[2, 1] - dR[1, 2])
+        - 2 * x * (dR[1, 1] + dR[2, 2])
+    )
+    dy = 2 * (
+        x * (dR[0, 1] + dR[1, 0])
+        + z * (dR[1, 2] + dR[2, 1])
+        + w * (dR[0, 2] - dR[2, 0])
+        - 2 * y * (dR[0, 0] + dR[2, 2])
+    )
+    dz = 2 * (
+        x * (dR[0, 2] + dR[2, 0])
+        + y * (dR[1, 2] + dR[2, 1])
+        + w * (dR[1, 0] - dR[0, 1])
+        - 2 * z * (dR[0, 0] + dR[1, 1])
+    )
+    along = w * dw + x * dx + y * dy + z * dz
+    out[0] = (dw - along * w) / length
+    out[1] = (dx - along * x) / length
+    out[2] = (dy - along * y) / length
+    out[3] = (dz - along * z) / length
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _spread(A, R, scale):
+    """The three axes of a Gaussian, scaled, on the image: x and y of each, in pixels."""
+    s0, s1, s2 = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
+    (a, b, c), (d, e, f) = A
+    return (
+        (
+            s0 * (a * R[0][0] + b * R[1][0] + c * R[2][0]),
+            s1 * (a * R[0][1] + b * R[1][1] + c * R[2][1]),
+            s2 * (a * R[0][2] + b * R[1][2] + c * R[2][2]),
+        ),
+        (
+            s0 * (d * R[0][0] + e * R[1][0] + f * R[2][0]),
+            s1 * (d * R[0][1] + e * R[1][1] + f * R[2][1]),
+            s2 * (d * R[0][2] + e * R[1][2] + f * R[2][2]),
+        ),
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _covariance(px, py):
+    """xx, xy, yy and the determinant of the sum of the outer products of three axes.
+
+    The determinant is a sum of squares (Cauchy and Binet), so that it does not cancel.
+    """
+    xx = px[0] * px[0] + px[1] * px[1] + px[2] * px[2]
+    xy = px[0] * py[0] + px[1] * py[1] + px[2] * py[2]
+    yy = py[0] * py[0] + py[1] * py[1] + py[2] * py[2]
+    a = px[0] * py[1] - px[1] * py[0]
+    b = px[0] * py[2] - px[2] * py[0]
+    c = px[1] * py[2] - px[2] * py[1]
+    return xx, xy, yy, a * a + b * b + c * c
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _pixels(centre, reach, size):
+    """First and one past the last pixel whose centre is within ``reach``; empty if negative."""
+    # Clamped before the conversion to an integer, which has no infinity.
+    low = math.ceil(min(max(centre - reach - 0.5, 0.0), float(size)))
+    high = math.floor(min(max(centre + reach - 0.5, -1.0), float(size - 1))) + 1
+    return low, max(low, high)

@@ -1,0 +1,100 @@
+"""What defines a rendered picture, and what trades its accuracy for time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from slgaussian.errors import InputError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How Gaussians become pixels.
+
+    The first five define the picture; every backend and the float64 reference follow them. The
+    others are cut-offs: what they leave out is the error of a fast backend, and the reference
+    leaves out nothing.
+
+    Attributes
+    ----------
+    near : float
+        Gaussians whose centre has z at or below this are not drawn; scene units, above 0.
+    low_pass : float
+        Added to the diagonal of every projected covariance, px^2, above 0, so that no Gaussian is
+        lost between pixel centres (Kerbl et al. 2023 use 0.3).
+    compensate : bool
+        Scale each opacity by ``sqrt(det(cov) / det(cov + low_pass I))``, so that the low-pass does
+        not thicken what is smaller than a pixel (Yu et al., "Mip-Splatting", CVPR 2024).
+    harmonics : "3dgs" or "mvsplat"
+        How colour is evaluated where it is asked for; see :func:`slgaussian.harmonics.colors`.
+    alpha_max : float
+        Alphas are clamped to this, in (0, 1]; 1 leaves them alone.
+    alpha_min : float
+        A Gaussian is cut where its own alpha is below this, in [0, 1); 0 cuts nothing.
+    sigmas : float
+        A Gaussian is also cut this many standard deviations from its centre; infinity cuts nothing.
+    pass_min : float
+        A pixel is finished once it lets less light than this through, in [0, 1); 0 goes on while
+        there is any.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range.
+    """
+
+    near: float = 0.01
+    low_pass: float = 0.3
+    compensate: bool = False
+    harmonics: str = "3dgs"
+    alpha_max: float = 1.0
+    alpha_min: float = 1 / 1024
+    sigmas: float = math.inf
+    pass_min: float = 1e-3
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "near": (0 < self.near < math.inf, "above 0"),
+            "low_pass": (0 < self.low_pass < math.inf, "above 0"),
+            "alpha_max": (0 < self.alpha_max <= 1, "above 0 and at most 1"),
+            "alpha_min": (0 <= self.alpha_min < 1, "from 0 to below 1"),
+            "sigmas": (self.sigmas > 0, "above 0"),
+            "pass_min": (0 <= self.pass_min < 1, "from 0 to below 1"),
+        }
+        for name, (good, expected) in ranges.items():
+            if not good:
+                raise InputError(
+                    f"rasterize settings {name}: found {getattr(self, name)}, expected {expected}"
+                )
+
+
+PRESETS = {
+    "fast": Settings(),
+    "exact": Settings(alpha_min=0.0, pass_min=0.0),
+    "3dgs": Settings(near=0.2, alpha_max=0.99, alpha_min=1 / 255, sigmas=3.0, pass_min=1e-4),
+    "mvsplat": Settings(
+        near=0.2,
+        alpha_max=0.99,
+        alpha_min=1 / 255,
+        sigmas=3.0,
+        pass_min=1e-4,
+        harmonics="mvsplat",
+    ),
+}
+"""Settings by name. ``fast`` is the default: errors below a grey level on real scenes. ``exact``
+cuts nothing and is slow. ``3dgs`` has the constants of Kerbl et al. 2023, for comparison with what
+others render. ``mvsplat`` is how the published MVSplat checkpoints were trained; that renderer also
+took the principal point for the middle of the image, so give it a camera where it is."""
+
+
+def find_settings(settings: Settings | str) -> Settings:
+    """``settings`` itself, or the preset of that name; raises InputError if there is none."""
+    if isinstance(settings, Settings):
+        return settings
+    if settings not in PRESETS:
+        raise InputError(
+            f"unknown rasterize settings {settings!r}: expected one of {', '.join(PRESETS)}, or a "
+            "Settings"
+        )
+    return PRESETS[settings]
