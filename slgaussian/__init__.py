@@ -25,6 +25,8 @@ _PUBLIC = {
     "SemanticField": "slgaussian.field",
     "build_field": "slgaussian.build",
     "rasterize": "slgaussian.rasterize",
+    "load_ply": "slgaussian.ply",
+    "save_ply": "slgaussian.ply",
     "load_predictor": "slgaussian.predict",
     "InputError": "slgaussian.errors",
     "SpecError": "slgaussian.errors",

@@ -301,7 +301,7 @@ def _to_pixel(x, y, eye):
 def _image_rows(x, y, z, eye):
     """How image x and y change with the world position, to first order: two rows of three."""
     tx, ty = min(max(x, eye.left), eye.right), min(max(y, eye.top), eye.bottom)
-    inverse = 1 / z
+    inverse = 1 / z if z > eye.near else 1.0
     a, b, c = eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse
     d, e = eye.fy * inverse, -eye.fy * ty * inverse
     R = eye.R
