@@ -14,7 +14,7 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "benchmark"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
