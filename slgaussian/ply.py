@@ -68,8 +68,6 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     arrays = gaussians.to_arrays()
     n = len(gaussians)
     opacities, scales, sh = arrays["opacities"], arrays["scales"], arrays["sh"]
-    _check_range("opacities", opacities, (opacities >= 0) & (opacities <= 1), "0 to 1")
-    _check_range("scales", scales, scales >= 0, "0 or more")
     rest = sh.shape[1] - 1
     if 3 * rest not in REST:
         raise InputError(
@@ -248,14 +246,6 @@ def _whole(values: np.ndarray) -> np.ndarray | None:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _check_range(name: str, values: np.ndarray, good: np.ndarray, expected: str) -> None:
-    if not good.all():
-        index = tuple(int(i) for i in np.argwhere(~good)[0])
-        raise InputError(
-            f"gaussians {name}[{index[0]}]: found {values[index]:g}, expected {expected}"
-        )
 
 
 def _checked(labels: np.ndarray, n: int) -> np.ndarray:

@@ -5,7 +5,7 @@ Plain differentiable torch, so its gradients are those of automatic differentiat
 
 import torch
 
-from slgaussian.gaussians import Gaussians, covariances
+from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.rasterize.api import FRUSTUM_MARGIN, Render, check_inputs
 from slgaussian.rasterize.settings import Settings
 from slgaussian.scene import Camera
@@ -44,12 +44,15 @@ def project(
         ],
         -2,
     )
-    to_pixels = jacobian @ R
-    sharp = to_pixels @ covariances(gaussians) @ to_pixels.mT
-    cov = sharp + settings.low_pass * torch.eye(2, dtype=torch.float64, device=device)
+    # The axes of each Gaussian on the image: two rows of three.
+    axes = jacobian @ R @ rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
+    cov = axes @ axes.mT + settings.low_pass * torch.eye(2, dtype=torch.float64, device=device)
     opacities = gaussians.opacities
     if settings.compensate:
-        share = torch.linalg.det(sharp) / torch.linalg.det(cov)
+        # The determinant before the low-pass as a sum of squares (Cauchy and Binet): no noise where
+        # the Gaussian is a line.
+        sharp = torch.linalg.cross(axes[:, 0], axes[:, 1]).square().sum(-1)
+        share = sharp / torch.linalg.det(cov)
         opacities = opacities * share.clamp_min(1e-30).sqrt()
     return torch.stack([fx * x + skew * y + cx, fy * y + cy], -1), cov, opacities, depth
 
