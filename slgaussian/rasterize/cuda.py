@@ -49,7 +49,7 @@ def render(
     """
     _check_possible(camera, settings, median)
     device = _one_device(gaussians, values)
-    rasterization = _load()
+    rasterization = load_gsplat()
     check_inputs(gaussians, values)
 
     # Seen from the camera's place in float64: a million units from the origin, float32 would keep
@@ -113,7 +113,8 @@ def _one_device(gaussians: Gaussians, values: torch.Tensor) -> torch.device:
     return device
 
 
-def _load() -> Callable:
+def load_gsplat() -> Callable:
+    """gsplat's ``rasterization``; raises InputError where it or its kernels are missing."""
     try:
         from gsplat import rasterization
         from gsplat.cuda._backend import _C as kernels
