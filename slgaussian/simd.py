@@ -1,8 +1,9 @@
-"""Eight numbers at a time inside Numba functions, whatever the optimiser thinks of the loop.
+"""Sixteen numbers at a time inside Numba functions, whatever the optimiser thinks of the loop.
 
 LLVM's own vectoriser gives up on loops that address several arrays or hold a branch. A vector here
 is one LLVM value: arithmetic between vectors, and between a vector and a scalar, is the usual
-operators, and becomes SSE, AVX or NEON as the machine has it. Products and sums may be fused, which
+operators, and becomes SSE, AVX or NEON as the machine has it: several registers where one is
+narrower. Products and sums may be fused, which
 only makes them more exact. Names start with ``v`` so that they do not read as NumPy's.
 
 Only for arguments and variables inside ``njit`` functions; a vector cannot leave one.
@@ -18,7 +19,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
-LANES = 8
+LANES = 16
 
 
 class _Vector(types.Type):
@@ -31,6 +32,7 @@ class _Vector(types.Type):
 
 _F32, _F64, _MASK = _Vector(types.float32), _Vector(types.float64), _Vector(types.boolean)
 _LLVM = {
+    types.uint16: ir.IntType(16),
     types.float32: ir.FloatType(),
     types.float64: ir.DoubleType(),
     types.boolean: ir.IntType(1),
@@ -126,36 +128,55 @@ def _address(context, builder, array_type, array, index):
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
+def _load(half):
+    @intrinsic
+    def load(typing, array, index):
+        def lower(context, builder, signature, args):
+            value = builder.load(_address(context, builder, signature.args[0], args[0], args[1]))
+            value.align = array.dtype.bitwidth // 8
+            if half:
+                value = builder.bitcast(value, ir.VectorType(ir.HalfType(), LANES))
+                value = builder.fpext(value, ir.VectorType(ir.FloatType(), LANES))
+            return value
+
+        return (_F32 if half else _Vector(array.dtype))(array, types.intp), lower
+
+    return load
+
+
+def _store(half):
+    @intrinsic
+    def store(typing, array, index, vector):
+        def lower(context, builder, signature, args):
+            value = args[2]
+            if half:
+                value = builder.fptrunc(value, ir.VectorType(ir.HalfType(), LANES))
+                value = builder.bitcast(value, ir.VectorType(ir.IntType(16), LANES))
+            place = _address(context, builder, signature.args[0], args[0], args[1])
+            builder.store(value, place).align = array.dtype.bitwidth // 8
+            return context.get_dummy_value()
+
+        return types.none(array, types.intp, vector), lower
+
+    return store
+
+
+vload, vload_half = _load(half=False), _load(half=True)
+"""``vload(array, index)``: the vector at ``array[index : index + LANES]``, 1-D and contiguous.
+
+``vload_half`` takes the bits of float16 in uint16, as Numba knows no float16, and gives float32.
+"""
+
+vstore, vstore_half = _store(half=False), _store(half=True)
+"""``vstore(array, index, vector)`` writes ``array[index : index + LANES]``; likewise, rounded."""
+
+
 @intrinsic
-def vload(typing, array, index):
-    """The vector at ``array[index : index + LANES]``; ``array`` is 1-D and contiguous."""
+def vzero(typing):
+    """The float32 vector 0, 0, ..."""
 
     def lower(context, builder, signature, args):
-        load = builder.load(_address(context, builder, signature.args[0], args[0], args[1]))
-        load.align = array.dtype.bitwidth // 8
-        return load
-
-    return _Vector(array.dtype)(array, types.intp), lower
-
-
-@intrinsic
-def vstore(typing, array, index, vector):
-    """Write ``vector`` to ``array[index : index + LANES]``; ``array`` is 1-D and contiguous."""
-
-    def lower(context, builder, signature, args):
-        place = _address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], place).align = array.dtype.bitwidth // 8
-        return context.get_dummy_value()
-
-    return types.none(array, types.intp, vector), lower
-
-
-@intrinsic
-def viota(typing):
-    """The float32 vector 0, 1, 2, ..."""
-
-    def lower(context, builder, signature, args):
-        return ir.Constant(ir.VectorType(ir.FloatType(), LANES), [float(i) for i in range(LANES)])
+        return ir.Constant(ir.VectorType(ir.FloatType(), LANES), [0.0] * LANES)
 
     return _F32(), lower
 

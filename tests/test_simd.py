@@ -4,7 +4,18 @@ import numba
 import numpy as np
 import pytest
 
-from slgaussian.simd import LANES, vany, vexp2, viota, vload, vstore, vsum, vwhere
+from slgaussian.simd import (
+    LANES,
+    vany,
+    vexp2,
+    vload,
+    vload_half,
+    vstore,
+    vstore_half,
+    vsum,
+    vwhere,
+    vzero,
+)
 
 rng = np.random.default_rng(0)
 A = rng.normal(size=LANES).astype(np.float32)
@@ -14,7 +25,7 @@ B[::3] = A[::3]  # so that comparisons also meet equal numbers
 
 def lanes(function, *arguments, dtype=np.float32):
     """What an njit ``function(out, *arguments)`` writes with ``vstore(out, 0, ...)``."""
-    out = np.full(LANES, np.nan, dtype)
+    out = np.full(LANES, 77, dtype)
     function(out, *arguments)
     return out
 
@@ -139,7 +150,7 @@ def _move(source, start, target, end):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_load_and_store_at_any_place(dtype):
-    """No alignment is asked for, and nothing beside the eight numbers is touched."""
+    """No alignment is asked for, and nothing beside the numbers is touched."""
     source = np.arange(40, dtype=dtype)
     for start in range(9):
         for end in range(9):
@@ -151,12 +162,32 @@ def test_load_and_store_at_any_place(dtype):
 
 
 @numba.njit
-def _count(out):
-    vstore(out, 0, viota())
+def _zero(out):
+    vstore(out, 0, vzero())
 
 
-def test_iota():
-    np.testing.assert_array_equal(lanes(_count), np.arange(LANES))
+def test_zero():
+    np.testing.assert_array_equal(lanes(_zero), np.zeros(LANES))
+
+
+@numba.njit
+def _narrow(out, a):
+    vstore_half(out, 0, vload(a, 0))
+
+
+@numba.njit
+def _widen(out, a):
+    vstore(out, 0, vload_half(a, 0))
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-6, 1e-9, 1e4, 1e6])
+def test_halves_round_as_numpy_does(size):
+    """Below the smallest normal half, and past the largest, too."""
+    with np.errstate(over="ignore"):
+        expected = (size * A).astype(np.float16)
+    bits = lanes(_narrow, (size * A).astype(np.float32), dtype=np.uint16)
+    np.testing.assert_array_equal(bits.view(np.float16), expected)
+    np.testing.assert_array_equal(lanes(_widen, bits), expected.astype(np.float32))
 
 
 @numba.njit

@@ -7,6 +7,10 @@ import numpy as np
 
 from slgaussian.rasterize.project import MOMENTS
 from slgaussian.rasterize.tiles import (
+    ACROSS,
+    BLOCK,
+    BLOCKS_ACROSS,
+    DOWN,
     LOCAL_CUT,
     LOCAL_OPACITY,
     LOCAL_PRECISION,
@@ -14,17 +18,17 @@ from slgaussian.rasterize.tiles import (
     LOCAL_SLOPE,
     LOCAL_X,
     LOCAL_Y,
+    TILE_BLOCKS,
     TILE_HEIGHT,
-    TILE_WIDTH,
     fullest,
     load_tile,
     make_workspace,
     tile_range,
 )
-from slgaussian.simd import LANES, vany, vexp2, viota, vload, vstore, vsum, vwhere
+from slgaussian.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
 
-BLOCKS = 64
-"""Shares of the image that threads take, each every 64th tile, so that all are about as much work;
+SHARES = 64
+"""Parts of the image that threads take, each every 64th tile, so that all are about as much work;
 each has one workspace."""
 
 PATIENCE = 8
@@ -57,29 +61,32 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
     most = fullest(bins)
-    for block in numba.prange(BLOCKS):
+    for share in numba.prange(SHARES):
         work = make_workspace(most, channels - 1)
         sums = np.empty((channels + 3) * LANES, np.float32)
-        solids = np.empty(LANES, np.float32)
-        for tile in range(block, bins.across * bins.down, BLOCKS):
+        solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+        for tile in range(share, bins.across * bins.down, SHARES):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
-            columns = min(TILE_WIDTH, width - left)
-            for row in range(min(TILE_HEIGHT, height - top)):
-                used, _, solid = weigh_row(row, work, alpha_max, pass_min)
+            for block in range(TILE_BLOCKS):
+                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                if x0 >= width or y0 >= height:
+                    continue
+                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
                 vstore(solids, 0, solid)
-                _sum_row(row, used, channels, work, sums)
-                y = top + row
-                for x in range(columns):
-                    for c in range(channels - 1):
-                        image[y, left + x, c] = sums[c * LANES + x]
-                    # Rounded, a sum of weights may pass 1.
-                    alpha[y, left + x] = min(solids[x], np.float32(1))
-                    if solids[x] > 0:
-                        depth[y, left + x] = sums[(channels - 1) * LANES + x] / solids[x]
+                _sum_block(block, used, channels, work, sums)
                 if with_median:
-                    vstore(sums, 0, _median_row(row, used, channels, work))
-                    for x in range(columns):
-                        median[y, left + x] = sums[x]
+                    vstore(middles, 0, _median_block(block, used, channels, work))
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        for c in range(channels - 1):
+                            image[y, x, c] = sums[c * LANES + lane]
+                        # Rounded, a sum of weights may pass 1.
+                        alpha[y, x] = min(solids[lane], np.float32(1))
+                        if solids[lane] > 0:
+                            depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
+                        if with_median:
+                            median[y, x] = middles[lane]
     return image, alpha, depth, median
 
 
@@ -108,26 +115,30 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
     sums = MOMENTS + channels
     grads = np.empty((firsts[-1], sums), np.float32)
     most = fullest(bins)
-    for block in numba.prange(BLOCKS):
+    for share in numba.prange(SHARES):
         work = make_workspace(most, channels - 1)
         totals = np.empty(most * sums * LANES, np.float32)
         upstream = np.empty((channels + 1) * LANES, np.float32)
-        for tile in range(block, bins.across * bins.down, BLOCKS):
+        for tile in range(share, bins.across * bins.down, SHARES):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             start = bins.starts[tile]
             n = bins.starts[tile + 1] - start
             totals[: n * sums * LANES] = 0
-            columns = min(TILE_WIDTH, width - left)
-            for row in range(min(TILE_HEIGHT, height - top)):
-                used, light, _ = weigh_row(row, work, alpha_max, pass_min)
+            for block in range(TILE_BLOCKS):
+                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                if x0 >= width or y0 >= height:
+                    continue
+                used, light, _ = weigh_block(block, work, alpha_max, pass_min)
                 upstream[:] = 0
-                for x in range(columns):
-                    for c in range(channels - 1):
-                        upstream[c * LANES + x] = d_image[top + row, left + x, c]
-                    upstream[(channels - 1) * LANES + x] = d_z[top + row, left + x]
-                    # What is behind everything counts for the alpha that it does not have.
-                    upstream[channels * LANES + x] = -d_alpha[top + row, left + x]
-                _row_backward(row, used, channels, work, upstream, light, alpha_max, totals)
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        for c in range(channels - 1):
+                            upstream[c * LANES + lane] = d_image[y, x, c]
+                        upstream[(channels - 1) * LANES + lane] = d_z[y, x]
+                        # What is behind everything counts for the alpha that it does not have.
+                        upstream[channels * LANES + lane] = -d_alpha[y, x]
+                _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
             for k in range(n):
                 i = bins.entries[start + k]
                 x0, x1, y0, _ = tile_range(boxes[i])
@@ -139,24 +150,23 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
 
 
 @numba.njit(cache=True)
-def weigh_row(row, work, alpha_max, pass_min):
-    """Write the weights of one row of a loaded tile, a vector a splat of its list.
+def weigh_block(block, work, alpha_max, pass_min):
+    """Write the weights of one block of a loaded tile, a vector a splat of its list.
 
     Returns how many splats of the list were looked at, the light that is left, and the sum of the
     weights: the alpha, with all its digits where there is little of it.
     """
-    most = len(work.order)
-    across = viota()
-    solid = across * np.float32(0)
-    light = solid + np.float32(1)
+    first = block * len(work.order)
+    left, top = _corner(block)
+    zero = vzero()
+    solid, light = zero, zero + np.float32(1)
     finished = max(pass_min, np.float32(1e-30))
-    j, count = 0, work.counts[row]
+    j, count = 0, work.counts[block]
     while j < count and vany(light >= finished):
         for now in range(j, min(j + PATIENCE, count)):
-            k = np.uint32(work.rows[row * most + now])
-            local = work.local[k]
-            dy, e = _offsets(row, across, local)
-            power = e * e * local[LOCAL_PRECISION] + local[LOCAL_ROW_PRECISION] * dy * dy
+            local = work.local[np.uint32(work.lists[first + now])]
+            dy, e = _offsets(left, top, local)
+            power = e * e * local[LOCAL_PRECISION] + dy * dy * local[LOCAL_ROW_PRECISION]
             alpha = vexp2(power) * local[LOCAL_OPACITY]
             alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
             alpha = vwhere(alpha >= local[LOCAL_CUT], alpha, np.float32(0))
@@ -169,24 +179,34 @@ def weigh_row(row, work, alpha_max, pass_min):
 
 
 @numba.njit(cache=True)
-def _offsets(row, across, local):
-    """How far a row is below a splat's centre, and its pixels are right of where it crosses."""
-    crossing = local[LOCAL_X] + local[LOCAL_SLOPE] * np.float32(row - TILE_HEIGHT // 2)
-    return np.float32(row) - local[LOCAL_Y], across - crossing
+def _corner(block):
+    """The first pixel of a block, counted from the middle row of its tile."""
+    return (
+        np.float32(block % BLOCKS_ACROSS * BLOCK),
+        np.float32(block // BLOCKS_ACROSS * BLOCK - TILE_HEIGHT // 2),
+    )
 
 
 @numba.njit(cache=True)
-def _sum_row(row, used, channels, work, sums):
+def _offsets(left, top, local):
+    """How far pixels are below a splat's centre, and right of where it crosses their row."""
+    crossing = local[LOCAL_X] - left + local[LOCAL_SLOPE] * top
+    dy = vload(DOWN, 0) + (top + TILE_HEIGHT // 2 - local[LOCAL_Y])
+    return dy, vload(ACROSS, 0) - crossing - local[LOCAL_SLOPE] * vload(DOWN, 0)
+
+
+@numba.njit(cache=True)
+def _sum_block(block, used, channels, work, sums):
     """Weighted sums of what the splats of a row carry: a vector a channel."""
-    first = row * len(work.order)
-    zero = viota() * np.float32(0)
+    first = block * len(work.order)
+    zero = vzero()
     # Four at a time, so that each weight is loaded once for four sums that do not wait for one
     # another. Sums past the last channel are of the next splat's values, and not used.
     for c in range(0, channels, 4):
         a, b, d, e = zero, zero, zero, zero
         for j in range(used):
             weight = vload(work.weights, j * LANES)
-            at = np.uint32(work.rows[first + j]) * channels + c
+            at = np.uint32(work.lists[first + j]) * channels + c
             a = a + weight * work.carried[at]
             b = b + weight * work.carried[at + 1]
             d = d + weight * work.carried[at + 2]
@@ -198,14 +218,14 @@ def _sum_row(row, used, channels, work, sums):
 
 
 @numba.njit(cache=True)
-def _median_row(row, used, channels, work):
+def _median_block(block, used, channels, work):
     """The z of the splat with which the light falls to one half; 0 where it does not."""
-    first = row * len(work.order)
-    found = viota() * np.float32(0)
+    first = block * len(work.order)
+    found = vzero()
     light = found + np.float32(1)
     for j in range(used):
         after = light - vload(work.weights, j * LANES)
-        k = np.uint32(work.rows[first + j])
+        k = np.uint32(work.lists[first + j])
         z = work.carried[k * channels + channels - 1]
         reached = (light > np.float32(0.5)) & (after <= np.float32(0.5))
         found = vwhere(reached, z, found)
@@ -214,19 +234,20 @@ def _median_row(row, used, channels, work):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _row_backward(row, used, channels, work, upstream, light, alpha_max, totals):
-    first = row * len(work.order)
+def _block_backward(block, used, channels, work, upstream, light, alpha_max, totals):
+    first = block * len(work.order)
     sums = MOMENTS + channels
     # A clamped alpha does not move with the splat. The weight over the light is alpha rounded.
     free = alpha_max * np.float32(1 - 1e-6) if alpha_max < 1 else np.float32(2)
     behind = vload(upstream, channels * LANES)
-    across = viota()
+    left, top = _corner(block)
+    zero = vzero()
     for j in range(used - 1, -1, -1):
-        k = np.uint32(work.rows[first + j])
+        k = np.uint32(work.lists[first + j])
         weight = vload(work.weights, j * LANES)
         light = light + weight
         alpha = vwhere(weight > np.float32(0), weight / light, np.float32(0))
-        value = across * np.float32(0)
+        value = zero
         at = k * channels
         to = (k * sums + MOMENTS) * LANES
         for c in range(channels):
@@ -237,7 +258,7 @@ def _row_backward(row, used, channels, work, upstream, light, alpha_max, totals)
         ahead = value - behind
         h = vwhere(alpha < free, weight * ahead, np.float32(0))
         behind = behind + alpha * ahead
-        dy, e = _offsets(row, across, work.local[k])
+        dy, e = _offsets(left, top, work.local[k])
         he = h * e
         to = k * sums * LANES
         vstore(totals, to, vload(totals, to) + h)

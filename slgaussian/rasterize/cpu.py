@@ -1,4 +1,4 @@
-"""The fast rasteriser: Numba, parallel over tiles, eight pixels at a time, float32 sums.
+"""The fast rasteriser: Numba, parallel over tiles, blocks of 4x4 pixels, float32 sums.
 
 Geometry is projected in float64 (:mod:`.project`), listed by tile and depth (:mod:`.tiles`) and
 composited (:mod:`.blend`). What a tile computes does not depend on the thread that runs it, so the

@@ -16,30 +16,35 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.blend import BLOCKS, weigh_row
+from slgaussian.rasterize.blend import SHARES, weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
 from slgaussian.rasterize.project import eye_of
 from slgaussian.rasterize.settings import Settings, find_settings
 from slgaussian.rasterize.tiles import (
-    TILE_HEIGHT,
-    TILE_WIDTH,
+    BLOCK,
+    BLOCKS_ACROSS,
+    TILE_BLOCKS,
     bin_splats,
     fullest,
     load_tile,
     make_workspace,
 )
 from slgaussian.scene import Camera
-from slgaussian.simd import LANES, vany, viota, vload, vstore, vsum
+from slgaussian.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 
 WEIGHT_MIN = 1 / 4096
-"""Weights of eight pixels are left out where all are at or below this."""
+"""Weights of a block of pixels are left out where all are at or below this."""
+
+GROUP = 4
+"""Channels whose sums are in registers at a time; values are padded to a multiple of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplatPlan:
     """The weights of one view, ready to be multiplied with any values.
 
-    A row of eight pixels is a vector, and so are the eight weights that a Gaussian has in it.
+    A block of 4x4 pixels is a vector, and so are the weights that a Gaussian has in it. They are
+    kept to 11 bits: what a product costs is reading them.
 
     Attributes
     ----------
@@ -47,14 +52,16 @@ class SplatPlan:
         Of the image, and of Gaussians.
     alpha : float32 [H, W]
         Accumulated opacity.
-    starts : int64 [rows + 1]
-        Row r, of ``H * ceil(W / 8)``, has the entries ``starts[r] : starts[r + 1]``, front to back.
+    starts : int64 [blocks + 1]
+        Block b, of ``ceil(H / 4) * ceil(W / 4)``, has the entries ``starts[b] : starts[b + 1]``,
+        front to back.
     members : int32 [entries]
         The Gaussian of each entry.
-    weights : float32 [entries * 8]
+    weights : uint16 [entries * 16]
+        Bits of float16.
     by_gaussian : tuple of int64 [count + 1], int32 [entries]
-        Where each Gaussian's entries start in the second array, which holds their rows.
-    weights_by_gaussian : float32 [entries * 8]
+        Where each Gaussian's entries start in the second array, which holds their blocks.
+    weights_by_gaussian : uint16 [entries * 16]
         The weights in that order.
     """
 
@@ -97,13 +104,13 @@ def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast"
     splats, boxes = project_checked(gaussians, nothing, eye)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
-    rows = eye.height * bins.across
-    counts, alpha = np.zeros(rows + 1, np.int64), np.empty((eye.height, eye.width), np.float32)
+    blocks = -(-eye.height // BLOCK) * -(-eye.width // BLOCK)
+    counts, alpha = np.zeros(blocks + 1, np.int64), np.empty((eye.height, eye.width), np.float32)
     scene = splats, boxes, nothing.numpy(), bins, *limits
-    _weigh(*scene, alpha, counts, False, np.empty(0, np.int32), np.empty(0, np.float32))
+    _weigh(*scene, alpha, counts, False, np.empty(0, np.int32), np.empty(0, np.uint16))
     starts = np.concatenate([[0], np.cumsum(counts[:-1])])
     members = np.empty(starts[-1], np.int32)
-    weights = np.empty(starts[-1] * LANES, np.float32)
+    weights = np.empty(starts[-1] * LANES, np.uint16)
     _weigh(*scene, alpha, starts, True, members, weights)
     turned = _turn(starts, members, weights, len(gaussians))
     return SplatPlan(
@@ -134,29 +141,35 @@ class _Product(torch.autograd.Function):
 def _weigh(
     splats, boxes, values, bins, alpha_max, pass_min, alpha, starts, write, members, weights
 ):
-    """Count the entries of every row into ``starts``, or ``write`` them where it says."""
+    """Count the entries of every block into ``starts``, or ``write`` them where it says."""
     height, width = alpha.shape
+    across = -(-width // BLOCK)
     most = fullest(bins)
-    for block in numba.prange(BLOCKS):
+    for share in numba.prange(SHARES):
         work = make_workspace(most, 0)
         solids = np.empty(LANES, np.float32)
-        for tile in range(block, bins.across * bins.down, BLOCKS):
+        for tile in range(share, bins.across * bins.down, SHARES):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
-            for row in range(min(TILE_HEIGHT, height - top)):
-                used, _, solid = weigh_row(row, work, alpha_max, pass_min)
+            for block in range(TILE_BLOCKS):
+                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                if x0 >= width or y0 >= height:
+                    continue
+                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
                 vstore(solids, 0, solid)
-                for x in range(min(TILE_WIDTH, width - left)):
-                    alpha[top + row, left + x] = min(solids[x], np.float32(1))
-                place = (top + row) * bins.across + tile % bins.across
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        alpha[y, x] = min(solids[lane], np.float32(1))
+                place = y0 // BLOCK * across + x0 // BLOCK
                 found = 0
                 for j in range(used):
                     weight = vload(work.weights, j * LANES)
                     if vany(weight > np.float32(WEIGHT_MIN)):
                         if write:
-                            k = work.rows[row * most + j]
+                            k = work.lists[block * most + j]
                             entry = starts[place] + found
                             members[entry] = bins.entries[bins.starts[tile] + k]
-                            vstore(weights, entry * LANES, weight)
+                            vstore_half(weights, entry * LANES, weight)
                         found += 1
                 if not write:
                     starts[place] = found
@@ -164,63 +177,84 @@ def _weigh(
 
 @numba.njit(cache=True)
 def _turn(starts, members, weights, count):
-    """The same entries Gaussian by Gaussian: where each starts, their rows and weights."""
+    """The same entries Gaussian by Gaussian: where each starts, their blocks and weights."""
     begins = np.zeros(count + 1, np.int64)
     for member in members:
         begins[member + 1] += 1
     begins = np.cumsum(begins)
     cursor = begins[:-1].copy()
-    rows = np.empty(len(members), np.int32)
-    turned = np.empty(len(weights), np.float32)
-    for row in range(len(starts) - 1):
-        for entry in range(starts[row], starts[row + 1]):
+    blocks = np.empty(len(members), np.int32)
+    turned = np.empty(len(weights), np.uint16)
+    for block in range(len(starts) - 1):
+        for entry in range(starts[block], starts[block + 1]):
             place = cursor[members[entry]]
             cursor[members[entry]] += 1
-            rows[place] = row
+            blocks[place] = block
             vstore(turned, place * LANES, vload(weights, entry * LANES))
-    return begins, rows, turned
+    return begins, blocks, turned
 
 
 @numba.njit(cache=True, parallel=True)
 def _multiply(starts, members, weights, values, height, width):
-    channels = values.shape[1]
-    across = -(-width // LANES)
+    n, channels = values.shape
+    padded = -(-channels // GROUP) * GROUP
+    flat = np.empty(n * padded, np.float32)
+    for i in numba.prange(n):
+        for c in range(padded):
+            flat[i * padded + c] = values[i, c] if c < channels else np.float32(0)
+    across = -(-width // BLOCK)
     image = np.empty((height, width, channels), np.float32)
-    flat = values.ravel()
-    for y in numba.prange(height):
-        sums = np.empty(channels * LANES, np.float32)
+    for down in numba.prange(-(-height // BLOCK)):
+        sums = np.empty(GROUP * LANES, np.float32)
+        y0 = down * BLOCK
         for column in range(across):
-            sums[:] = 0
-            row = y * across + column
-            for entry in range(starts[row], starts[row + 1]):
-                weight = vload(weights, entry * LANES)
-                at = np.int64(np.uint32(members[entry])) * channels
-                for c in range(channels):
-                    total = vload(sums, c * LANES) + weight * flat[at + c]
-                    vstore(sums, c * LANES, total)
-            for x in range(min(LANES, width - column * LANES)):
-                for c in range(channels):
-                    image[y, column * LANES + x, c] = sums[c * LANES + x]
+            x0, block = column * BLOCK, down * across + column
+            for c in range(0, channels, GROUP):
+                p, q, r, s = vzero(), vzero(), vzero(), vzero()
+                for entry in range(starts[block], starts[block + 1]):
+                    weight = vload_half(weights, entry * LANES)
+                    at = np.int64(np.uint32(members[entry])) * padded + c
+                    p = p + weight * flat[at]
+                    q = q + weight * flat[at + 1]
+                    r = r + weight * flat[at + 2]
+                    s = s + weight * flat[at + 3]
+                vstore(sums, 0, p)
+                vstore(sums, LANES, q)
+                vstore(sums, 2 * LANES, r)
+                vstore(sums, 3 * LANES, s)
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        for k in range(min(GROUP, channels - c)):
+                            image[y, x, c + k] = sums[k * LANES + lane]
     return image
 
 
 @numba.njit(cache=True, parallel=True)
-def _multiply_turned(begins, rows, weights, upstream):
+def _multiply_turned(begins, blocks, weights, upstream):
     height, width, channels = upstream.shape
-    across = -(-width // LANES)
-    # Channel by channel within a row of eight pixels, and zero past the edge of the image.
-    planes = np.zeros(height * across * channels * LANES, np.float32)
+    across, down = -(-width // BLOCK), -(-height // BLOCK)
+    padded = -(-channels // GROUP) * GROUP
+    # Channel by channel within a block, zero past the edge of the image.
+    planes = np.zeros(down * across * padded * LANES, np.float32)
     for y in numba.prange(height):
         for x in range(width):
-            at = (y * across + x // LANES) * channels * LANES + x % LANES
+            at = (y // BLOCK * across + x // BLOCK) * padded * LANES
+            at += y % BLOCK * BLOCK + x % BLOCK
             for c in range(channels):
                 planes[at + c * LANES] = upstream[y, x, c]
     grads = np.empty((len(begins) - 1, channels), np.float32)
     for i in numba.prange(len(begins) - 1):
-        for c in range(channels):
-            total = viota() * np.float32(0)
+        for c in range(0, channels, GROUP):
+            p, q, r, s = vzero(), vzero(), vzero(), vzero()
             for entry in range(begins[i], begins[i + 1]):
-                at = (np.int64(np.uint32(rows[entry])) * channels + c) * LANES
-                total = total + vload(weights, entry * LANES) * vload(planes, at)
-            grads[i, c] = vsum(total)
+                weight = vload_half(weights, entry * LANES)
+                at = (np.int64(np.uint32(blocks[entry])) * padded + c) * LANES
+                p = p + weight * vload(planes, at)
+                q = q + weight * vload(planes, at + LANES)
+                r = r + weight * vload(planes, at + 2 * LANES)
+                s = s + weight * vload(planes, at + 3 * LANES)
+            for k, total in enumerate((p, q, r, s)):
+                if c + k < channels:
+                    grads[i, c + k] = vsum(total)
     return grads

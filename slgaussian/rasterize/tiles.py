@@ -1,7 +1,8 @@
 """Which splats each tile of the image draws, and in which order.
 
-A tile is one vector wide. Its splats are gathered into a small workspace, sorted by depth, and
-listed row by row: what draws a row then walks one list, with its pixels in registers.
+A tile is a few blocks of pixels, each one vector. Its splats are gathered into a small workspace,
+sorted by depth, and listed block by block: what draws a block then walks one list, with its pixels
+in registers.
 
 Nothing here depends on the number of threads: lists are filled in parts of fixed size, in the order
 of the input, and the sort is stable.
@@ -28,9 +29,17 @@ from slgaussian.rasterize.project import (
 )
 from slgaussian.simd import LANES
 
-TILE_WIDTH, TILE_HEIGHT = LANES, 32
-"""Taller tiles sort fewer splats twice, but hold more at a time; measured, 16 is slower by a tenth
-and 64 no faster."""
+BLOCK = 4
+"""Pixels across and down of a block, which is one vector. Square ones waste least of it."""
+
+assert BLOCK * BLOCK == LANES
+
+ACROSS, DOWN = (np.float32(lane.ravel()) for lane in np.indices((BLOCK, BLOCK))[::-1])
+"""Where in its block each lane is."""
+
+TILE_WIDTH, TILE_HEIGHT = 16, 32
+BLOCKS_ACROSS = TILE_WIDTH // BLOCK
+TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 
 PARTS = 16
 """Parts in which splats are counted and listed side by side."""
@@ -63,15 +72,15 @@ class Workspace(NamedTuple):
         To sort, and to sort into.
     local : float32 [n, 8]
         The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
-    top, bottom : int32 [n]
-        Rows of the tile that the splat may touch, half-open.
+    reach : int32 [n, 4]
+        Blocks of the tile that the splat may touch: left, right, top, bottom, half-open.
     carried : float32 [n (C + 1) + LANES]
         The values and z of each splat.
-    rows : int32 [TILE_HEIGHT n]
-        Row r lists its splats, front to back, in ``rows[r n : r n + counts[r]]``.
-    counts : int64 [TILE_HEIGHT]
+    lists : int32 [TILE_BLOCKS n]
+        Block b lists its splats, front to back, in ``lists[b n : b n + counts[b]]``.
+    counts : int64 [TILE_BLOCKS]
     weights : float32 [n LANES]
-        For the use of who draws a row.
+        For the use of who draws a block.
     """
 
     keys: np.ndarray
@@ -79,10 +88,9 @@ class Workspace(NamedTuple):
     order: np.ndarray
     more_order: np.ndarray
     local: np.ndarray
-    top: np.ndarray
-    bottom: np.ndarray
+    reach: np.ndarray
     carried: np.ndarray
-    rows: np.ndarray
+    lists: np.ndarray
     counts: np.ndarray
     weights: np.ndarray
 
@@ -96,11 +104,10 @@ def make_workspace(n, channels):
         np.empty(n, np.int32),
         np.empty(n, np.int32),
         np.empty((n, 8), np.float32),
-        np.empty(n, np.int32),
-        np.empty(n, np.int32),
+        np.empty((n, 4), np.int32),
         np.zeros(n * (channels + 1) + LANES, np.float32),
-        np.empty(TILE_HEIGHT * n, np.int32),
-        np.empty(TILE_HEIGHT, np.int64),
+        np.empty(TILE_BLOCKS * n, np.int32),
+        np.empty(TILE_BLOCKS, np.int64),
         np.empty(n * LANES, np.float32),
     )
 
@@ -196,8 +203,10 @@ def load_tile(tile, bins, splats, boxes, values, work):
         work.local[k, LOCAL_ROW_PRECISION] = -HALF_LOG2_E * splat[ROW_PRECISION]
         work.local[k, LOCAL_OPACITY] = splat[OPACITY]
         work.local[k, LOCAL_CUT] = splat[CUT]
-        work.top[k] = max(0, boxes[i, 2] - top)
-        work.bottom[k] = min(TILE_HEIGHT, boxes[i, 3] - top)
+        work.reach[k, 0] = max(0, boxes[i, 0] - left) // BLOCK
+        work.reach[k, 1] = (min(TILE_WIDTH, boxes[i, 1] - left) + BLOCK - 1) // BLOCK
+        work.reach[k, 2] = max(0, boxes[i, 2] - top) // BLOCK
+        work.reach[k, 3] = (min(TILE_HEIGHT, boxes[i, 3] - top) + BLOCK - 1) // BLOCK
         at = k * (channels + 1)
         for c in range(channels):
             work.carried[at + c] = values[i, c]
@@ -209,9 +218,12 @@ def load_tile(tile, bins, splats, boxes, values, work):
     work.counts[:] = 0
     for j in range(n):
         k = np.uint32(order[j])
-        for row in range(work.top[k], work.bottom[k]):
-            work.rows[row * most + work.counts[row]] = k
-            work.counts[row] += 1
+        reach = work.reach[k]
+        for y in range(reach[2], reach[3]):
+            for x in range(reach[0], reach[1]):
+                block = y * BLOCKS_ACROSS + x
+                work.lists[block * most + work.counts[block]] = k
+                work.counts[block] += 1
     return left, top
 
 
