@@ -172,6 +172,22 @@ vstore, vstore_half = _store(half=False), _store(half=True)
 
 
 @intrinsic
+def prefetch(typing, array, index):
+    """Ask for the cache line of element ``index`` of a contiguous ``array``, to read it soon."""
+
+    def lower(context, builder, signature, args):
+        data = context.make_array(array)(context, builder, args[0]).data
+        place = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
+        whole = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [place.type, whole, whole, whole])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+        builder.call(function, [place, whole(0), whole(3), whole(1)])
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp), lower
+
+
+@intrinsic
 def vzero(typing):
     """The float32 vector 0, 0, ..."""
 

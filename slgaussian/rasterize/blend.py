@@ -28,8 +28,7 @@ from slgaussian.rasterize.tiles import (
 from slgaussian.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
 
 SHARES = 64
-"""Parts of the image that threads take, each every 64th tile, so that all are about as much work;
-each has one workspace."""
+"""Parts of the image that threads take; each has one workspace."""
 
 PATIENCE = 8
 """Splats drawn in a row before looking whether any of its pixels lets light through."""
@@ -65,7 +64,7 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
         work = make_workspace(most, channels - 1)
         sums = np.empty((channels + 3) * LANES, np.float32)
         solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-        for tile in range(share, bins.across * bins.down, SHARES):
+        for tile in range(*tiles_of(share, bins)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             for block in range(TILE_BLOCKS):
                 x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
@@ -119,7 +118,7 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
         work = make_workspace(most, channels - 1)
         totals = np.empty(most * sums * LANES, np.float32)
         upstream = np.empty((channels + 1) * LANES, np.float32)
-        for tile in range(share, bins.across * bins.down, SHARES):
+        for tile in range(*tiles_of(share, bins)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             start = bins.starts[tile]
             n = bins.starts[tile + 1] - start
@@ -147,6 +146,18 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
                 for m in range(sums):
                     grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
     return grads
+
+
+@numba.njit(cache=True)
+def tiles_of(share, bins):
+    """First and one past the last tile of a share.
+
+    Neighbours, which have splats in common; but a thread, which takes the first shares or the last,
+    gets tiles from the whole image, for one part of it may have more splats than another.
+    """
+    place = share % 2 * (SHARES // 2) + share // 2
+    tiles = bins.across * bins.down
+    return place * tiles // SHARES, (place + 1) * tiles // SHARES
 
 
 @numba.njit(cache=True)

@@ -27,7 +27,7 @@ from slgaussian.rasterize.project import (
     V,
     Z,
 )
-from slgaussian.simd import LANES
+from slgaussian.simd import LANES, prefetch
 
 BLOCK = 4
 """Pixels across and down of a block, which is one vector. Square ones waste least of it."""
@@ -43,6 +43,9 @@ TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 
 PARTS = 16
 """Parts in which splats are counted and listed side by side."""
+
+AHEAD = 12
+"""Splats between what is read and what is asked for."""
 
 HALF_LOG2_E = 0.5 * math.log2(math.e)
 
@@ -192,6 +195,10 @@ def load_tile(tile, bins, splats, boxes, values, work):
     channels = values.shape[1]
     nearest = np.float32(np.inf)
     for k in range(n):
+        ahead = bins.entries[min(start + k + AHEAD, len(bins.entries) - 1)]
+        prefetch(splats, ahead * splats.shape[1])
+        prefetch(boxes, ahead * 4)
+        prefetch(values, ahead * channels)
         i = np.uint32(bins.entries[start + k])
         splat = splats[i]
         y = splat[V] - top - 0.5
