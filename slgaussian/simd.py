@@ -245,45 +245,34 @@ def vany(typing, mask):
 
 
 @intrinsic
-def _round(typing, vector):
-    def lower(context, builder, signature, args):
-        kind = args[0].type
-        name = f"llvm.nearbyint.v{LANES}f32"
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), name
-        )
-        return builder.call(function, args)
-
-    return vector(vector), lower
-
-
-@intrinsic
-def _two_to(typing, whole):
-    """2 to the power of whole float32 numbers in [-126, 127], from the bits of the result."""
+def _shift_exponent(typing, vector, magic):
+    """``vector`` times 2^n, where n is the integer that ``magic`` was rounded to."""
 
     def lower(context, builder, signature, args):
         bits = ir.VectorType(ir.IntType(32), LANES)
-        exponent = builder.fptosi(args[0], bits)
-        biased = builder.add(exponent, ir.Constant(bits, [127] * LANES))
-        shifted = builder.shl(biased, ir.Constant(bits, [23] * LANES))
-        return builder.bitcast(shifted, args[0].type)
+        n = builder.shl(builder.bitcast(args[1], bits), ir.Constant(bits, [23] * LANES))
+        return builder.bitcast(builder.add(builder.bitcast(args[0], bits), n), args[0].type)
 
-    return whole(whole), lower
+    return vector(vector, magic), lower
+
+
+MAGIC = np.float32(1.5 * 2**23)
+"""Added to a small number, it leaves its nearest integer in the last bits."""
 
 
 @njit(cache=True)
 def vexp2(x):
     """2 to the power of a float32 vector, at most 127; below -100 it stays at 2^-100.
 
-    Relative error 2.5e-7: a polynomial of degree 6 on [-1/2, 1/2] (minimax) and a shift.
+    Relative error 1.5e-7: a polynomial of degree 5 on [-1/2, 1/2] (minimax, 9.1e-8, and exact at
+    0) and a shift.
     """
     x = vwhere(x > np.float32(-100), x, np.float32(-100))
-    whole = _round(x)
-    t = x - whole
-    p = t * np.float32(1.535336188319500e-4) + np.float32(1.339887440266574e-3)
-    p = t * p + np.float32(9.618437357674640e-3)
-    p = t * p + np.float32(5.550332471162809e-2)
-    p = t * p + np.float32(2.402264791363012e-1)
-    p = t * p + np.float32(6.931472028550421e-1)
+    magic = x + MAGIC
+    t = x - (magic - MAGIC)
+    p = t * np.float32(1.3264727123566361e-3) + np.float32(9.671512644824094e-3)
+    p = t * p + np.float32(5.550733743497081e-2)
+    p = t * p + np.float32(2.4022242085262316e-1)
+    p = t * p + np.float32(6.931469775989922e-1)
     p = t * p + np.float32(1)
-    return p * _two_to(whole)
+    return _shift_exponent(p, magic)

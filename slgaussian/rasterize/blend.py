@@ -12,10 +12,10 @@ from slgaussian.rasterize.tiles import (
     BLOCKS_ACROSS,
     DOWN,
     LOCAL_CUT,
-    LOCAL_OPACITY,
-    LOCAL_PRECISION,
-    LOCAL_ROW_PRECISION,
-    LOCAL_SLOPE,
+    LOCAL_POWER,
+    LOCAL_ROOT,
+    LOCAL_ROW_ROOT,
+    LOCAL_SLANT,
     LOCAL_X,
     LOCAL_Y,
     TILE_BLOCKS,
@@ -176,12 +176,12 @@ def weigh_block(block, work, alpha_max, pass_min):
     while j < count and vany(light >= finished):
         for now in range(j, min(j + PATIENCE, count)):
             local = work.local[np.uint32(work.lists[first + now])]
-            dy, e = _offsets(left, top, local)
-            power = e * e * local[LOCAL_PRECISION] + dy * dy * local[LOCAL_ROW_PRECISION]
-            alpha = vexp2(power) * local[LOCAL_OPACITY]
+            e, d = _offsets(left, top, local)
+            power = local[LOCAL_POWER] - e * e - d * d
+            alpha = vexp2(power)
             alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
-            alpha = vwhere(alpha >= local[LOCAL_CUT], alpha, np.float32(0))
-            weight = vwhere(light >= finished, alpha * light, np.float32(0))
+            drawn = (power >= local[LOCAL_CUT]) & (light >= finished)
+            weight = vwhere(drawn, alpha * light, np.float32(0))
             vstore(work.weights, now * LANES, weight)
             light = light - weight
             solid = solid + weight
@@ -191,7 +191,7 @@ def weigh_block(block, work, alpha_max, pass_min):
 
 @numba.njit(cache=True)
 def _corner(block):
-    """The first pixel of a block, counted from the middle row of its tile."""
+    """The first pixel of a block, counted from the first of its tile's middle row."""
     return (
         np.float32(block % BLOCKS_ACROSS * BLOCK),
         np.float32(block // BLOCKS_ACROSS * BLOCK - TILE_HEIGHT // 2),
@@ -200,10 +200,14 @@ def _corner(block):
 
 @numba.njit(cache=True)
 def _offsets(left, top, local):
-    """How far pixels are below a splat's centre, and right of where it crosses their row."""
-    crossing = local[LOCAL_X] - left + local[LOCAL_SLOPE] * top
-    dy = vload(DOWN, 0) + (top + TILE_HEIGHT // 2 - local[LOCAL_Y])
-    return dy, vload(ACROSS, 0) - crossing - local[LOCAL_SLOPE] * vload(DOWN, 0)
+    """How far pixels are right of where a splat crosses their row, and below its centre.
+
+    In units in which the Gaussian is ``2^-(e^2 + d^2)``.
+    """
+    root, slant, row_root = local[LOCAL_ROOT], local[LOCAL_SLANT], local[LOCAL_ROW_ROOT]
+    e = vload(ACROSS, 0) * root + (root * (left - local[LOCAL_X]) - slant * top)
+    d = vload(DOWN, 0) * row_root + row_root * (top - local[LOCAL_Y])
+    return e - vload(DOWN, 0) * slant, d
 
 
 @numba.njit(cache=True)
@@ -269,12 +273,12 @@ def _block_backward(block, used, channels, work, upstream, light, alpha_max, tot
         ahead = value - behind
         h = vwhere(alpha < free, weight * ahead, np.float32(0))
         behind = behind + alpha * ahead
-        dy, e = _offsets(left, top, work.local[k])
+        e, d = _offsets(left, top, work.local[k])
         he = h * e
         to = k * sums * LANES
         vstore(totals, to, vload(totals, to) + h)
         vstore(totals, to + LANES, vload(totals, to + LANES) + he)
         vstore(totals, to + 2 * LANES, vload(totals, to + 2 * LANES) + he * e)
-        vstore(totals, to + 3 * LANES, vload(totals, to + 3 * LANES) + h * dy)
-        vstore(totals, to + 4 * LANES, vload(totals, to + 4 * LANES) + he * dy)
-        vstore(totals, to + 5 * LANES, vload(totals, to + 5 * LANES) + h * (dy * dy))
+        vstore(totals, to + 3 * LANES, vload(totals, to + 3 * LANES) + h * d)
+        vstore(totals, to + 4 * LANES, vload(totals, to + 4 * LANES) + he * d)
+        vstore(totals, to + 5 * LANES, vload(totals, to + 5 * LANES) + h * (d * d))

@@ -19,13 +19,16 @@ from slgaussian.rasterize.api import FRUSTUM_MARGIN
 from slgaussian.rasterize.settings import Settings
 from slgaussian.scene import Camera
 
-U, V, PRECISION, SLOPE, ROW_PRECISION, OPACITY, CUT, Z = range(8)
-"""Columns of a splat: centre in pixels, 1 / var, slope, 1 / yy, opacity, the alpha under which it
-is cut, z. A row of float64 is one cache line."""
+U, V, ROOT, SLOPE, ROW_ROOT, POWER, CUT, Z = range(8)
+"""Columns of a splat: centre in pixels; the roots of ``k / var`` and ``k / yy`` with ``k = 1/2
+log2 e``, and slope; log2 of the opacity, and of the alpha under which it is cut; z. So alpha is
+``2^(power - (root e)^2 - (row_root dy)^2)``. A row of float64 is one cache line."""
 
 MOMENTS = 6
 """The gradient of a splat is made of sums over pixels of ``h = alpha dL/dalpha`` times 1, e, e^2,
-dy, e dy and dy^2, in this order."""
+d, e d and d^2, in this order, where e is times root and d is dy times row_root."""
+
+HALF_LOG2_E = 0.5 * math.log2(math.e)
 
 FAR = 1e15
 """Image coordinates are clamped to this, so that nothing overflows in float32."""
@@ -53,8 +56,10 @@ class Eye(NamedTuple):
     low_pass: float
     compensate: bool
     alpha_min: float
+    cut: float
+    """The log2 of alpha_min."""
     share: float
-    """A splat is also cut where its alpha is below this share of its opacity."""
+    """The log2 of the share of its opacity below which a splat is also cut."""
 
 
 def eye_of(camera: Camera, settings: Settings) -> Eye:
@@ -80,7 +85,8 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
         low_pass=settings.low_pass,
         compensate=settings.compensate,
         alpha_min=settings.alpha_min,
-        share=math.exp(-0.5 * settings.sigmas**2),
+        cut=math.log2(settings.alpha_min) if settings.alpha_min > 0 else -math.inf,
+        share=-HALF_LOG2_E * settings.sigmas**2,
     )
 
 
@@ -120,18 +126,19 @@ def project(means, scales, quats, opacities, values, eye):
         xx += eye.low_pass
         yy += eye.low_pass
         u, v = _to_pixel(x, y, eye)
-        cut = max(eye.alpha_min, opacity * eye.share)
+        power = math.log2(opacity)
+        cut = max(eye.cut, power + eye.share)
         reach = -1.0
         if z > eye.near and opacity > eye.alpha_min:
-            reach = math.sqrt(2 * math.log(opacity / cut)) if cut > 0 else np.inf
+            reach = math.sqrt((power - cut) / HALF_LOG2_E)
         boxes[i, 0], boxes[i, 1] = _pixels(u, reach * math.sqrt(xx), eye.width)
         boxes[i, 2], boxes[i, 3] = _pixels(v, reach * math.sqrt(yy), eye.height)
         splats[i, U] = min(max(u, -FAR), FAR)
         splats[i, V] = min(max(v, -FAR), FAR)
-        splats[i, PRECISION] = yy / wide
+        splats[i, ROOT] = math.sqrt(HALF_LOG2_E * yy / wide)
         splats[i, SLOPE] = min(max(xy / yy, -FAR), FAR)
-        splats[i, ROW_PRECISION] = 1 / yy
-        splats[i, OPACITY] = opacity
+        splats[i, ROW_ROOT] = math.sqrt(HALF_LOG2_E / yy)
+        splats[i, POWER] = power
         splats[i, CUT] = cut
         splats[i, Z] = z
     return splats, boxes, refused
@@ -175,18 +182,18 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
             for k in range(channels):
                 d_values[i, k] += grads[row, MOMENTS + k]
             dz += grads[row, MOMENTS + channels]
-        precision, slope = splats[i, PRECISION], splats[i, SLOPE]
-        row_precision, opacity = splats[i, ROW_PRECISION], splats[i, OPACITY]
-        d_opacity = m0 / opacity
-        du = precision * m1
-        dv = row_precision * m3 - slope * du
+        root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
+        row_precision = row_root * row_root / HALF_LOG2_E
+        d_opacity = m0 / math.exp2(splats[i, POWER])
+        du = root * m1 / HALF_LOG2_E
+        dv = row_root * m3 / HALF_LOG2_E - slope * du
         # var = xx - xy^2 / yy, slope = xy / yy.
-        d_var = 0.5 * precision * precision * m2
-        d_slope = precision * m4
+        d_var = 0.5 * (root * root / HALF_LOG2_E) * m2 / HALF_LOG2_E
+        d_slope = root / row_root * m4 / HALF_LOG2_E
         dxx = d_var
         dxy = d_slope * row_precision - 2 * slope * d_var
         dyy = slope * slope * d_var - slope * row_precision * d_slope
-        dyy += 0.5 * row_precision * row_precision * m5
+        dyy += 0.5 * row_precision * m5 / HALF_LOG2_E
 
         x, y, z = _to_camera(means[i], eye)
         A = _image_rows(x, y, z, eye)

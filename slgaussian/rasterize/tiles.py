@@ -10,7 +10,6 @@ of the input, and the sort is stable.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numba
@@ -19,9 +18,9 @@ import numpy as np
 from slgaussian.rasterize.project import (
     CUT,
     FAR,
-    OPACITY,
-    PRECISION,
-    ROW_PRECISION,
+    POWER,
+    ROOT,
+    ROW_ROOT,
     SLOPE,
     U,
     V,
@@ -47,14 +46,10 @@ PARTS = 16
 AHEAD = 12
 """Splats between what is read and what is asked for."""
 
-HALF_LOG2_E = 0.5 * math.log2(math.e)
-
-LOCAL_X, LOCAL_Y, LOCAL_SLOPE, LOCAL_PRECISION, LOCAL_ROW_PRECISION, LOCAL_OPACITY, LOCAL_CUT = (
-    range(7)
-)
-"""Columns of a splat in its tile. Its centre is in pixels from the centre of the tile's first: x
-where it crosses the tile's middle row, so that a long splat's far centre costs no digits. The
-precisions are times ``-1/2 log2 e``."""
+LOCAL_X, LOCAL_Y, LOCAL_ROOT, LOCAL_SLANT, LOCAL_ROW_ROOT, LOCAL_POWER, LOCAL_CUT = range(7)
+"""Columns of a splat in its tile. Its centre is in pixels from the first of the tile's middle row:
+x where it crosses that row, so that a long splat's far centre costs no digits. The slant is root
+times slope."""
 
 
 class Bins(NamedTuple):
@@ -201,14 +196,14 @@ def load_tile(tile, bins, splats, boxes, values, work):
         prefetch(values, ahead * channels)
         i = np.uint32(bins.entries[start + k])
         splat = splats[i]
-        y = splat[V] - top - 0.5
-        middle = splat[U] - left - 0.5 + splat[SLOPE] * (TILE_HEIGHT // 2 - y)
-        work.local[k, LOCAL_X] = min(max(middle, -FAR), FAR)
+        y = splat[V] - (top + TILE_HEIGHT // 2) - 0.5
+        x = splat[U] - left - 0.5 - splat[SLOPE] * y
+        work.local[k, LOCAL_X] = min(max(x, -FAR), FAR)
         work.local[k, LOCAL_Y] = y
-        work.local[k, LOCAL_SLOPE] = splat[SLOPE]
-        work.local[k, LOCAL_PRECISION] = -HALF_LOG2_E * splat[PRECISION]
-        work.local[k, LOCAL_ROW_PRECISION] = -HALF_LOG2_E * splat[ROW_PRECISION]
-        work.local[k, LOCAL_OPACITY] = splat[OPACITY]
+        work.local[k, LOCAL_ROOT] = splat[ROOT]
+        work.local[k, LOCAL_SLANT] = splat[ROOT] * splat[SLOPE]
+        work.local[k, LOCAL_ROW_ROOT] = splat[ROW_ROOT]
+        work.local[k, LOCAL_POWER] = splat[POWER]
         work.local[k, LOCAL_CUT] = splat[CUT]
         work.reach[k, 0] = max(0, boxes[i, 0] - left) // BLOCK
         work.reach[k, 1] = (min(TILE_WIDTH, boxes[i, 1] - left) + BLOCK - 1) // BLOCK
