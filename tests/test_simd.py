@@ -6,14 +6,22 @@ import pytest
 
 from slgaussian.simd import (
     LANES,
+    vabs,
+    vall,
     vany,
+    vceil,
     vexp2,
+    vfloor,
     vload,
     vload_half,
+    vlog2,
+    vnarrow,
+    vsqrt,
     vstore,
     vstore_half,
     vsum,
     vwhere,
+    vwiden,
     vzero,
 )
 
@@ -257,3 +265,75 @@ def test_exp2_is_at_most_1_at_and_below_0():
     tiny = -np.geomspace(1e-38, 1, 10_000).astype(np.float32)
     assert powers(tiny).max() <= 1
     assert powers(np.array([0.0, -0.0]))[0] == 1
+
+
+@numba.njit
+def _shape(out, a):
+    x = vwiden(vload(a, 0))
+    vstore(out, 0, vfloor(x))
+    vstore(out, LANES, vceil(x))
+    vstore(out, 2 * LANES, vabs(x))
+    vstore(out, 3 * LANES, vsqrt(vabs(x)))
+    vstore(out, 4 * LANES, -x)
+    vstore(out, 5 * LANES, vwiden(vnarrow(x * 0.1)))
+
+
+def test_functions_of_one_number():
+    out, a = np.empty(6 * LANES), 10 * A
+    _shape(out, a)
+    x = a.astype(np.float64)
+    narrow = (x * 0.1).astype(np.float32)
+    expected = [np.floor(x), np.ceil(x), abs(x), np.sqrt(abs(x)), -x, narrow]
+    np.testing.assert_array_equal(out.reshape(6, LANES), expected)
+
+
+@numba.njit
+def _all_positive(a):
+    return vall(vload(a, 0) > np.float32(0))
+
+
+def test_all():
+    assert _all_positive(np.ones(LANES, np.float32))
+    for lane in range(LANES):
+        for wrong in (0, -1, np.nan):
+            assert not _all_positive(
+                np.where(np.arange(LANES) == lane, wrong, 1).astype(np.float32)
+            )
+
+
+@numba.njit
+def _scalar(mask, a, b):
+    return vwhere(mask, a, b)
+
+
+def test_where_takes_scalars():
+    assert _scalar(True, 1.5, 2) == 1.5
+    assert _scalar(False, 1.5, 2) == 2.0
+
+
+@numba.njit
+def _logs(out, x):
+    for i in range(0, len(x), LANES):
+        vstore(out, i, vlog2(vload(x, i)))
+
+
+def logs(x: np.ndarray) -> np.ndarray:
+    padded = np.ones(-(-len(x) // LANES) * LANES, np.float32)
+    padded[: len(x)] = x
+    out = np.empty_like(padded)
+    _logs(out, padded)
+    return out[: len(x)]
+
+
+def test_log2():
+    rng = np.random.default_rng(1)
+    near_one = 1 + rng.uniform(-1, 1, 20_000) * 2.0 ** rng.integers(-24, -1, 20_000)
+    anywhere = 2.0 ** rng.uniform(-126, 127, 20_000)
+    for x in (near_one, anywhere, [np.nextafter(1, 0, dtype=np.float32), np.sqrt(0.5), 2**-126]):
+        x = np.asarray(x, np.float32)
+        true = np.log2(x.astype(np.float64))
+        # Measured 2.0e-7.
+        np.testing.assert_allclose(logs(x), true, rtol=3e-7, atol=0)
+    whole = np.arange(-126, 128)
+    np.testing.assert_array_equal(logs(2.0**whole), whole)
+    assert np.isfinite(logs(np.float32([0, 1e-45, 1e-40]))).all()

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.blend import draw, draw_backward
@@ -61,10 +60,9 @@ def project_checked(
         Naming the first Gaussian with a number that makes no sense.
     """
     arrays = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
-    splats, boxes, refused = project(*arrays, values.detach().numpy(), eye)
-    if refused:
+    splats, boxes, sensible = project(*arrays, values.detach().numpy(), eye)
+    if not sensible:
         check_inputs(gaussians, values)
-        raise InputError(f"rasterize: {refused} Gaussians hold numbers too large to draw")
     return splats, boxes
 
 

@@ -18,6 +18,20 @@ import numpy as np
 from slgaussian.rasterize.api import FRUSTUM_MARGIN
 from slgaussian.rasterize.settings import Settings
 from slgaussian.scene import Camera
+from slgaussian.simd import (
+    LANES,
+    vabs,
+    vall,
+    vceil,
+    vfloor,
+    vload,
+    vlog2,
+    vnarrow,
+    vsqrt,
+    vstore,
+    vwhere,
+    vwiden,
+)
 
 U, V, ROOT, SLOPE, ROW_ROOT, POWER, CUT, Z = range(8)
 """Columns of a splat: centre in pixels; the roots of ``k / var`` and ``k / yy`` with ``k = 1/2
@@ -29,6 +43,9 @@ MOMENTS = 6
 d, e d and d^2, in this order, where e is times root and d is dy times row_root."""
 
 HALF_LOG2_E = 0.5 * math.log2(math.e)
+
+SHARES = 64
+"""Parts of the Gaussians that threads take."""
 
 FAR = 1e15
 """Image coordinates are clamped to this, so that nothing overflows in float32."""
@@ -92,7 +109,7 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def project(means, scales, quats, opacities, values, eye):
-    """Project every Gaussian, in float64.
+    """Project every Gaussian, in float64, a vector of them at a time.
 
     Parameters
     ----------
@@ -104,44 +121,119 @@ def project(means, scales, quats, opacities, values, eye):
     splats : float64 [N, 8]
     boxes : int32 [N, 4]
         The pixels x0, x1, y0, y1 that a splat may touch, half-open; empty where it is not drawn.
-    refused : int
-        How many Gaussians hold numbers that make no sense; their splats do not either.
+    sensible : bool
+        Whether all numbers make sense; where they do not, the splats do not either.
     """
-    n = means.shape[0]
+    n = len(means)
     splats = np.empty((n, 8))
     boxes = np.empty((n, 4), np.int32)
-    refused = 0
-    for i in numba.prange(n):
-        if not _sensible(means[i], scales[i], quats[i], opacities[i], values[i]):
-            refused += 1
-            continue
-        opacity = np.float64(opacities[i])
-        x, y, z = _to_camera(means[i], eye)
-        A = _image_rows(x, y, z, eye)
-        px, py = _spread(A, _rotation(quats[i]), scales[i])
-        xx, xy, yy, det = _covariance(px, py)
-        wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
-        if eye.compensate:
-            opacity *= math.sqrt(det / wide)
-        xx += eye.low_pass
-        yy += eye.low_pass
-        u, v = _to_pixel(x, y, eye)
-        power = math.log2(opacity)
-        cut = max(eye.cut, power + eye.share)
-        reach = -1.0
-        if z > eye.near and opacity > eye.alpha_min:
-            reach = math.sqrt((power - cut) / HALF_LOG2_E)
-        boxes[i, 0], boxes[i, 1] = _pixels(u, reach * math.sqrt(xx), eye.width)
-        boxes[i, 2], boxes[i, 3] = _pixels(v, reach * math.sqrt(yy), eye.height)
-        splats[i, U] = min(max(u, -FAR), FAR)
-        splats[i, V] = min(max(v, -FAR), FAR)
-        splats[i, ROOT] = math.sqrt(HALF_LOG2_E * yy / wide)
-        splats[i, SLOPE] = min(max(xy / yy, -FAR), FAR)
-        splats[i, ROW_ROOT] = math.sqrt(HALF_LOG2_E / yy)
-        splats[i, POWER] = power
-        splats[i, CUT] = cut
-        splats[i, Z] = z
-    return splats, boxes, refused
+    senseless = 0
+    for share in numba.prange(SHARES):
+        # Column by column, LANES numbers each.
+        given = np.ones(11 * LANES, np.float32)
+        made = np.empty(12 * LANES)
+        for first in range(_first(share, n), _first(share + 1, n), LANES):
+            count = min(LANES, n - first)
+            for k in range(count):
+                for c in range(3):
+                    given[c * LANES + k] = means[first + k, c]
+                    given[(3 + c) * LANES + k] = scales[first + k, c]
+                for c in range(4):
+                    given[(6 + c) * LANES + k] = quats[first + k, c]
+                given[10 * LANES + k] = opacities[first + k]
+            if not (_sensible(given) and _finite(values, first, count)):
+                senseless += 1
+            _project_vector(given, eye, made)
+            for k in range(count):
+                for c in range(8):
+                    splats[first + k, c] = made[c * LANES + k]
+                for c in range(4):
+                    boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
+    return splats, boxes, senseless == 0
+
+
+@numba.njit(cache=True)
+def _first(share, n):
+    """The first Gaussian of a share: shares are whole vectors, but for the last of all."""
+    return min(n, -(-(share * n // SHARES) // LANES) * LANES)
+
+
+@numba.njit(cache=True)
+def _column(given, column):
+    return vwiden(vload(given, column * LANES))
+
+
+@numba.njit(cache=True)
+def _sensible(given):
+    """Whether parameters are finite, scales and opacities in range, quaternions not zero."""
+    scale_x, scale_y, scale_z = _column(given, 3), _column(given, 4), _column(given, 5)
+    # A sum is finite if all its terms are, in float64, where it cannot overflow; and NaN fails
+    # every comparison.
+    total = _column(given, 0) + _column(given, 1) + _column(given, 2) + scale_x + scale_y + scale_z
+    length = vabs(_column(given, 6)) + vabs(_column(given, 7))
+    length = length + vabs(_column(given, 8)) + vabs(_column(given, 9))
+    opacity = _column(given, 10)
+    fine = (vabs(total) < np.inf) & (length > 0.0) & (length < np.inf)
+    fine = fine & (scale_x >= 0.0) & (scale_y >= 0.0) & (scale_z >= 0.0)
+    return vall(fine & (opacity >= 0.0) & (opacity <= 1.0))
+
+
+@numba.njit(cache=True)
+def _finite(values, first, count):
+    total = np.float32(0)
+    for i in range(first, first + count):
+        for c in range(values.shape[1]):
+            total += values[i, c] * np.float32(0)
+    return total == 0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _project_vector(given, eye, made):
+    """Columns of parameters to those of splats and boxes."""
+    x, y, z = _to_camera(_column(given, 0), _column(given, 1), _column(given, 2), eye)
+    A = _image_rows(x, y, z, eye)
+    R = _rotation(_column(given, 6), _column(given, 7), _column(given, 8), _column(given, 9))
+    px, py = _spread(A, R, _column(given, 3), _column(given, 4), _column(given, 5))
+    xx, xy, yy, det = _covariance(px, py)
+    wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
+    opacity = _column(given, 10)
+    if eye.compensate:
+        opacity = opacity * vsqrt(det / wide)
+    xx = xx + eye.low_pass
+    yy = yy + eye.low_pass
+    u, v = _to_pixel(x, y, eye)
+    power = vwiden(vlog2(vnarrow(opacity)))
+    cut = power + eye.share
+    cut = vwhere(cut > eye.cut, cut, eye.cut)
+    shown = (z > eye.near) & (opacity > eye.alpha_min)
+    # In variances; rounded, it may lack a millionth.
+    reach = (power - cut) * (1.000001 / HALF_LOG2_E)
+    inverse = 1.0 / yy
+    vstore(made, U * LANES, clamp(u, -FAR, FAR))
+    vstore(made, V * LANES, clamp(v, -FAR, FAR))
+    vstore(made, ROOT * LANES, _root(HALF_LOG2_E * yy / wide))
+    vstore(made, SLOPE * LANES, clamp(xy * inverse, -FAR, FAR))
+    vstore(made, ROW_ROOT * LANES, _root(HALF_LOG2_E * inverse))
+    vstore(made, POWER * LANES, power)
+    vstore(made, CUT * LANES, cut)
+    vstore(made, Z * LANES, z)
+    _store_pixels(u, vwhere(shown, _root(reach * xx), -1.0), eye.width, made, 8)
+    _store_pixels(v, vwhere(shown, _root(reach * yy), -1.0), eye.height, made, 10)
+
+
+@numba.njit(cache=True)
+def _root(x):
+    # To the digits of float32, which is what the rest of the way has.
+    return vwiden(vsqrt(vnarrow(x)))
+
+
+@numba.njit(cache=True)
+def _store_pixels(centre, reach, size, made, column):
+    """First and one past the last pixel whose centre is within ``reach``; empty if negative."""
+    low = vceil(clamp(centre - reach - 0.5, 0.0, size))
+    high = vfloor(clamp(centre + reach - 0.5, -1.0, size - 1.0)) + 1.0
+    vstore(made, column * LANES, low)
+    vstore(made, (column + 1) * LANES, vwhere(high > low, high, low))
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
@@ -195,10 +287,11 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
         dyy = slope * slope * d_var - slope * row_precision * d_slope
         dyy += 0.5 * row_precision * m5 / HALF_LOG2_E
 
-        x, y, z = _to_camera(means[i], eye)
+        x, y, z = _to_camera(*_three(means[i]), eye)
         A = _image_rows(x, y, z, eye)
-        R = _rotation(quats[i])
-        px, py = _spread(A, R, scales[i])
+        qw, qx, qy, qz = quats[i]
+        R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
+        px, py = _spread(A, R, *_three(scales[i]))
         if eye.compensate:
             # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
             xx, xy, yy, det = _covariance(px, py)
@@ -240,7 +333,7 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
         dJ02 = dAx0 * W[2, 0] + dAx1 * W[2, 1] + dAx2 * W[2, 2]
         dJ11 = dAy0 * W[1, 0] + dAy1 * W[1, 1] + dAy2 * W[1, 2]
         dJ12 = dAy0 * W[2, 0] + dAy1 * W[2, 1] + dAy2 * W[2, 2]
-        tx, ty = min(max(x, eye.left), eye.right), min(max(y, eye.top), eye.bottom)
+        tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
         dz -= (
             dJ00 * eye.fx
             + dJ01 * eye.skew
@@ -261,40 +354,33 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
     return d_means, d_scales, d_quats, d_opacities, d_values
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _sensible(mean, scale, quat, opacity, values):
-    # A sum is finite if all its terms are, in float64, where it cannot overflow; and NaN fails
-    # every comparison. Numba's float() would leave float32 as it is.
-    total = np.float64(mean[0]) + np.float64(mean[1]) + np.float64(mean[2])
-    total += np.float64(scale[0]) + np.float64(scale[1]) + np.float64(scale[2])
-    for k in range(len(values)):
-        total += np.float64(values[k])
-    q = (
-        abs(np.float64(quat[0]))
-        + abs(np.float64(quat[1]))
-        + abs(np.float64(quat[2]))
-        + abs(np.float64(quat[3]))
-    )
-    return (
-        abs(total) < np.inf
-        and min(scale[0], scale[1], scale[2]) >= 0
-        and 0 < q < np.inf
-        and 0 <= opacity <= 1
-    )
+@numba.njit(cache=True)
+def _three(row):
+    return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
+
+
+# From here to the covariance, numbers are float64 scalars or vectors.
+
+
+@numba.njit(cache=True)
+def clamp(x, low, high):
+    """``x``, but at least ``low`` and at most ``high``."""
+    x = vwhere(x > low, x, low)
+    return vwhere(x < high, x, high)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _to_camera(mean, eye):
+def _to_camera(x, y, z, eye):
     """x / z, y / z and z; z as it is, but 1 for the divisions where it is not past near."""
-    x = np.float64(mean[0]) - eye.centre[0]
-    y = np.float64(mean[1]) - eye.centre[1]
-    z = np.float64(mean[2]) - eye.centre[2]
+    x = x - eye.centre[0]
+    y = y - eye.centre[1]
+    z = z - eye.centre[2]
     R = eye.R
     depth = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
-    safe = depth if depth > eye.near else 1.0
+    inverse = 1.0 / vwhere(depth > eye.near, depth, 1.0)
     return (
-        (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z) / safe,
-        (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z) / safe,
+        (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z) * inverse,
+        (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z) * inverse,
         depth,
     )
 
@@ -307,8 +393,8 @@ def _to_pixel(x, y, eye):
 @numba.njit(cache=True, error_model="numpy")
 def _image_rows(x, y, z, eye):
     """How image x and y change with the world position, to first order: two rows of three."""
-    tx, ty = min(max(x, eye.left), eye.right), min(max(y, eye.top), eye.bottom)
-    inverse = 1 / z if z > eye.near else 1.0
+    tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
+    inverse = 1.0 / vwhere(z > eye.near, z, 1.0)
     a, b, c = eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse
     d, e = eye.fy * inverse, -eye.fy * ty * inverse
     R = eye.R
@@ -327,14 +413,13 @@ def _image_rows(x, y, z, eye):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _rotation(quat):
-    """Rows of the rotation matrix of a quaternion wxyz of any length but zero."""
-    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
-    t = 2 / (w * w + x * x + y * y + z * z)
+def _rotation(w, x, y, z):
+    """Rows of the rotation matrix of a quaternion of any length but zero."""
+    t = 2.0 / (w * w + x * x + y * y + z * z)
     return (
-        (1 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)),
-        (t * (x * y + w * z), 1 - t * (x * x + z * z), t * (y * z - w * x)),
-        (t * (x * z - w * y), t * (y * z + w * x), 1 - t * (x * x + y * y)),
+        (1.0 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)),
+        (t * (x * y + w * z), 1.0 - t * (x * x + z * z), t * (y * z - w * x)),
+        (t * (x * z - w * y), t * (y * z + w * x), 1.0 - t * (x * x + y * y)),
     )
 
 
@@ -371,9 +456,8 @@ def _rotation_backward(quat, dR, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _spread(A, R, scale):
+def _spread(A, R, s0, s1, s2):
     """The three axes of a Gaussian, scaled, on the image: x and y of each, in pixels."""
-    s0, s1, s2 = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
     (a, b, c), (d, e, f) = A
     return (
         (
@@ -402,12 +486,3 @@ def _covariance(px, py):
     b = px[0] * py[2] - px[2] * py[0]
     c = px[1] * py[2] - px[2] * py[1]
     return xx, xy, yy, a * a + b * b + c * c
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _pixels(centre, reach, size):
-    """First and one past the last pixel whose centre is within ``reach``; empty if negative."""
-    # Clamped before the conversion to an integer, which has no infinity.
-    low = math.ceil(min(max(centre - reach - 0.5, 0.0), float(size)))
-    high = math.floor(min(max(centre + reach - 0.5, -1.0), float(size - 1))) + 1
-    return low, max(low, high)
