@@ -167,7 +167,7 @@ def weigh_block(block, work, alpha_max, pass_min):
     Returns how many splats of the list were looked at, the light that is left, and the sum of the
     weights: the alpha, with all its digits where there is little of it.
     """
-    first = block * len(work.order)
+    first = block * len(work.keys)
     left, top = _corner(block)
     zero = vzero()
     solid, light = zero, zero + np.float32(1)
@@ -213,7 +213,7 @@ def _offsets(left, top, local):
 @numba.njit(cache=True)
 def _sum_block(block, used, channels, work, sums):
     """Weighted sums of what the splats of a row carry: a vector a channel."""
-    first = block * len(work.order)
+    first = block * len(work.keys)
     zero = vzero()
     # Four at a time, so that each weight is loaded once for four sums that do not wait for one
     # another. Sums past the last channel are of the next splat's values, and not used.
@@ -235,7 +235,7 @@ def _sum_block(block, used, channels, work, sums):
 @numba.njit(cache=True)
 def _median_block(block, used, channels, work):
     """The z of the splat with which the light falls to one half; 0 where it does not."""
-    first = block * len(work.order)
+    first = block * len(work.keys)
     found = vzero()
     light = found + np.float32(1)
     for j in range(used):
@@ -250,7 +250,7 @@ def _median_block(block, used, channels, work):
 
 @numba.njit(cache=True, error_model="numpy")
 def _block_backward(block, used, channels, work, upstream, light, alpha_max, totals):
-    first = block * len(work.order)
+    first = block * len(work.keys)
     sums = MOMENTS + channels
     # A clamped alpha does not move with the splat. The weight over the light is alpha rounded.
     free = alpha_max * np.float32(1 - 1e-6) if alpha_max < 1 else np.float32(2)

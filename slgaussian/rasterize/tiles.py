@@ -43,6 +43,9 @@ TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 PARTS = 16
 """Parts in which splats are counted and listed side by side."""
 
+MOST_BITS = 11
+"""Of depth, looked at in one pass of the sort."""
+
 AHEAD = 12
 """Splats between what is read and what is asked for."""
 
@@ -66,8 +69,8 @@ class Workspace(NamedTuple):
 
     Attributes
     ----------
-    keys, order : two of uint32, int32 [n]
-        To sort, and to sort into.
+    keys, more_keys : uint64 [n]
+        To sort, and to sort into: z in the upper half, the splat in the lower.
     local : float32 [n, 8]
         The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
     reach : int32 [n, 4]
@@ -83,8 +86,6 @@ class Workspace(NamedTuple):
 
     keys: np.ndarray
     more_keys: np.ndarray
-    order: np.ndarray
-    more_order: np.ndarray
     local: np.ndarray
     reach: np.ndarray
     carried: np.ndarray
@@ -97,10 +98,8 @@ class Workspace(NamedTuple):
 def make_workspace(n, channels):
     """A :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
     return Workspace(
-        np.empty(n, np.uint32),
-        np.empty(n, np.uint32),
-        np.empty(n, np.int32),
-        np.empty(n, np.int32),
+        np.empty(n, np.uint64),
+        np.empty(n, np.uint64),
         np.empty((n, 8), np.float32),
         np.empty((n, 4), np.int32),
         np.zeros(n * (channels + 1) + LANES, np.float32),
@@ -188,7 +187,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
     start = bins.starts[tile]
     n = bins.starts[tile + 1] - start
     channels = values.shape[1]
-    nearest = np.float32(np.inf)
+    nearest, farthest = np.float32(np.inf), np.float32(0)
     for k in range(n):
         ahead = bins.entries[min(start + k + AHEAD, len(bins.entries) - 1)]
         prefetch(splats, ahead * splats.shape[1])
@@ -214,12 +213,12 @@ def load_tile(tile, bins, splats, boxes, values, work):
             work.carried[at + c] = values[i, c]
         z = np.float32(splat[Z])
         work.carried[at + channels] = z
-        nearest = min(nearest, z)
-    order = _sort_by_depth(n, channels, nearest, work)
-    most = len(work.order)
+        nearest, farthest = min(nearest, z), max(farthest, z)
+    order = _sort_by_depth(n, channels, nearest, farthest, work)
+    most = len(work.keys)
     work.counts[:] = 0
     for j in range(n):
-        k = np.uint32(order[j])
+        k = np.uint32(order[j])  # the lower half
         reach = work.reach[k]
         for y in range(reach[2], reach[3]):
             for x in range(reach[0], reach[1]):
@@ -230,38 +229,36 @@ def load_tile(tile, bins, splats, boxes, values, work):
 
 
 @numba.njit(cache=True)
-def _sort_by_depth(n, channels, nearest, work):
-    """The splats of the workspace, nearest first; those of equal z keep their order.
+def _sort_by_depth(n, channels, nearest, farthest, work):
+    """The keys of the splats of the workspace, nearest first; those of equal z keep their order.
 
     Radix sort over the bits of the float32 z: positive floats are in the order of their bits, and
     close ones share the upper bits, which then need no pass.
     """
-    keys, order = work.keys, work.order
-    more_keys, more_order = work.more_keys, work.more_order
     z = work.carried.view(np.uint32)
-    least = np.array([nearest], np.float32).view(np.uint32)[0]
-    spread = np.uint32(0)
+    limits = np.array([nearest, farthest], np.float32).view(np.uint32)
+    bits = 0
+    while (limits[1] - limits[0]) >> np.uint64(bits):
+        bits += 1
+    passes = -(-bits // MOST_BITS)
+    width = np.uint64(-(-bits // max(passes, 1)))
+    mask = (np.uint64(1) << width) - np.uint64(1)
+    starts = np.zeros((passes, mask + 1), np.int32)
     for k in range(n):
-        keys[k] = z[k * (channels + 1) + channels] - least
-        order[k] = k
-        spread |= keys[k]
-    shift = np.uint32(0)
-    counts = np.empty(256, np.int64)
-    while spread >> shift:
-        counts[:] = 0
-        for k in range(n):
-            counts[(keys[k] >> shift) & np.uint32(255)] += 1
+        key = np.uint64(z[k * (channels + 1) + channels] - limits[0])
+        work.keys[k] = key << np.uint64(32) | np.uint64(k)
+        for digit in range(passes):
+            starts[digit, key & mask] += 1
+            key >>= width
+    keys, more_keys = work.keys, work.more_keys
+    for digit in range(passes):
         total = 0
-        for digit in range(256):
-            total, counts[digit] = total + counts[digit], total
+        for value in range(mask + 1):
+            total, starts[digit, value] = total + starts[digit, value], total
+        shift = np.uint64(32) + np.uint64(digit) * width
         for k in range(n):
-            digit = (keys[k] >> shift) & np.uint32(255)
-            more_keys[counts[digit]] = keys[k]
-            more_order[counts[digit]] = order[k]
-            counts[digit] += 1
+            value = (keys[k] >> shift) & mask
+            more_keys[starts[digit, value]] = keys[k]
+            starts[digit, value] += 1
         keys, more_keys = more_keys, keys
-        order, more_order = more_order, order
-        shift += np.uint32(8)
-        if shift == 32:
-            break
-    return order
+    return keys
