@@ -1,115 +1,114 @@
-"""Speed and error of the rasteriser: run ``python benches/rasterize.py [DATA]``.
+"""Speed, error, memory and start-up of the rasteriser: tables, and a page with a picture.
 
-Without DATA the scene is a procedural pair; with it, the pairs of DATA, a nerfstudio folder with
-``pairs.json``. Times are medians over rounds in which every contender draws once, among them the
-plain loop of ``yardstick.py``; errors are the largest of any channel against the float64 reference,
-on windows of the same views. The hard cases have a table of their own: ``python -m
-benches.hard_cases``.
+python benches/rasterize.py                  a made-up room
+python benches/rasterize.py DATA -o docs     photographs; also writes docs/rasterizer.md and .svg
 """
 
-import json
+import argparse
+import platform
 import sys
-import time
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+import fresh_process
+import numba
+import prune
+import sweeps
 import torch
-from yardstick import splat_in_order
+from pairs import DATA_HELP, load_samples
+from rasterize_page import TABLES, page
+from rasterize_picture import picture
+from sweeps import Subject
 
-import slgaussian.threads
-from slgaussian import datasets
-from slgaussian.gaussians import Gaussians
+from slgaussian import threads
+from slgaussian.errors import InputError
 from slgaussian.predict.planesweep import PlaneSweep
-from slgaussian.rasterize import Settings, rasterize
-from slgaussian.scene import Camera, Sample
+from slgaussian.scene import Sample
+from slgaussian.store import write_atomic
 
-SIZE = (416, 576)
-ROUNDS = 11
-WINDOWS = ((200, 150), (400, 300))
-SETTINGS = {
-    "fast": Settings(),
-    "alpha_min 1/512": Settings(alpha_min=1 / 512),
-    "alpha_min 1/4096": Settings(alpha_min=1 / 4096, pass_min=1e-4),
-    "3dgs cut-offs": Settings(alpha_min=1 / 255, sigmas=3, pass_min=1e-4),
+MEASURES = {
+    "stages": lambda subject: [sweeps.stages_row(subject)],
+    "thresholds": sweeps.threshold_rows,
+    "tolerances": lambda s: prune.sweep(s.gaussians, s.contexts, prune.TOLERANCES, s.camera),
+    "counts": sweeps.count_rows,
+    "resolutions": sweeps.resolution_rows,
+    "channels": sweeps.channel_rows,
+    "hard_cases": lambda _: sweeps.hard_case_rows(),
+    "memory": lambda s: fresh_process.memory_rows(s.gaussians, s.values, s.camera),
+    "start": lambda s: fresh_process.start_rows(s.gaussians, s.values, s.camera),
 }
+"""What is measured of one scene: the rows of each table but those of all scenes."""
 
 
-def samples(folder: Path | None) -> dict[str, Sample]:
-    if folder is None:
-        scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
-        names = list(scene.cameras)
-        return {"procedural": scene.sample([names[0], names[-1]], names[1:2])}
-    scene = datasets.load("nerfstudio", folder)
-    pairs = json.loads((folder / "pairs.json").read_text())
-    return {
-        name: scene.sample(pair["context"], pair["target"][:1], size=SIZE)
-        for name, pair in pairs.items()
-    }
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", nargs="?", type=Path, metavar="DATA", help=DATA_HELP)
+    parser.add_argument("--scene", help="of all sweeps (default: the first of DATA)")
+    parser.add_argument(
+        "-o", dest="out", type=Path, metavar="FOLDER", help="write rasterizer.md and .svg there"
+    )
+    return parser.parse_args(arguments)
 
 
-def carried(gaussians: Gaussians) -> torch.Tensor:
-    """Colour and three numbers as different from neighbour to neighbour as codes can be."""
-    codes = torch.rand(len(gaussians), 3, generator=torch.Generator().manual_seed(0))
-    return torch.cat([gaussians.colors(), codes], 1)
+def subject_of(name: str, sample: Sample) -> Subject:
+    """The Gaussians that two photographs predict, with their colours and three random codes."""
+    gaussians = PlaneSweep()(sample)
+    codes = sweeps.random_values(len(gaussians), 3)
+    values = torch.cat([gaussians.colors(), codes], 1)
+    contexts = [view.camera for view in sample.context]
+    return Subject(name, gaussians, values, sample.targets[0].camera, contexts)
 
 
-def race(contenders: dict) -> dict[str, float]:
-    """Median seconds of each, drawn in turn so that a busy machine is busy for all."""
-    spent = {name: [] for name in contenders}
-    for draw in contenders.values():
-        draw()
-    for _ in range(ROUNDS):
-        for name, draw in contenders.items():
-            start = time.perf_counter()
-            draw()
-            spent[name].append(time.perf_counter() - start)
-    return {name: float(np.median(seconds)) for name, seconds in spent.items()}
+def machine() -> str:
+    info = Path("/proc/cpuinfo").read_text()
+    models = [line.split(":")[1] for line in info.splitlines() if line.startswith("model name")]
+    model = models[0].replace("(R)", "").replace("(TM)", "").strip() if models else "processor"
+    return (
+        f"{threads.cores()} cores ({platform.machine()}, {model}), Python "
+        f"{platform.python_version()}, torch {torch.__version__}, Numba {numba.__version__}"
+    )
 
 
-def speed(gaussians: Gaussians, values: torch.Tensor, camera: Camera) -> None:
-    arrays, plain = gaussians.to_arrays(), values.numpy()
-    names = ("means", "scales", "quats", "opacities")
-    leaves = [getattr(gaussians, name).clone().requires_grad_() for name in names]
-    free, free_values = replace(gaussians, **dict(zip(names, leaves, strict=True))), values.clone()
-    free_values.requires_grad_()
-    upstream = torch.rand(camera.height, camera.width, values.shape[1])
-
-    def both_ways() -> None:
-        drawn = rasterize(free, free_values, camera)
-        torch.autograd.grad(drawn.values, [*leaves, free_values], upstream)
-
-    contenders = {"plain loop": lambda: splat_in_order(arrays, plain, camera)}
-    for name, settings in SETTINGS.items():
-        contenders[name] = lambda settings=settings: rasterize(
-            gaussians, values, camera, settings=settings
+def run(options: argparse.Namespace) -> None:
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    samples = load_samples(options.data)
+    chosen = options.scene or next(iter(samples))
+    if chosen not in samples:
+        raise InputError(f"--scene: found {chosen!r}, expected one of {', '.join(samples)}")
+    print(f"On {machine()}; scene {chosen}\n", flush=True)
+    rows = {"scenes": [], "pruned": []}
+    for name, sample in samples.items():
+        subject = subject_of(name, sample)
+        rows["scenes"].append(sweeps.scene_row(subject))
+        rows["pruned"] += prune.scene_rows(
+            name, subject.gaussians, subject.contexts, subject.camera
         )
-    contenders["forward and backward"] = both_ways
-    seconds = race(contenders)
-    for name, spent in seconds.items():
-        ratio = seconds["plain loop"] / spent
-        print(f"  {name:22s} {1e3 * spent:7.1f} ms   loop / this {ratio:5.2f}")
+        if name == chosen:
+            swept = subject
+    for key, found in rows.items():
+        print(TABLES[key].markdown(found), flush=True)
+    for key, measure in MEASURES.items():
+        rows[key] = measure(swept)
+        print(TABLES[key].markdown(rows[key]), flush=True)
+    if options.out is not None:
+        write(options, rows, chosen)
 
 
-def errors(gaussians: Gaussians, values: torch.Tensor, camera: Camera) -> dict[str, float]:
-    worst = dict.fromkeys(SETTINGS, 0.0)
-    for left, top in WINDOWS:
-        window = camera.cropped(left, top, 40, 32)
-        true = rasterize(gaussians, values, window, backend="reference").values
-        for name, settings in SETTINGS.items():
-            drawn = rasterize(gaussians, values, window, settings=settings).values
-            worst[name] = max(worst[name], float((drawn - true).abs().max()))
-    return worst
+def write(options: argparse.Namespace, rows: dict[str, list[dict]], chosen: str) -> None:
+    shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
+    drawn = picture(*(rows[key] for key in shown))
+    words = ["python benches/rasterize.py", *["DATA"] * bool(options.data), "-o docs"]
+    made = page(rows, chosen, " ".join(words), machine())
+    write_atomic(options.out / "rasterizer.svg", drawn)
+    write_atomic(options.out / "rasterizer.md", made.encode())
+    print(f"wrote {options.out / 'rasterizer.md'} and .svg")
 
 
 if __name__ == "__main__":
-    slgaussian.threads.share()
-    for name, sample in samples(Path(sys.argv[1]) if len(sys.argv) > 1 else None).items():
-        gaussians = PlaneSweep()(sample)
-        values, camera = carried(gaussians), sample.targets[0].camera
-        print(f"{name}: {len(gaussians)} Gaussians, {values.shape[1]} channels")
-        speed(gaussians, values, camera)
-        cells = (
-            f"{label} {error:.5f}" for label, error in errors(gaussians, values, camera).items()
-        )
-        print("  largest error:", ", ".join(cells), flush=True)
+    threads.share()
+    try:
+        run(parse(sys.argv[1:]))
+    except (InputError, OSError) as problem:
+        sys.exit(f"error: {problem}")

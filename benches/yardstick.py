@@ -7,6 +7,10 @@ the light.
 
 import math
 
+# Before Numba, which reads once where it keeps kernels and how it starts threads.
+import slgaussian.threads  # noqa: F401
+
+# isort: split
 import numba
 import numpy as np
 

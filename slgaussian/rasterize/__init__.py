@@ -5,9 +5,20 @@ from types import ModuleType
 
 from slgaussian.rasterize.api import BACKENDS, Render, rasterize
 from slgaussian.rasterize.planned import SplatPlan, plan
+from slgaussian.rasterize.pruning import Pruned, prune
 from slgaussian.rasterize.settings import PRESETS, Settings
 
-__all__ = ["BACKENDS", "PRESETS", "Render", "Settings", "SplatPlan", "plan", "rasterize"]
+__all__ = [
+    "BACKENDS",
+    "PRESETS",
+    "Pruned",
+    "Render",
+    "Settings",
+    "SplatPlan",
+    "plan",
+    "prune",
+    "rasterize",
+]
 
 
 class _CallablePackage(ModuleType):

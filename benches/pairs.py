@@ -1,0 +1,39 @@
+"""Pairs of photographs to run benches on: a made-up room, or those of a folder."""
+
+import json
+from pathlib import Path
+
+from slgaussian import datasets
+from slgaussian.errors import InputError
+from slgaussian.scene import Sample
+
+SIZE = (416, 576)
+
+DATA_HELP = (
+    "nerfstudio folder with transforms.json and pairs.json, which holds "
+    '{"scene": {"context": [two images], "target": [image]}, ...}'
+)
+
+
+def load_samples(folder: Path | None) -> dict[str, Sample]:
+    """Two context views and a target of every scene of ``folder``, or of a procedural one."""
+    if folder is None:
+        scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
+        names = list(scene.cameras)
+        return {"procedural": scene.sample([names[0], names[-1]], names[1:2])}
+    scene = datasets.load("nerfstudio", folder)
+    return {
+        name: scene.sample(context, target[:1], size=SIZE)
+        for name, (context, target) in read_pairs(folder / "pairs.json").items()
+    }
+
+
+def read_pairs(file: Path) -> dict[str, tuple[list[str], list[str]]]:
+    try:
+        pairs = json.loads(file.read_text())
+        return {name: (pair["context"], pair["target"]) for name, pair in pairs.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise InputError(
+            f"{file}: {problem!r}; expected a JSON object of scenes, each with the names of its "
+            'images as "context" and "target"'
+        ) from None
