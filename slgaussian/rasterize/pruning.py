@@ -1,49 +1,62 @@
-"""Leave out the Gaussians that some views do not need, and say by how much the views change.
+"""Leave out and merge Gaussians that some views do not need, and say by how much the views change.
 
-Every pixel of every view keeps the list of what it is composited from. Gaussians are tried one by
-one, the faintest first: the pixels that one touches are composited again without it, and without
-all that went before it, and compared with what they were at first. So no error is estimated, none
-adds up unseen, and errors of opposite sign cancel.
+Gaussians are tried one by one: dropped, the faintest first, and merged with a neighbour of like
+colour. The pixels that a change touches are composited again, with all that changed before it, and
+compared with what they were at first. So no error is estimated, none adds up unseen, and errors of
+opposite sign cancel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians
+from slgaussian.gaussians import SH_C0, Gaussians, covariances
 from slgaussian.harmonics import colors
 from slgaussian.rasterize.api import rasterize
-from slgaussian.rasterize.blend import SHARES, weigh_block
-from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
-from slgaussian.rasterize.project import eye_of
-from slgaussian.rasterize.settings import Settings, find_settings
-from slgaussian.rasterize.tiles import (
-    ACROSS,
-    BLOCK,
-    BLOCKS_ACROSS,
-    DOWN,
-    TILE_BLOCKS,
-    bin_splats,
-    fullest,
-    load_tile,
-    make_workspace,
+from slgaussian.rasterize.cpu import GEOMETRY, as_kernels_take_them, project_checked
+from slgaussian.rasterize.lists import (
+    NOBODY,
+    composite,
+    falloff,
+    light_without,
+    list_views,
+    replace_in,
 )
+from slgaussian.rasterize.project import Z, eye_of, project
+from slgaussian.rasterize.settings import Settings, find_settings
+from slgaussian.rasterize.tiles import BLOCK
 from slgaussian.scene import Camera
 from slgaussian.simd import LANES, vany, vload, vstore, vsum, vwhere, vzero
 
-GROUP = 4
-"""Channels composited side by side."""
+NOISE = 2e-6
+"""What is left of the tolerance to rounding. Measured: 5e-7."""
 
-NOISE = 1e-6
-"""What is left of the tolerance to rounding: opacity is summed by the rasteriser, and one less the
-light here. Measured: 5e-7."""
+NEIGHBOURS = 6
+"""How many of the nearest each Gaussian is tried with."""
+
+FAR = 4.0
+"""Standard deviations of the smaller one, between centres, past which two are not tried."""
+
+UNLIKE = 16.0
+"""Tolerances, between values, past which two are not tried."""
+
+SPREAD = 1.2
+"""Times the covariance that has the moments of the two: the one in their place cannot be more
+opaque than opaque, and has to be wider. Of 0.85, 1, 1.2, 1.5 and 2, this leaves fewest."""
+
+MOST_BLOCKS = 512
+"""A pair that touches more blocks of pixels than this is not merged."""
+
+BATCH = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +66,12 @@ class Pruned:
     Attributes
     ----------
     gaussians : Gaussians
-        The Gaussians that stay, unchanged and in their order.
+        Those that stay, in their order; into some of them others are merged. ``source`` is theirs.
     kept : int64 [M]
         Their indices among those that were given.
     error : float
-        The greatest change of any channel of any pixel of the given views, measured by rendering
-        them before and after; at most the tolerance.
+        The greatest change of any channel of any pixel of the given views, over black or white,
+        measured by rendering them before and after; at most the tolerance.
     """
 
     gaussians: Gaussians
@@ -73,22 +86,19 @@ def prune(
     *,
     settings: Settings | str = "fast",
 ) -> Pruned:
-    """Drop Gaussians for as long as no pixel of the given views changes by more than ``tolerance``.
+    """Drop and merge Gaussians while no pixel of the given views changes by over ``tolerance``.
 
-    What counts are the channels that are drawn: colour, seen from each camera; ``features``, if
-    there are any; and accumulated opacity, so that a background stays what it was. Depth may move
-    where things of one colour lie behind one another. What no given view sees changes none of
-    their pixels, and goes: give all the views that matter.
-
-    Gaussians that a view's own pixels gave birth to are on top in that view, and nearly all stay
-    at a grey level; hidden and faint ones, and those out of sight, go.
+    What counts is what is drawn: colour, over black and over white, seen from each camera, and
+    ``features``, if there are any. Depth may move where things of one colour lie behind one
+    another. What no given view sees changes none of their pixels, and goes; other views may change
+    by more than the tolerance: give all that matter.
 
     Parameters
     ----------
     gaussians : Gaussians
     cameras : sequence of Camera
-        The views to keep. Each takes about 70 bytes for every block of 4x4 pixels that a Gaussian
-        touches: 130 MB at 416x576 with a Gaussian a pixel of two such views.
+        The views to keep. Each takes about 80 bytes for every block of 4x4 pixels that a Gaussian
+        touches: 150 MB at 416x576 with a Gaussian a pixel of two such views.
     tolerance : float
         0 or more, in the units of the values: 1/255 is a grey level. At 0 only what has no part in
         any pixel goes.
@@ -109,91 +119,36 @@ def prune(
         )
     settings = find_settings(settings)
     before = [_draw(gaussians, camera, settings) for camera in cameras]
-    views, values = _list_views(gaussians, cameras, settings)
-    finished = np.float32(max(settings.pass_min, 1e-30))
-    reference, weight = _composite_all(views, values, finished)
-    limit = np.float32(max(0.0, tolerance - NOISE))
-    order = np.argsort(weight, kind="stable")
-    frozen = np.zeros(len(reference), np.bool_)
+    frozen: np.ndarray | None = None
     while True:
-        kept = torch.from_numpy(_drop(order, views, values, reference, frozen, finished, limit))
-        left = gaussians[kept]
+        scene = _Scene(gaussians, cameras, settings, tolerance, frozen)
+        scene.drop()
+        scene.merge()
+        left = scene.gaussians[scene.kept]
         after = [_draw(left, camera, settings) for camera in cameras]
         changes = [(a - b).abs().amax(2) for a, b in zip(after, before, strict=True)]
         error = max(float(change.max()) for change in changes)
         if error <= tolerance:
-            return Pruned(left, kept.nonzero()[:, 0], error)
-        # Where rounding moved a cut-off, which is a jump. All that such a block may draw has to
-        # stay, so this ends.
-        frozen |= np.concatenate([_blocks(change > tolerance) for change in changes])
-
-
-class _Views(NamedTuple):
-    """The lists of all blocks of all views, and where each Gaussian is in them.
-
-    Attributes
-    ----------
-    starts : int64 [blocks + 1]
-        Block b has the entries ``starts[b] : starts[b + 1]``, front to back.
-    members : int32 [entries]
-        The Gaussian of each entry.
-    alphas : float32 [entries * LANES]
-    views : int32 [blocks]
-        Which view each block belongs to.
-    begins : int64 [N + 1]
-        Gaussian i is in the blocks ``blocks[begins[i] : begins[i + 1]]``.
-    blocks : int32 [entries]
-    """
-
-    starts: np.ndarray
-    members: np.ndarray
-    alphas: np.ndarray
-    views: np.ndarray
-    begins: np.ndarray
-    blocks: np.ndarray
+            return Pruned(left, scene.kept.nonzero()[:, 0], error)
+        # Where rounding moved a cut-off, which is a jump. All that such a block draws has to stay,
+        # so this ends.
+        over = np.concatenate([_blocks(change > tolerance) for change in changes])
+        frozen = over if frozen is None else frozen | over
 
 
 def _values(gaussians: Gaussians, camera: Camera, settings: Settings) -> torch.Tensor:
-    """The channels that count: float32 [N, C]."""
+    """The channels that count: float32 [N, C]; the first three are colour."""
     colour = colors(gaussians, camera, settings.harmonics)
     carried = [] if gaussians.features is None else [gaussians.features]
     return torch.cat([colour, *carried], 1).detach().to("cpu", torch.float32)
 
 
 def _draw(gaussians: Gaussians, camera: Camera, settings: Settings) -> torch.Tensor:
-    """The channels that count, and accumulated opacity: float32 [H, W, C + 1]."""
+    """The channels that count, and colour over white: float32 [H, W, C + 3]."""
     values = _values(gaussians, camera, settings)
     with torch.no_grad():
         drawn = rasterize(gaussians, values, camera, backend="cpu", settings=settings)
-    return torch.cat([drawn.values, drawn.alpha[..., None]], 2)
-
-
-def _list_views(
-    gaussians: Gaussians, cameras: Sequence[Camera], settings: Settings
-) -> tuple[_Views, np.ndarray]:
-    """The lists, and what Gaussians carry in each view: float32 [V, N, C to a whole GROUP]."""
-    n = len(gaussians)
-    solid, nothing = as_kernels_take_them(gaussians, torch.zeros(n, 0))
-    carried, seen, counts = [], [], []
-    for camera in cameras:
-        values = _values(gaussians, camera, settings).numpy()
-        carried.append(np.pad(values, ((0, 0), (0, -values.shape[1] % GROUP))))
-        splats, boxes = project_checked(solid, nothing, eye_of(camera, settings))
-        bins = bin_splats(boxes, camera.width, camera.height)
-        view = (splats, boxes, bins, camera.width, camera.height, np.float32(settings.alpha_max))
-        count = np.zeros(-(-camera.height // BLOCK) * -(-camera.width // BLOCK), np.int64)
-        _list(*view, count, False, np.empty(0, np.int32), np.empty(0, np.float32))
-        seen.append(view)
-        counts.append(count)
-    sizes = [len(count) for count in counts]
-    starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    members = np.empty(starts[-1], np.int32)
-    alphas = np.empty(starts[-1] * LANES, np.float32)
-    cursors = np.split(starts[:-1].copy(), np.cumsum(sizes)[:-1])
-    for view, cursor in zip(seen, cursors, strict=True):
-        _list(*view, cursor, True, members, alphas)
-    views = np.repeat(np.arange(len(cameras), dtype=np.int32), sizes)
-    return _Views(starts, members, alphas, views, *_turn(starts, members, n)), np.stack(carried)
+    return torch.cat([drawn.values, drawn.values[..., :3] + 1 - drawn.alpha[..., None]], 2)
 
 
 def _blocks(pixels: torch.Tensor) -> np.ndarray:
@@ -204,178 +159,374 @@ def _blocks(pixels: torch.Tensor) -> np.ndarray:
     return padded.reshape(rows, BLOCK, columns, BLOCK).any((1, 3)).ravel()
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _list(splats, boxes, bins, width, height, alpha_max, cursors, write, members, alphas):
-    """Move the cursor of every block on by its entries, and ``write`` them where it passes.
+class _Scene:
+    """Gaussians that change, and the lists of all views that change with them.
 
-    A block has an entry for all that the rasteriser looks at there.
+    Attributes
+    ----------
+    gaussians : Gaussians
+        As many as were given; into some, others are merged.
+    kept : bool [N]
+    lists : slgaussian.rasterize.lists.Lists
+    values : float32 [V, N, C]
     """
-    across = -(-width // BLOCK)
-    nothing = np.empty((len(splats), 0), np.float32)
-    most = fullest(bins)
-    for share in numba.prange(SHARES):
-        work = make_workspace(most, 0)
-        for tile in range(share, bins.across * bins.down, SHARES):
-            left, top = load_tile(tile, bins, splats, boxes, nothing, work)
-            for block in range(TILE_BLOCKS):
-                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
-                if x0 >= width or y0 >= height:
-                    continue
-                place = y0 // BLOCK * across + x0 // BLOCK
-                count = work.counts[block]
-                if write:
-                    listed = bins.entries[bins.starts[tile] :]
-                    _write(block, count, work, alpha_max, width - x0, height - y0, cursors[place],
-                           listed, members, alphas)  # fmt: skip
-                cursors[place] += count
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        settings: Settings,
+        tolerance: float,
+        frozen: np.ndarray | None,
+    ) -> None:
+        gaussians, _ = as_kernels_take_them(gaussians, torch.zeros(len(gaussians), 0))
+        copies = {name: tensor.detach().cpu().clone() for name, tensor in gaussians.items()}
+        self.gaussians = replace(gaussians, **copies)
+        self.kept = torch.ones(len(gaussians), dtype=torch.bool)
+        self.eyes = [eye_of(camera, settings) for camera in cameras]
+        project_checked(self.gaussians, torch.zeros(len(gaussians), 0), self.eyes[0])
+        geometry = [getattr(self.gaussians, name).numpy() for name in GEOMETRY]
+        self.lists = list_views(geometry, self.eyes, settings.alpha_max)
+        self.values = np.stack(
+            [_values(self.gaussians, camera, settings).numpy() for camera in cameras]
+        )
+        self.tolerance = tolerance
+        blocks = len(self.lists.starts)
+        self.frozen = np.zeros(blocks, np.bool_) if frozen is None else frozen
+        self.limits = _Limits(
+            np.float32(max(0.0, tolerance - NOISE)),
+            np.float32(max(settings.pass_min, 1e-30)),
+            np.float32(settings.alpha_min),
+            np.float32(settings.alpha_max),
+        )
+        self.reference, self.weight = _composite_all(self.lists, self.values, self.limits)
+
+    def drop(self) -> None:
+        """Drop all that can go, the faintest first."""
+        order = np.argsort(self.weight, kind="stable")
+        _drop(order, self.lists, self.values, self.reference, self.frozen, self.limits,
+              self.kept.numpy())  # fmt: skip
+
+    def merge(self) -> None:
+        """Merge neighbours, the most alike first, and the merged again while that pays."""
+        changed = np.ones(len(self.kept), np.bool_)
+        while self.tolerance > 0 and int(self.kept.sum()) > 1:
+            pairs = self._neighbours(changed)
+            changed[:] = False
+            for first in range(0, len(pairs), BATCH):
+                batch = pairs[first : first + BATCH]
+                self._merge(batch[~changed[batch].any(1)], changed)
+            if changed.sum() < 0.01 * len(changed):
+                break
+
+    def _neighbours(self, changed: np.ndarray) -> np.ndarray:
+        """Pairs to try, int64 [P, 2], of which at least one ``changed``, the most alike first."""
+        live = self.kept.nonzero()[:, 0].numpy()
+        means = self.gaussians.means.numpy()
+        near = min(NEIGHBOURS + 1, len(live))
+        _, found = cKDTree(means[live]).query(means[live], k=near, workers=-1)
+        pairs = np.stack([np.repeat(live, near), live[found.ravel()]], 1)
+        pairs = np.unique(np.sort(pairs[changed[pairs].any(1)], 1), axis=0)
+        pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+        i, j = pairs.T
+        widest = self.gaussians.scales.numpy().max(1)
+        apart = np.linalg.norm(means[i] - means[j], axis=1)
+        apart /= np.maximum(np.minimum(widest[i], widest[j]), 1e-30)
+        unlike = np.zeros(len(pairs))
+        for values in self.values:
+            unlike = np.maximum(unlike, np.abs(values[i] - values[j]).max(1, initial=0))
+        unlike /= self.tolerance
+        good = (unlike < UNLIKE) & (apart < FAR)
+        order = np.argsort((unlike + 4 * apart**2)[good], kind="stable")
+        return pairs[good][order]
+
+    def _merge(self, pairs: np.ndarray, changed: np.ndarray) -> None:
+        """Try pairs in their order; a Gaussian that ``changed`` is not tried again."""
+        if not len(pairs):
+            return
+        shape, share = _join(self.gaussians, pairs)
+        solid = np.ones(len(pairs), np.float32)
+        nothing = np.empty((len(pairs), 0), np.float32)
+        seen = [project(*shape, solid, nothing, eye)[:2] for eye in self.eyes]
+        splats, boxes = (np.stack(arrays) for arrays in zip(*seen, strict=True))
+        opacities, shifts = _merge(
+            pairs, share, splats, boxes, self.lists, self.values, self.reference, self.frozen,
+            self.limits, self.kept.numpy(), changed,
+        )  # fmt: skip
+        done = torch.from_numpy(opacities > 0)
+        i, j = torch.from_numpy(pairs)[done].T
+        mine = self.gaussians
+        for name, arrays in zip(GEOMETRY, (*shape, opacities), strict=True):
+            getattr(mine, name)[j] = torch.from_numpy(arrays)[done]
+        part, shifts = torch.from_numpy(share)[done], torch.from_numpy(shifts)[done]
+        part = part[:, None]
+        mine.sh[j] = part[..., None] * mine.sh[i] + (1 - part[..., None]) * mine.sh[j]
+        mine.sh[j, 0] += shifts[:, :3] / SH_C0
+        if mine.features is not None:
+            mine.features[j] = (
+                part * mine.features[i] + (1 - part) * mine.features[j] + shifts[:, 3:]
+            )
+
+
+def _join(gaussians: Gaussians, pairs: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Means, scales and quaternions float32 of one Gaussian a pair, and the first one's share."""
+    i, j = (gaussians[torch.from_numpy(pairs[:, k].copy())] for k in (0, 1))
+    area_i, area_j = (
+        one.opacities.double() * one.scales.double().sort(1).values[:, 1:].prod(1).clamp_min(1e-30)
+        for one in (i, j)
+    )
+    share = (area_i / (area_i + area_j).clamp_min(1e-60))[:, None]
+    apart = i.means.double() - j.means.double()
+    means = share * i.means.double() + (1 - share) * j.means.double()
+    covariance_i, covariance_j = (
+        covariances(replace(one, scales=one.scales.double(), quats=one.quats.double()))
+        for one in (i, j)
+    )
+    within = share[..., None] * covariance_i + (1 - share[..., None]) * covariance_j
+    between = (share * (1 - share))[..., None] * apart[:, :, None] * apart[:, None, :]
+    variances, axes = np.linalg.eigh((SPREAD * (within + between)).numpy())
+    axes *= np.sign(np.linalg.det(axes))[:, None, None]
+    quats = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    scales = np.sqrt(np.maximum(variances, 0))
+    shape = [array.astype(np.float32) for array in (means.numpy(), scales, quats)]
+    return shape, share[:, 0].numpy().astype(np.float32)
+
+
+class _Limits(NamedTuple):
+    change: np.float32
+    """The greatest change of a channel."""
+    finished: np.float32
+    """The light below which a pixel takes no more."""
+    alpha_min: np.float32
+    alpha_max: np.float32
 
 
 @numba.njit(cache=True)
-def _write(block, count, work, alpha_max, wide, tall, entry, splats, members, alphas):
-    """Write the entries of a block, of which ``wide`` by ``tall`` pixels are in the image."""
-    inside = vwhere(vload(ACROSS, 0) < np.float32(wide), np.float32(1), vzero())
-    inside = vwhere(vload(DOWN, 0) < np.float32(tall), inside, np.float32(0))
-    first = block * (len(work.lists) // TILE_BLOCKS)
-    listed = work.lists[first : first + count].copy()
-    # Alone in its list, a splat has its alpha for a weight. (In the parallel function Numba would
-    # remove the call, as nothing uses its results.)
-    work.counts[block] = 1
-    for k in listed:
-        work.lists[first] = k
-        weigh_block(block, work, alpha_max, np.float32(0))
-        members[entry] = splats[k]
-        vstore(alphas, entry * LANES, inside * vload(work.weights, 0))
-        entry += 1
+def _room(lists):
+    """Room to composite any block: who is drawn, with which weights."""
+    most = lists.rooms.max() if len(lists.rooms) else 0
+    return np.empty(most, np.int32), np.empty(most * LANES, np.float32)
 
 
 @numba.njit(cache=True)
-def _turn(starts, members, n):
-    begins = np.zeros(n + 1, np.int64)
-    for member in members:
-        begins[member + 1] += 1
-    begins = np.cumsum(begins)
-    cursors = begins[:-1].copy()
-    blocks = np.empty(len(members), np.int32)
-    for block in range(len(starts) - 1):
-        for entry in range(starts[block], starts[block + 1]):
-            member = members[entry]
-            blocks[cursors[member]] = block
-            cursors[member] += 1
-    return begins, blocks
-
-
-@numba.njit(cache=True)
-def _composite_all(views, values, finished):
+def _composite_all(lists, values, limits):
     """Light left and values, float32 [blocks, 1 + C, LANES], and the sum of each one's weights."""
-    n, channels = values.shape[1:]
-    flats = values.reshape(len(values), n * channels)
-    found = np.empty((len(views.views), 1 + channels, LANES), np.float32)
+    _, n, channels = values.shape
+    found = np.empty((len(lists.starts), 1 + channels, LANES), np.float32)
     sums = found.reshape(found.size)
     total = np.zeros(n)
-    kept = np.ones(n, np.bool_)
-    work = _work(views)
+    drawn, weights = _room(lists)
     for block in range(len(found)):
-        count, light = _weigh(block, -1, views, kept, finished, work)
-        at = block * (1 + channels) * LANES
-        vstore(sums, at, light)
-        for c in range(0, channels, GROUP):
-            p, q, r, s = _sum(count, work, flats[views.views[block]], channels, c)
-            vstore(sums, at + (c + 1) * LANES, p)
-            vstore(sums, at + (c + 2) * LANES, q)
-            vstore(sums, at + (c + 3) * LANES, r)
-            vstore(sums, at + (c + 4) * LANES, s)
-        for j in range(count):
-            total[work.drawn[j]] += vsum(vload(work.weights, j * LANES))
+        own, at = values[lists.views[block]], block * (1 + channels) * LANES
+        composite(block, NOBODY, NOBODY, vzero(), np.float32(0), lists, own, limits.finished,
+                  drawn, weights, sums, at)  # fmt: skip
+        for k in range(lists.counts[block]):
+            total[drawn[k]] += vsum(vload(weights, k * LANES))
     return found, total
 
 
 @numba.njit(cache=True)
-def _drop(order, views, values, reference, frozen, finished, limit):
-    """Which Gaussians stay, bool [N]: all that, in ``order``, cannot go."""
-    n, channels = values.shape[1:]
-    flats = values.reshape(len(values), n * channels)
-    sums = reference.reshape(reference.size)
-    kept = np.ones(n, np.bool_)
-    work = _work(views)
+def _drop(order, lists, values, reference, frozen, limits, kept):
+    """Drop, in ``order``, all that can go."""
+    channels = values.shape[2]
+    sums = np.empty((1 + channels) * LANES, np.float32)
+    nothing = np.zeros(channels, np.float32)
+    drawn, weights = _room(lists)
     for i in order:
+        places = lists.places[lists.begins[i] : lists.ends[i]]
         needed = False
-        for at in range(views.begins[i], views.begins[i + 1]):
-            block = views.blocks[at]
-            needed = frozen[block] or _changed(
-                block, i, views, kept, flats[views.views[block]], finished, sums, limit, work
-            )
-            if needed:
+        for block in places:
+            if frozen[block]:
+                needed = True
                 break
-        kept[i] = needed
-    return kept
-
-
-class _Work(NamedTuple):
-    """What is drawn in a block: Gaussians and weights."""
-
-    drawn: np.ndarray
-    weights: np.ndarray
-
-
-@numba.njit(cache=True)
-def _work(views):
-    most = 1
-    for block in range(len(views.views)):
-        most = max(most, views.starts[block + 1] - views.starts[block])
-    return _Work(np.empty(most, np.int32), np.empty(most * LANES, np.float32))
+            composite(block, i, NOBODY, vzero(), np.float32(0), lists, values[lists.views[block]],
+                      limits.finished, drawn, weights, sums, 0)  # fmt: skip
+            if _strays(block, sums, 0, vzero(), nothing, reference, limits.change):
+                needed = True
+                break
+        if not needed:
+            kept[i] = False
+            for block in places:
+                replace_in(block, i, NOBODY, vzero(), False, np.float32(0), lists)
 
 
 @numba.njit(cache=True)
-def _changed(block, without, views, kept, flat, finished, sums, limit, work):
-    """Whether a block is further than ``limit`` from its picture once ``without`` is gone too."""
-    channels = len(flat) // len(kept)
-    at = block * (1 + channels) * LANES
-    count, light = _weigh(block, without, views, kept, finished, work)
-    if _apart(light, sums, at, limit):
-        return True
-    for c in range(0, channels, GROUP):
-        p, q, r, s = _sum(count, work, flat, channels, c)
-        at += LANES
-        if _apart(p, sums, at, limit) or _apart(q, sums, at + LANES, limit):
+def _strays(block, sums, at, weight, own, reference, limit):
+    """Whether a block is further than ``limit`` from its picture, over black or over white."""
+    truth = reference[block].reshape(reference[block].size)
+    darker = vload(sums, at) - vload(truth, 0)
+    for c in range(len(own)):
+        to = (1 + c) * LANES
+        change = vload(sums, at + to) + weight * own[c] - vload(truth, to)
+        if _beyond(change, limit) or (c < 3 and _beyond(change + darker, limit)):
             return True
-        at += 2 * LANES
-        if _apart(r, sums, at, limit) or _apart(s, sums, at + LANES, limit):
-            return True
-        at += LANES
     return False
 
 
 @numba.njit(cache=True)
-def _apart(found, sums, at, limit):
-    change = found - vload(sums, at)
+def _beyond(change, limit):
     return vany(change > limit) or vany(change < -limit)
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _merge(pairs, share, splats, boxes, lists, values, reference, frozen, limits, kept, changed):
+    """Put one Gaussian in the place of two where no pixel changes by more than the limit.
+
+    Its opacity is what fits the light that is left behind, its values what fits the pictures, by
+    least squares over the pixels it touches: both are linear there.
+
+    Parameters
+    ----------
+    pairs, share : int64 [P, 2], float32 [P]
+        Gaussians i and j, and the part of i in the one that takes the place of j.
+    splats, boxes : float64 [V, P, 8], int32 [V, P, 4]
+        That one in each view, with opacity 1.
+
+    Returns
+    -------
+    opacities : float32 [P]
+        0 where nothing is merged.
+    shifts : float32 [P, C]
+        What is added to the mixed values.
+    """
+    views, _, channels = values.shape
+    opacities = np.zeros(len(pairs), np.float32)
+    shifts = np.zeros((len(pairs), channels), np.float32)
+    blocks = np.empty(MOST_BLOCKS, np.int64)
+    alphas = np.empty(MOST_BLOCKS * LANES, np.float32)
+    ours = np.empty(MOST_BLOCKS * LANES, np.float32)
+    stride = (1 + channels) * LANES
+    sums = np.empty(MOST_BLOCKS * stride, np.float32)
+    mixed = np.empty((views, channels), np.float32)
+    drawn, weights = _room(lists)
+    marks = np.full(len(lists.starts), -1, np.int64)
+    truth = reference.reshape(reference.size)
+    for p in range(len(pairs)):
+        i, j = pairs[p]
+        if changed[i] or changed[j] or not (kept[i] and kept[j]):
+            continue
+        count = _touched(i, j, boxes[:, p], lists, frozen, p, marks, blocks)
+        if count == 0:
+            continue
+
+        up = down = 0.0
+        for k in range(count):
+            block = blocks[k]
+            shape = falloff(block, splats[lists.views[block], p], lists)
+            vstore(alphas, k * LANES, shape)
+            light = light_without(block, i, j, lists)
+            vstore(ours, k * LANES, light)
+            taken = light * shape
+            up += vsum(taken * (light - vload(truth, block * stride)))
+            down += vsum(taken * taken)
+        opacity = np.float32(min(up / down, 1.0)) if down > 0 else np.float32(0)
+        if not opacity > limits.alpha_min:
+            continue
+        if _dims(count, blocks, alphas, ours, opacity, truth, stride, limits):
+            continue
+
+        for view in range(views):
+            for c in range(channels):
+                mine = values[view, j, c]
+                mixed[view, c] = mine + share[p] * (values[view, i, c] - mine)
+        shifts[p] = 0
+        down = 0.0
+        for k in range(count):
+            block = blocks[k]
+            view = lists.views[block]
+            alpha = vload(alphas, k * LANES) * opacity
+            alpha = vwhere(alpha >= limits.alpha_min, alpha, vzero())
+            alpha = vwhere(alpha < limits.alpha_max, alpha, limits.alpha_max)
+            weight = composite(
+                block, i, j, alpha, np.float32(splats[view, p, Z]), lists, values[view],
+                limits.finished, drawn, weights, sums, k * stride,
+            )  # fmt: skip
+            vstore(alphas, k * LANES, alpha)
+            vstore(ours, k * LANES, weight)
+            down += vsum(weight * weight)
+            for c in range(channels):
+                to = (1 + c) * LANES
+                missing = vload(truth, block * stride + to) - vload(sums, k * stride + to)
+                shifts[p, c] += vsum(weight * (missing - weight * mixed[view, c]))
+        for c in range(channels):
+            shifts[p, c] = shifts[p, c] / down if down > 0 else np.float32(0)
+            for view in range(views):
+                if c < 3:  # no colour is below zero
+                    shifts[p, c] = max(shifts[p, c], -mixed[view, c])
+        mixed += shifts[p]
+
+        fits = lists.used[0] + count <= len(lists.places)
+        for k in range(count):
+            block = blocks[k]
+            weight, own = vload(ours, k * LANES), mixed[lists.views[block]]
+            if lists.counts[block] == lists.rooms[block] or _strays(
+                block, sums, k * stride, weight, own, reference, limits.change
+            ):
+                fits = False
+                break
+        if not fits:
+            continue
+
+        lists.begins[j] = lists.used[0]
+        for k in range(count):
+            block, alpha = blocks[k], vload(alphas, k * LANES)
+            has = vany(alpha > np.float32(0))
+            z = np.float32(splats[lists.views[block], p, Z])
+            replace_in(block, i, j, alpha, has, z, lists)
+            if has:
+                lists.places[lists.used[0]] = block
+                lists.used[0] += 1
+        lists.ends[j] = lists.used[0]
+        for view in range(views):
+            lists.z[view, j] = splats[view, p, Z]
+            values[view, j] = mixed[view]
+        kept[i], changed[i], changed[j] = False, True, True
+        opacities[p] = opacity
+    return opacities, shifts
+
+
 @numba.njit(cache=True)
-def _weigh(block, without, views, kept, finished, work):
-    """As the rasteriser does it: how many Gaussians are drawn, and the light that is left."""
-    light = vzero() + np.float32(1)
+def _dims(count, blocks, shapes, lights, opacity, truth, stride, limits):
+    """Whether so much light more or less is left that black or white shows it, whatever is drawn.
+
+    Quickly told, and the reason why most pairs are refused.
+    """
+    most = np.float32(2) * limits.change + limits.finished
+    for k in range(count):
+        light = vload(lights, k * LANES)
+        left = light - light * vload(shapes, k * LANES) * opacity
+        if _beyond(left - vload(truth, blocks[k] * stride), most):
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def _touched(i, j, boxes, lists, frozen, mark, marks, blocks):
+    """Write the ``blocks`` that i, j or what has the pixel ``boxes`` [V, 4] touches, each once.
+
+    Returns how many; 0 if any is frozen or they are too many.
+    """
     count = 0
-    for entry in range(views.starts[block], views.starts[block + 1]):
-        member = views.members[entry]
-        if kept[member] and member != without:
-            alpha = vload(views.alphas, entry * LANES)
-            weight = vwhere(light >= finished, alpha * light, np.float32(0))
-            vstore(work.weights, count * LANES, weight)
-            work.drawn[count] = member
-            light = light - weight
-            count += 1
-    return count, light
+    for who in (i, j):
+        for at in range(lists.begins[who], lists.ends[who]):
+            count = _mark(lists.places[at], frozen, mark, marks, blocks, count)
+    for view in range(len(boxes)):
+        x0, x1, y0, y1 = boxes[view]
+        if x1 <= x0 or y1 <= y0:
+            continue
+        _, _, across, first = lists.sizes[view]
+        for y in range(y0 // BLOCK, (y1 - 1) // BLOCK + 1):
+            for x in range(x0 // BLOCK, (x1 - 1) // BLOCK + 1):
+                count = _mark(first + y * across + x, frozen, mark, marks, blocks, count)
+    return max(count, 0)
 
 
 @numba.njit(cache=True)
-def _sum(count, work, flat, channels, c):
-    p, q, r, s = vzero(), vzero(), vzero(), vzero()
-    for j in range(count):
-        weight = vload(work.weights, j * LANES)
-        at = np.int64(np.uint32(work.drawn[j])) * channels + c
-        p = p + weight * flat[at]
-        q = q + weight * flat[at + 1]
-        r = r + weight * flat[at + 2]
-        s = s + weight * flat[at + 3]
-    return p, q, r, s
+def _mark(block, frozen, mark, marks, blocks, count):
+    if count < 0 or marks[block] == mark:
+        return count
+    if frozen[block] or count == len(blocks):
+        return -1
+    marks[block] = mark
+    blocks[count] = block
+    return count + 1

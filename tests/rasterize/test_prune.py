@@ -15,6 +15,7 @@ from slgaussian.rasterize import prune, rasterize
 from slgaussian.scene import Camera
 
 GREY = 1 / 255
+ROUNDING = 1e-6
 
 # The fast path is this far from the reference, before and after. Measured: 2.5e-3 on these clouds.
 FAST_ERROR = 5e-3
@@ -58,9 +59,10 @@ def cloud(n, seed) -> Gaussians:
 
 
 def change(a: Gaussians, b: Gaussians, seen: Camera, **how) -> float:
+    """Of a pixel over black or over white."""
     before, after = (rasterize(g, None, seen, **how) for g in (a, b))
     values, alpha = after.values - before.values, after.alpha - before.alpha
-    return max(float(values.abs().max()), float(alpha.abs().max()))
+    return max(float(values.abs().max()), float((values - alpha[..., None]).abs().max()))
 
 
 def test_no_gaussians():
@@ -97,10 +99,44 @@ def test_of_opaque_duplicates_one_stays():
 
 
 def test_faint_ones_go_until_together_they_matter():
-    # Each changes the picture by 0.7 grey levels; without two of them it has changed by 1.4.
-    faint = balls([[0, 0, 4]] * 6, scale=30, opacity=0.7 * GREY, rgb=1)
-    assert len(prune(faint, [camera()], GREY).kept) == 5
-    assert len(prune(faint, [camera()], 2 * GREY).kept) == 4
+    # Each changes the picture over black by 0.7 grey levels or less; so unlike, none are merged.
+    shades = [1, 0.91, 0.82, 0.73]
+    faint = balls([[0, 0, 4]] * 4, scale=30, opacity=0.7 * GREY, rgb=shades)
+    assert len(prune(faint, [camera()], 0.5 * GREY).kept) == 4
+    assert len(prune(faint, [camera()], GREY).kept) == 3
+    assert len(prune(faint, [camera()], 1.4 * GREY).kept) == 2
+
+
+def test_like_ones_become_one():
+    """Opacities add up as light passes both; the values are a mixture."""
+    one = balls([[0, 0, 4], [0, 0, 4.001]], 0.5, [0.5, 0.6], [0.5, 0.52])
+    pruned = prune(one, [camera()], 4 * GREY)
+    assert len(pruned.kept) == 1
+    assert pruned.error > 0
+    assert pruned.gaussians.opacities.item() == pytest.approx(0.8, abs=0.03)
+    assert pruned.gaussians.colors()[0].tolist() == pytest.approx([0.507] * 3, abs=0.004)
+    assert pruned.gaussians.scales[0].tolist() == pytest.approx([0.5] * 3, rel=0.1)
+
+
+def test_a_row_of_small_ones_becomes_fewer_wider_ones():
+    means = [[0.02 * k, 0, 4] for k in range(-20, 21)]
+    row = balls(means, 0.04, 0.4)
+    pruned = prune(row, [camera()], 2 * GREY)
+    assert len(pruned.kept) < 32
+    assert (pruned.gaussians.scales.max(1).values > 0.045).any()
+
+
+def test_merged_features_and_harmonics_mix():
+    scene = replace(
+        balls([[0, 0, 4], [0, 0, 4.001]], 0.5, 0.5), features=torch.tensor([[1.0], [1.01]])
+    )
+    scene = replace(
+        scene, sh=torch.cat([scene.sh, torch.tensor([0.1, 0.12])[:, None, None].expand(2, 3, 3)], 1)
+    )
+    pruned = prune(scene, [camera()], 4 * GREY)
+    assert len(pruned.kept) == 1
+    assert pruned.gaussians.features.item() == pytest.approx(1.003, abs=0.01)
+    assert pruned.gaussians.sh[0, 1:].flatten().tolist() == pytest.approx([0.11] * 9, abs=1e-3)
 
 
 def test_errors_of_opposite_sign_cancel():
@@ -133,7 +169,7 @@ def test_views_of_different_size():
     seen = [camera(), camera(0.3, 18, 53)]
     pruned = prune(scene, seen, 4 * GREY)
     worst = max(change(scene, pruned.gaussians, view) for view in seen)
-    assert 0 < worst <= pruned.error <= 4 * GREY
+    assert 0 < worst <= pruned.error + ROUNDING
 
 
 def test_features_alone_keep_a_gaussian():
@@ -144,12 +180,19 @@ def test_features_alone_keep_a_gaussian():
     assert len(prune(replace(scene, features=codes), [camera()], GREY).kept) == 2
 
 
-def test_what_stays_is_unchanged():
+def test_sources_survive_and_what_was_given_is_left_alone():
     scene = cloud(300, 2)
+    copy = {name: value.clone() for name, value in scene.items()}
     pruned = prune(scene, [camera()], 8 * GREY)
     assert 0 < len(pruned.kept) < 300
+    assert torch.equal(pruned.gaussians.source, scene.source[pruned.kept])
+    for name, value in scene.items():
+        assert torch.equal(value, copy[name]), name
+    # Into most, none is merged.
+    same = (pruned.gaussians.means == scene.means[pruned.kept]).all(1)
+    assert same.float().mean() > 0.5
     for (name, value), (_, left) in zip(scene.items(), pruned.gaussians.items(), strict=True):
-        assert torch.equal(value[pruned.kept], left), name
+        assert torch.equal(value[pruned.kept][same], left[same]), name
 
 
 @given(
@@ -163,14 +206,14 @@ def test_no_pixel_changes_by_more_than_the_tolerance(n, seed, greys, views):
     assert pruned.kept.dtype == torch.int64
     assert (pruned.kept.diff() > 0).all()
     assert pruned.error <= greys * GREY
-    assert all(change(scene, pruned.gaussians, view) <= pruned.error for view in seen)
+    assert all(change(scene, pruned.gaussians, view) <= pruned.error + ROUNDING for view in seen)
 
 
 @pytest.mark.parametrize("how", ["exact", "3dgs"])
 def test_it_holds_with_other_settings(how):
     scene = cloud(200, 3)
     pruned = prune(scene, [camera()], 4 * GREY, settings=how)
-    assert 0 < change(scene, pruned.gaussians, camera(), settings=how) <= pruned.error <= 4 * GREY
+    assert 0 < change(scene, pruned.gaussians, camera(), settings=how) <= pruned.error + ROUNDING
 
 
 def test_it_holds_for_the_reference():
@@ -192,6 +235,8 @@ def test_the_result_does_not_depend_on_the_thread_count():
             found.append(prune(scene, [camera()], 4 * GREY))
     finally:
         numba.set_num_threads(before)
+    for (name, a), (_, b) in zip(*(one.gaussians.items() for one in found), strict=True):
+        assert torch.equal(a, b), name
     assert torch.equal(found[0].kept, found[1].kept)
     assert found[0].error == found[1].error
 
