@@ -361,7 +361,7 @@ def opaque_right_at_pixel_centres():
 
 @_case
 def ten_thousand_on_one_pixel():
-    """Each under any cut-off around the middle, and all of them together opaque."""
+    """Each under the cut-offs around the middle, and all of them together opaque."""
     r = _Random(20)
     means = torch.zeros(10_000, 3)
     means[:, 2] = torch.linspace(2, 3, 10_000)
@@ -571,7 +571,7 @@ def one_channel():
 
 @_case
 def seven_channels():
-    """One less than the lanes of a vector."""
+    """No multiple of what is summed side by side."""
     return _with_channels(7, 43)
 
 

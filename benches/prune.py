@@ -22,7 +22,7 @@ from slgaussian.rasterize import prune, rasterize
 from slgaussian.scene import Camera
 
 GREY = 1 / 255
-TOLERANCES = (GREY / 4, GREY / 2, GREY, 2 * GREY, 4 * GREY)
+TOLERANCES = (GREY / 2, GREY, 2 * GREY, 4 * GREY)
 
 _COLUMNS = {
     "tolerance": ("tolerance", fraction),
@@ -69,11 +69,10 @@ def sweep(
 def scene_rows(
     name: str, gaussians: Gaussians, contexts: Sequence[Camera], target: Camera
 ) -> list[dict]:
-    """The rows of one scene at one grey level: given all three views, the contexts, the target."""
+    """The rows of one scene at one grey level: given all three views, and the contexts."""
     given = {
         "contexts and target": ([*contexts, target], None),
         "contexts": (contexts, target),
-        "target": ([target], None),
     }
     return [
         {"scene": name, "views": views, **row}

@@ -82,9 +82,8 @@ def run(options: argparse.Namespace) -> None:
     for name, sample in samples.items():
         subject = subject_of(name, sample)
         rows["scenes"].append(sweeps.scene_row(subject))
-        rows["pruned"] += prune.scene_rows(
-            name, subject.gaussians, subject.contexts, subject.camera
-        )
+        pruned = prune.sweep(subject.gaussians, subject.contexts, [prune.GREY], subject.camera)
+        rows["pruned"] += [{"scene": name, "views": "contexts", **row} for row in pruned]
         if name == chosen:
             swept = subject
     for key, found in rows.items():

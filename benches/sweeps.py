@@ -30,13 +30,13 @@ DEFAULT = Settings()
 NOTHING_CUT = {"alpha_min": 0.0, "sigmas": math.inf, "pass_min": 0.0}
 FINE = NOTHING_CUT | {"alpha_min": 2.0**-20}
 
-LOOP, FAST = "plain loop", "fast (alpha_min 1/1024)"
+LOOP, FAST = "plain loop", "fast (alpha_min 1/4096)"
 CUTS = {
     "3dgs, mvsplat": PRESETS["3dgs"],
     "alpha_min 1/255": Settings(alpha_min=1 / 255, pass_min=1 / 255),
     "alpha_min 1/512": Settings(alpha_min=1 / 512, pass_min=1 / 512),
+    "alpha_min 1/1024": Settings(alpha_min=1 / 1024, pass_min=1 / 1024),
     FAST: DEFAULT,
-    "alpha_min 1/4096": Settings(alpha_min=1 / 4096, pass_min=1 / 4096),
     "alpha_min 1/65536": Settings(alpha_min=2.0**-16, pass_min=2.0**-16),
 }
 """Cut-offs by the name they have in table and plot. Given values, the presets 3dgs and mvsplat are

@@ -14,7 +14,7 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "benchmark"
-VERSION = 2
+VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

@@ -32,7 +32,7 @@ from slgaussian.rasterize.tiles import (
 from slgaussian.scene import Camera
 from slgaussian.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 
-WEIGHT_MIN = 1 / 4096
+WEIGHT_MIN = 1 / 16384
 """Weights of a block of pixels are left out where all are at or below this."""
 
 GROUP = 4

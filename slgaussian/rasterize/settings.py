@@ -49,9 +49,9 @@ class Settings:
     compensate: bool = False
     harmonics: str = "3dgs"
     alpha_max: float = 1.0
-    alpha_min: float = 1 / 1024
+    alpha_min: float = 1 / 4096
     sigmas: float = math.inf
-    pass_min: float = 1e-3
+    pass_min: float = 1 / 4096
 
     def __post_init__(self) -> None:
         ranges = {

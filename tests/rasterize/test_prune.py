@@ -17,8 +17,8 @@ from slgaussian.scene import Camera
 GREY = 1 / 255
 ROUNDING = 1e-6
 
-# The fast path is this far from the reference, before and after. Measured: 2.5e-3 on these clouds.
-FAST_ERROR = 5e-3
+# The fast path is this far from the reference, before and after. Measured: 6e-4 on these clouds.
+FAST_ERROR = 2e-3
 
 
 def camera(shift=0.0, width=45, height=37) -> Camera:
@@ -122,7 +122,7 @@ def test_a_row_of_small_ones_becomes_fewer_wider_ones():
     means = [[0.02 * k, 0, 4] for k in range(-20, 21)]
     row = balls(means, 0.04, 0.4)
     pruned = prune(row, [camera()], 2 * GREY)
-    assert len(pruned.kept) < 32
+    assert len(pruned.kept) < 36
     assert (pruned.gaussians.scales.max(1).values > 0.045).any()
 
 

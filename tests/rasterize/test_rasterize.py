@@ -50,12 +50,10 @@ def test_exact_with_compensation(name):
     assert max(errors.values, errors.alpha, errors.depth) < tolerance
 
 
-FAST_TOLERANCE = 0.01
-"""Measured: at most 2.9e-3 in any channel and 4.5e-3 in alpha."""
+FAST_TOLERANCE = 0.003
+"""Measured: at most 8e-4 in any channel and 1.1e-3 in alpha."""
 FAST_DEPTH = {
-    "at_the_near_plane": 0.03,  # measured 1.9e-2: what is cut lies 200 times as far away
-    "far_off_axis": 0.03,  # measured 1.6e-2: likewise, 60 times
-    "reaching_through_the_near_plane": 0.02,  # measured 7.0e-3: likewise, 20 times
+    "far_off_axis": 0.01,  # measured 5e-3: what is cut lies 60 times as far away
     # A thousandth of the light, at 1e8 times the depth, is all of the mean depth.
     "astronomical_and_microscopic": math.inf,
 }
@@ -69,16 +67,16 @@ def test_fast(name):
     assert errors.depth < FAST_DEPTH.get(name, FAST_TOLERANCE)
 
 
-def test_fast_leaves_out_ten_thousand_that_are_each_under_the_cut():
+def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
     """The price of any cut-off, and the one case where it is not small; see ``exact``.
 
-    Where their alphas are above it, long sums hold: measured 1.2e-3, from the early stop at 1e-3.
+    Where their alphas are above it, long sums hold: measured 1e-4, from the early stop.
     """
     name = "ten_thousand_on_one_pixel"
     made = case(name)
-    assert measure(name, "fast").alpha > 0.9
+    assert measure(name, "fast").alpha > 0.5
     fast, true = (rasterize(made.gaussians, made.values, made.camera, backend=b) for b in BACKENDS)
-    assert (fast.values[11, 15] - true.values[11, 15]).abs().max() < 2e-3
+    assert (fast.values[11, 15] - true.values[11, 15]).abs().max() < 5e-4
 
 
 # The reference, and the cut-offs, against the formulas spelt out one number at a time.
@@ -180,7 +178,7 @@ def test_cpu_cuts_exactly_where_the_settings_say(chosen):
     image, alpha, depth = plain(made, values, seen, chosen)
     drawn = rasterize(made, values, seen, backend="cpu", settings=chosen)
     exact = rasterize(made, values, seen, backend="cpu", settings="exact")
-    assert (drawn.values - exact.values).abs().max() > 1e-4  # there is something to cut
+    assert (drawn.values - exact.values).abs().max() > 3e-5  # there is something to cut
     # Measured 2e-7, and 4e-7 in depth.
     np.testing.assert_allclose(drawn.values, image, atol=2e-6)
     np.testing.assert_allclose(drawn.alpha, alpha, atol=2e-6)
