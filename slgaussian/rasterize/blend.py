@@ -9,7 +9,6 @@ from slgaussian.rasterize.project import MOMENTS
 from slgaussian.rasterize.tiles import (
     ACROSS,
     BLOCK,
-    BLOCKS_ACROSS,
     DOWN,
     LOCAL_CUT,
     LOCAL_POWER,
@@ -20,6 +19,7 @@ from slgaussian.rasterize.tiles import (
     LOCAL_Y,
     TILE_BLOCKS,
     TILE_HEIGHT,
+    corner_of,
     fullest,
     load_tile,
     make_workspace,
@@ -67,7 +67,7 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
         for tile in range(*tiles_of(share, bins)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             for block in range(TILE_BLOCKS):
-                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 used, _, solid = weigh_block(block, work, alpha_max, pass_min)
@@ -124,7 +124,7 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
             n = bins.starts[tile + 1] - start
             totals[: n * sums * LANES] = 0
             for block in range(TILE_BLOCKS):
-                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 used, light, _ = weigh_block(block, work, alpha_max, pass_min)
@@ -192,10 +192,8 @@ def weigh_block(block, work, alpha_max, pass_min):
 @numba.njit(cache=True)
 def _corner(block):
     """The first pixel of a block, counted from the first of its tile's middle row."""
-    return (
-        np.float32(block % BLOCKS_ACROSS * BLOCK),
-        np.float32(block // BLOCKS_ACROSS * BLOCK - TILE_HEIGHT // 2),
-    )
+    left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))
+    return np.float32(left), np.float32(top)
 
 
 @numba.njit(cache=True)

@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.rasterize.blend import SHARES, weigh_block
+from slgaussian.rasterize.blend import SHARES, tiles_of, weigh_block
 from slgaussian.rasterize.project import POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
 from slgaussian.rasterize.tiles import (
     ACROSS,
     BLOCK,
-    BLOCKS_ACROSS,
     DOWN,
     TILE_BLOCKS,
     bin_splats,
+    corner_of,
     fullest,
     load_tile,
     make_workspace,
@@ -132,10 +132,10 @@ def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members
     most = fullest(bins)
     for share in numba.prange(SHARES):
         work = make_workspace(most, 0)
-        for tile in range(share, bins.across * bins.down, SHARES):
+        for tile in range(*tiles_of(share, bins)):
             left, top = load_tile(tile, bins, splats, boxes, nothing, work)
             for block in range(TILE_BLOCKS):
-                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 place = y0 // BLOCK * across + x0 // BLOCK

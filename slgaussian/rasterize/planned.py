@@ -16,15 +16,15 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.blend import SHARES, weigh_block
+from slgaussian.rasterize.blend import SHARES, tiles_of, weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
 from slgaussian.rasterize.project import eye_of
 from slgaussian.rasterize.settings import Settings, find_settings
 from slgaussian.rasterize.tiles import (
     BLOCK,
-    BLOCKS_ACROSS,
     TILE_BLOCKS,
     bin_splats,
+    corner_of,
     fullest,
     load_tile,
     make_workspace,
@@ -148,10 +148,10 @@ def _weigh(
     for share in numba.prange(SHARES):
         work = make_workspace(most, 0)
         solids = np.empty(LANES, np.float32)
-        for tile in range(share, bins.across * bins.down, SHARES):
+        for tile in range(*tiles_of(share, bins)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             for block in range(TILE_BLOCKS):
-                x0, y0 = left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+                x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 used, _, solid = weigh_block(block, work, alpha_max, pass_min)

@@ -229,6 +229,12 @@ def load_tile(tile, bins, splats, boxes, values, work):
 
 
 @numba.njit(cache=True)
+def corner_of(block, left, top):
+    """The first pixel of a block of the tile whose first pixel is ``left, top``."""
+    return left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
+
+
+@numba.njit(cache=True)
 def _sort_by_depth(n, channels, nearest, farthest, work):
     """The keys of the splats of the workspace, nearest first; those of equal z keep their order.
 
