@@ -6,7 +6,10 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 
-PREDICTORS = {"planesweep": "slgaussian.predict.planesweep:PlaneSweep"}
+PREDICTORS = {
+    "planesweep": "slgaussian.predict.planesweep:PlaneSweep",
+    "mvsplat": "slgaussian.predict.mvsplat.predictor:MVSplat",
+}
 
 
 class GaussianPredictor(Protocol):

@@ -25,10 +25,11 @@ from slgaussian.rasterize.tiles import (
     make_workspace,
     tile_range,
 )
+from slgaussian.shares import WORKERS, take
 from slgaussian.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
 
-SHARES = 64
-"""Parts of the image that threads take; each has one workspace."""
+STRIP = 8
+"""Tiles that a thread takes at a time: neighbours, which have splats in common."""
 
 PATIENCE = 8
 """Splats drawn in a row before looking whether any of its pixels lets light through."""
@@ -60,32 +61,38 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
     most = fullest(bins)
-    for share in numba.prange(SHARES):
+    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
+    for _worker in numba.prange(WORKERS):
+        share = take(counter)
+        if share * STRIP >= tiles:
+            continue
         work = make_workspace(most, channels - 1)
         sums = np.empty((channels + 3) * LANES, np.float32)
         solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-        for tile in range(*tiles_of(share, bins)):
-            left, top = load_tile(tile, bins, splats, boxes, values, work)
-            for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
-                if x0 >= width or y0 >= height:
-                    continue
-                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                vstore(solids, 0, solid)
-                _sum_block(block, used, channels, work, sums)
-                if with_median:
-                    vstore(middles, 0, _median_block(block, used, channels, work))
-                for y in range(y0, min(y0 + BLOCK, height)):
-                    for x in range(x0, min(x0 + BLOCK, width)):
-                        lane = (y - y0) * BLOCK + x - x0
-                        for c in range(channels - 1):
-                            image[y, x, c] = sums[c * LANES + lane]
-                        # Rounded, a sum of weights may pass 1.
-                        alpha[y, x] = min(solids[lane], np.float32(1))
-                        if solids[lane] > 0:
-                            depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
-                        if with_median:
-                            median[y, x] = middles[lane]
+        while share * STRIP < tiles:
+            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+                left, top = load_tile(tile, bins, splats, boxes, values, work)
+                for block in range(TILE_BLOCKS):
+                    x0, y0 = corner_of(block, left, top)
+                    if x0 >= width or y0 >= height:
+                        continue
+                    used, _, solid = weigh_block(block, work, alpha_max, pass_min)
+                    vstore(solids, 0, solid)
+                    _sum_block(block, used, channels, work, sums)
+                    if with_median:
+                        vstore(middles, 0, _median_block(block, used, channels, work))
+                    for y in range(y0, min(y0 + BLOCK, height)):
+                        for x in range(x0, min(x0 + BLOCK, width)):
+                            lane = (y - y0) * BLOCK + x - x0
+                            for c in range(channels - 1):
+                                image[y, x, c] = sums[c * LANES + lane]
+                            # Rounded, a sum of weights may pass 1.
+                            alpha[y, x] = min(solids[lane], np.float32(1))
+                            if solids[lane] > 0:
+                                depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
+                            if with_median:
+                                median[y, x] = middles[lane]
+            share = take(counter)
     return image, alpha, depth, median
 
 
@@ -114,50 +121,44 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
     sums = MOMENTS + channels
     grads = np.empty((firsts[-1], sums), np.float32)
     most = fullest(bins)
-    for share in numba.prange(SHARES):
+    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
+    for _worker in numba.prange(WORKERS):
+        share = take(counter)
+        if share * STRIP >= tiles:
+            continue
         work = make_workspace(most, channels - 1)
         totals = np.empty(most * sums * LANES, np.float32)
         upstream = np.empty((channels + 1) * LANES, np.float32)
-        for tile in range(*tiles_of(share, bins)):
-            left, top = load_tile(tile, bins, splats, boxes, values, work)
-            start = bins.starts[tile]
-            n = bins.starts[tile + 1] - start
-            totals[: n * sums * LANES] = 0
-            for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
-                if x0 >= width or y0 >= height:
-                    continue
-                used, light, _ = weigh_block(block, work, alpha_max, pass_min)
-                upstream[:] = 0
-                for y in range(y0, min(y0 + BLOCK, height)):
-                    for x in range(x0, min(x0 + BLOCK, width)):
-                        lane = (y - y0) * BLOCK + x - x0
-                        for c in range(channels - 1):
-                            upstream[c * LANES + lane] = d_image[y, x, c]
-                        upstream[(channels - 1) * LANES + lane] = d_z[y, x]
-                        # What is behind everything counts for the alpha that it does not have.
-                        upstream[channels * LANES + lane] = -d_alpha[y, x]
-                _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
-            for k in range(n):
-                i = bins.entries[start + k]
-                x0, x1, y0, _ = tile_range(boxes[i])
-                place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
-                place += tile % bins.across - x0
-                for m in range(sums):
-                    grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
+        while share * STRIP < tiles:
+            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+                left, top = load_tile(tile, bins, splats, boxes, values, work)
+                start = bins.starts[tile]
+                n = bins.starts[tile + 1] - start
+                totals[: n * sums * LANES] = 0
+                for block in range(TILE_BLOCKS):
+                    x0, y0 = corner_of(block, left, top)
+                    if x0 >= width or y0 >= height:
+                        continue
+                    used, light, _ = weigh_block(block, work, alpha_max, pass_min)
+                    upstream[:] = 0
+                    for y in range(y0, min(y0 + BLOCK, height)):
+                        for x in range(x0, min(x0 + BLOCK, width)):
+                            lane = (y - y0) * BLOCK + x - x0
+                            for c in range(channels - 1):
+                                upstream[c * LANES + lane] = d_image[y, x, c]
+                            upstream[(channels - 1) * LANES + lane] = d_z[y, x]
+                            # What is behind everything counts for the alpha that it does not have.
+                            upstream[channels * LANES + lane] = -d_alpha[y, x]
+                    _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
+                for k in range(n):
+                    i = bins.entries[start + k]
+                    x0, x1, y0, _ = tile_range(boxes[i])
+                    place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
+                    place += tile % bins.across - x0
+                    for m in range(sums):
+                        grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
+            share = take(counter)
     return grads
-
-
-@numba.njit(cache=True)
-def tiles_of(share, bins):
-    """First and one past the last tile of a share.
-
-    Neighbours, which have splats in common; but a thread, which takes the first shares or the last,
-    gets tiles from the whole image, for one part of it may have more splats than another.
-    """
-    place = share % 2 * (SHARES // 2) + share // 2
-    tiles = bins.across * bins.down
-    return place * tiles // SHARES, (place + 1) * tiles // SHARES
 
 
 @numba.njit(cache=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.rasterize.blend import SHARES, tiles_of, weigh_block
+from slgaussian.rasterize.blend import STRIP, weigh_block
 from slgaussian.rasterize.project import POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
 from slgaussian.rasterize.tiles import (
     ACROSS,
@@ -25,6 +25,7 @@ from slgaussian.rasterize.tiles import (
     load_tile,
     make_workspace,
 )
+from slgaussian.shares import WORKERS, take
 from slgaussian.simd import LANES, vexp2, vload, vstore, vwhere, vzero
 
 SPARE = 4
@@ -130,23 +131,31 @@ def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members
     across = -(-width // BLOCK)
     nothing = np.empty((len(splats), 0), np.float32)
     most = fullest(bins)
-    for share in numba.prange(SHARES):
+    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
+    for _worker in numba.prange(WORKERS):
+        share = take(counter)
+        if share * STRIP >= tiles:
+            continue
         work = make_workspace(most, 0)
-        for tile in range(*tiles_of(share, bins)):
-            left, top = load_tile(tile, bins, splats, boxes, nothing, work)
-            for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
-                if x0 >= width or y0 >= height:
-                    continue
-                place = y0 // BLOCK * across + x0 // BLOCK
-                count = work.counts[block]
-                if write:
-                    # In a function of its own: here Numba would leave out a call that only writes.
-                    _write(block, count, work, alpha_max, width - x0, height - y0, cursors[place],
-                           bins.entries[bins.starts[tile] :], members, alphas)  # fmt: skip
-                cursors[place] += count
+        while share * STRIP < tiles:
+            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+                left, top = load_tile(tile, bins, splats, boxes, nothing, work)
+                for block in range(TILE_BLOCKS):
+                    x0, y0 = corner_of(block, left, top)
+                    if x0 >= width or y0 >= height:
+                        continue
+                    place = y0 // BLOCK * across + x0 // BLOCK
+                    count = work.counts[block]
+                    if write:
+                        entries = bins.entries[bins.starts[tile] :]
+                        _write(block, count, work, alpha_max, width - x0, height - y0,
+                               cursors[place], entries, members, alphas)  # fmt: skip
+                    cursors[place] += count
+            share = take(counter)
 
 
+# A function of its own: from inside a prange, Numba would leave out the call of weigh_block, whose
+# result is not used.
 @numba.njit(cache=True)
 def _write(block, count, work, alpha_max, wide, tall, entry, splats, members, alphas):
     """Write the entries of a block, of which ``wide`` by ``tall`` pixels are in the image."""

@@ -16,7 +16,7 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.blend import SHARES, tiles_of, weigh_block
+from slgaussian.rasterize.blend import STRIP, weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
 from slgaussian.rasterize.project import eye_of
 from slgaussian.rasterize.settings import Settings, find_settings
@@ -30,6 +30,7 @@ from slgaussian.rasterize.tiles import (
     make_workspace,
 )
 from slgaussian.scene import Camera
+from slgaussian.shares import WORKERS, take
 from slgaussian.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 
 WEIGHT_MIN = 1 / 16384
@@ -145,34 +146,40 @@ def _weigh(
     height, width = alpha.shape
     across = -(-width // BLOCK)
     most = fullest(bins)
-    for share in numba.prange(SHARES):
+    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
+    for _worker in numba.prange(WORKERS):
+        share = take(counter)
+        if share * STRIP >= tiles:
+            continue
         work = make_workspace(most, 0)
         solids = np.empty(LANES, np.float32)
-        for tile in range(*tiles_of(share, bins)):
-            left, top = load_tile(tile, bins, splats, boxes, values, work)
-            for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
-                if x0 >= width or y0 >= height:
-                    continue
-                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                vstore(solids, 0, solid)
-                for y in range(y0, min(y0 + BLOCK, height)):
-                    for x in range(x0, min(x0 + BLOCK, width)):
-                        lane = (y - y0) * BLOCK + x - x0
-                        alpha[y, x] = min(solids[lane], np.float32(1))
-                place = y0 // BLOCK * across + x0 // BLOCK
-                found = 0
-                for j in range(used):
-                    weight = vload(work.weights, j * LANES)
-                    if vany(weight > np.float32(WEIGHT_MIN)):
-                        if write:
-                            k = work.lists[block * most + j]
-                            entry = starts[place] + found
-                            members[entry] = bins.entries[bins.starts[tile] + k]
-                            vstore_half(weights, entry * LANES, weight)
-                        found += 1
-                if not write:
-                    starts[place] = found
+        while share * STRIP < tiles:
+            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+                left, top = load_tile(tile, bins, splats, boxes, values, work)
+                for block in range(TILE_BLOCKS):
+                    x0, y0 = corner_of(block, left, top)
+                    if x0 >= width or y0 >= height:
+                        continue
+                    used, _, solid = weigh_block(block, work, alpha_max, pass_min)
+                    vstore(solids, 0, solid)
+                    for y in range(y0, min(y0 + BLOCK, height)):
+                        for x in range(x0, min(x0 + BLOCK, width)):
+                            lane = (y - y0) * BLOCK + x - x0
+                            alpha[y, x] = min(solids[lane], np.float32(1))
+                    place = y0 // BLOCK * across + x0 // BLOCK
+                    found = 0
+                    for j in range(used):
+                        weight = vload(work.weights, j * LANES)
+                        if vany(weight > np.float32(WEIGHT_MIN)):
+                            if write:
+                                k = work.lists[block * most + j]
+                                entry = starts[place] + found
+                                members[entry] = bins.entries[bins.starts[tile] + k]
+                                vstore_half(weights, entry * LANES, weight)
+                            found += 1
+                    if not write:
+                        starts[place] = found
+            share = take(counter)
 
 
 @numba.njit(cache=True)

@@ -18,6 +18,7 @@ import numpy as np
 from slgaussian.rasterize.api import FRUSTUM_MARGIN
 from slgaussian.rasterize.settings import Settings
 from slgaussian.scene import Camera
+from slgaussian.shares import WORKERS, take
 from slgaussian.simd import (
     LANES,
     vabs,
@@ -44,8 +45,8 @@ d, e d and d^2, in this order, where e is times root and d is dy times row_root.
 
 HALF_LOG2_E = 0.5 * math.log2(math.e)
 
-SHARES = 64
-"""Parts of the Gaussians that threads take."""
+SHARE = 256 * LANES
+"""Gaussians that a thread takes at a time."""
 
 FAR = 1e15
 """Image coordinates are clamped to this, so that nothing overflows in float32."""
@@ -128,34 +129,32 @@ def project(means, scales, quats, opacities, values, eye):
     splats = np.empty((n, 8))
     boxes = np.empty((n, 4), np.int32)
     senseless = 0
-    for share in numba.prange(SHARES):
+    counter = np.zeros(1, np.int64)
+    for _worker in numba.prange(WORKERS):
         # Column by column, LANES numbers each.
         given = np.ones(11 * LANES, np.float32)
         made = np.empty(12 * LANES)
-        for first in range(_first(share, n), _first(share + 1, n), LANES):
-            count = min(LANES, n - first)
-            for k in range(count):
-                for c in range(3):
-                    given[c * LANES + k] = means[first + k, c]
-                    given[(3 + c) * LANES + k] = scales[first + k, c]
-                for c in range(4):
-                    given[(6 + c) * LANES + k] = quats[first + k, c]
-                given[10 * LANES + k] = opacities[first + k]
-            if not (_sensible(given) and _finite(values, first, count)):
-                senseless += 1
-            _project_vector(given, eye, made)
-            for k in range(count):
-                for c in range(8):
-                    splats[first + k, c] = made[c * LANES + k]
-                for c in range(4):
-                    boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
+        start = take(counter) * SHARE
+        while start < n:
+            for first in range(start, min(n, start + SHARE), LANES):
+                count = min(LANES, n - first)
+                for k in range(count):
+                    for c in range(3):
+                        given[c * LANES + k] = means[first + k, c]
+                        given[(3 + c) * LANES + k] = scales[first + k, c]
+                    for c in range(4):
+                        given[(6 + c) * LANES + k] = quats[first + k, c]
+                    given[10 * LANES + k] = opacities[first + k]
+                if not (_sensible(given) and _finite(values, first, count)):
+                    senseless += 1
+                _project_vector(given, eye, made)
+                for k in range(count):
+                    for c in range(8):
+                        splats[first + k, c] = made[c * LANES + k]
+                    for c in range(4):
+                        boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
+            start = take(counter) * SHARE
     return splats, boxes, senseless == 0
-
-
-@numba.njit(cache=True)
-def _first(share, n):
-    """The first Gaussian of a share: shares are whole vectors, but for the last of all."""
-    return min(n, -(-(share * n // SHARES) // LANES) * LANES)
 
 
 @numba.njit(cache=True)

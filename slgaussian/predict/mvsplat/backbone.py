@@ -1,0 +1,82 @@
+"""Features of every view: a small residual CNN, then attention within and between views."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from slgaussian.predict.mvsplat.config import Config
+from slgaussian.predict.mvsplat.transformer import MultiViewTransformer, position_code
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions beside a skip; instance normalisation, which has no weights."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, padding=1, bias=False)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride))
+        else:
+            self.downsample = None
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """[V, inputs, H, W] to [V, outputs, H / stride, W / stride]."""
+        y = instance_norm(self.conv1(x)).relu_()
+        y = instance_norm(self.conv2(y)).relu_()
+        skip = x if self.downsample is None else instance_norm(self.downsample(x))
+        return y.add_(skip).relu_()
+
+
+class FeatureCnn(nn.Module):
+    """Images to features at a quarter of the resolution (GMFlow's encoder, Xu et al. 2022)."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, 64, 7, 2, padding=3, bias=False)
+        self.layer1 = nn.Sequential(ResidualBlock(64, 64, 1), ResidualBlock(64, 64, 1))
+        self.layer2 = nn.Sequential(ResidualBlock(64, 96, 2), ResidualBlock(96, 96, 1))
+        self.layer3 = nn.Sequential(ResidualBlock(96, 128, 1), ResidualBlock(128, 128, 1))
+        self.conv2 = nn.Conv2d(128, width, 1)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """[V, 3, H, W] in [0, 1] to [V, width, H/4, W/4]."""
+        mean = images.new_tensor(IMAGENET_MEAN)[:, None, None]
+        std = images.new_tensor(IMAGENET_STD)[:, None, None]
+        x = instance_norm(self.conv1((images - mean) / std)).relu_()
+        return self.conv2(self.layer3(self.layer2(self.layer1(x))))
+
+
+class Backbone(nn.Module):
+    """What the checkpoint calls ``backbone``: the CNN and the transformer."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        self.windows = config.windows
+        self.backbone = FeatureCnn(config.width)
+        self.transformer = MultiViewTransformer(config.width, config.windows)
+
+    def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features of V images [V, 3, H, W], H and W multiples of 16.
+
+        Returns
+        -------
+        local, matched : float [V, width, H/4, W/4]
+            Before positions and attention, and after.
+        """
+        local = self.backbone(images)
+        _, width, h, w = local.shape
+        code = position_code(h // self.windows, w // self.windows, width, local.device)
+        positioned = local.permute(0, 2, 3, 1) + code.tile(self.windows, self.windows, 1)
+        return local, self.transformer(positioned).permute(0, 3, 1, 2)
+
+
+def instance_norm(x: torch.Tensor) -> torch.Tensor:
+    """Every channel of every image to mean 0 and variance 1."""
+    # As groups of one channel: PyTorch's own instance norm copies to another memory layout.
+    return F.group_norm(x, x.shape[1])

@@ -1,0 +1,110 @@
+"""Published checkpoints into a network: read without running code, and all or nothing."""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.predict.mvsplat.config import PUBLISHED, Config
+from slgaussian.predict.mvsplat.network import Network
+
+PREFIX = "encoder."
+SHOWN = 3
+
+
+def load_network(path: str | Path, config: Config = PUBLISHED) -> Network:
+    """The network with the weights of ``path``, in float32 on the CPU, ready to infer.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no tensors by name, or other names or shapes than the
+        network's.
+    """
+    return with_weights(read_state(path), config, str(path))
+
+
+def read_state(path: str | Path) -> dict[str, torch.Tensor]:
+    """Tensors by name of a Lightning checkpoint or a bare dictionary; a prefix ``encoder.`` goes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no such tensors.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(
+            f"checkpoint {path}: there is no such file; download re10k.ckpt from where MVSplat's "
+            "README says, and give its path"
+        )
+    try:
+        # Mapped into memory, so that what else is in it, like an optimiser's state, is not read.
+        stored = torch.load(
+            path, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(path)
+        )
+    except pickle.UnpicklingError as problem:
+        reason = str(problem).strip().splitlines()[0]
+        raise InputError(
+            f"checkpoint {path}: cannot be read as tensors alone ({reason}); if it is a "
+            "checkpoint that you trust, save the state_dict of torch.load(path, "
+            "weights_only=False) to a new file, and give that"
+        ) from None
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError) as problem:
+        reason = (str(problem).strip() or type(problem).__name__).splitlines()[0]
+        raise InputError(
+            f"checkpoint {path}: is damaged or no PyTorch file ({reason}); download it again"
+        ) from None
+    state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else None
+    if not isinstance(state, Mapping) or not any(map(torch.is_tensor, state.values())):
+        raise InputError(
+            f"checkpoint {path}: found no tensors by name, expected a Lightning checkpoint of "
+            "MVSplat or its state_dict"
+        )
+    if any(str(name).startswith(PREFIX) for name in state):
+        # Beside the encoder, a checkpoint may hold buffers of the losses that it was trained with.
+        state = {n.removeprefix(PREFIX): t for n, t in state.items() if n.startswith(PREFIX)}
+    return dict(state)
+
+
+def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str) -> Network:
+    """A network with exactly the tensors of ``state``; ``origin`` names them in errors.
+
+    Raises
+    ------
+    InputError
+        If a name is missing or unexpected, or a shape differs.
+    """
+    with torch.device("meta"):
+        network = Network(config)
+    expected = network.state_dict()
+    shared = [name for name in expected if name in state]
+    wrong = [
+        f"{name} {tuple(state[name].shape)} for {tuple(expected[name].shape)}"
+        for name in shared
+        if state[name].shape != expected[name].shape
+    ]
+    problems = {
+        "missing": [name for name in expected if name not in state],
+        "unexpected": [name for name in state if name not in expected],
+        "of another shape": wrong,
+    }
+    if any(problems.values()):
+        found = "; ".join(f"{len(p)} {what}: {_few(p)}" for what, p in problems.items() if p)
+        raise InputError(
+            f"checkpoint {origin}: does not fit the network of {len(expected)} tensors ({found}); "
+            "expected re10k.ckpt or acid.ckpt of MVSplat, or another of the same shape"
+        )
+    state = {name: state[name].to(torch.float32, copy=True) for name in shared}
+    network.load_state_dict(state, assign=True)
+    return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+
+
+def _few(names: Iterable[str]) -> str:
+    names = list(names)
+    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")

@@ -1,0 +1,47 @@
+"""What fixes the shape of an MVSplat network and the ranges of its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Config:
+    """The defaults are those of the published ``re10k.ckpt`` and ``acid.ckpt``.
+
+    Attributes
+    ----------
+    width : int
+        Channels of the features at a quarter of the resolution.
+    windows : int
+        The transformer attends within ``windows`` x ``windows`` parts of the feature map.
+    candidates : int
+        Disparities that the cost volume is made for.
+    cost_levels, cost_attention : int, tuple of int
+        Levels of the U-Net over the cost volume, and at which factors of downsampling it attends.
+    detail_width, detail_levels, detail_attention : int, int, tuple of int
+        The same for the U-Net at full resolution.
+    near, far : float
+        Range of depths, in the units of the training scenes.
+    scale_min, scale_max : float
+        Range of a Gaussian's standard deviation, in tenths of a pixel at its depth.
+    sh_degree : int
+        Degree of the spherical harmonics that are predicted.
+    """
+
+    width: int = 128
+    windows: int = 2
+    candidates: int = 128
+    cost_levels: int = 3
+    cost_attention: tuple[int, ...] = (4,)
+    detail_width: int = 32
+    detail_levels: int = 5
+    detail_attention: tuple[int, ...] = (16,)
+    near: float = 1.0
+    far: float = 100.0
+    scale_min: float = 0.5
+    scale_max: float = 15.0
+    sh_degree: int = 4
+
+
+PUBLISHED = Config()

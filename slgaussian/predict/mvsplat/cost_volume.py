@@ -1,0 +1,177 @@
+"""How well every pixel matches the other views at every candidate depth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from slgaussian.predict.mvsplat.cost_volume_cpu import add_products
+from slgaussian.scene import Camera
+
+CHUNK = 1024
+"""Pixels warped at a time: their samples at all depths are 64 MB, where those of a whole image
+would be a gigabyte."""
+
+MIN_DEPTH = 1e-3
+"""Depth in the other view is taken for at least this, so that nothing is divided by zero."""
+
+REDUCED = 4
+"""Pixels of the image a pixel of the features."""
+
+SPARSE = 64
+"""Of so many pixels one is looked at to choose a number of candidates."""
+
+
+def spread(near: float, far: float, count: int) -> torch.Tensor:
+    """Disparities float32 [count], evenly from the far end to the near one."""
+    return 1 / far + torch.linspace(0, 1, count) * (1 / near - 1 / far)
+
+
+def correlate(
+    features: torch.Tensor, cameras: Sequence[Camera], disparities: torch.Tensor
+) -> torch.Tensor:
+    """Plane-sweep correlation of every view with all others, averaged over these.
+
+    A pixel of the reference is placed at each depth, projected into the other view, and the
+    features sampled there bilinearly, zero outside. Pixels have integer coordinates at their
+    centres, as the published networks were trained with.
+
+    Parameters
+    ----------
+    features : float [V, C, h, w]
+    cameras : V Camera
+        Of any size: their intrinsics are scaled to (h, w).
+    disparities : float32 [D]
+        Inverse depths along z.
+
+    Returns
+    -------
+    float32 [V, h, w, D]
+        Inner products over sqrt(C).
+    """
+    views, channels, h, w = features.shape
+    maps = features.permute(0, 2, 3, 1).float().contiguous()
+    volume = maps.new_zeros(views, h, w, len(disparities))
+    for i in range(views):
+        for j in (j for j in range(views) if j != i):
+            lines = path(cameras[i], cameras[j], (h, w))
+            if volume.is_cpu:
+                arrays = (t.numpy() for t in (maps[i], maps[j], disparities, volume[i]))
+                add_products(*lines, np.float32(MIN_DEPTH), *arrays)
+            else:
+                add_warped(*lines, maps[i], maps[j], disparities, volume[i])
+    volume *= 1 / (channels**0.5 * (views - 1))
+    return volume
+
+
+def needed_candidates(cameras: Sequence[Camera], near: float, far: float, most: int) -> int:
+    """How many disparities are a pixel of the feature map apart, up to ``most``.
+
+    A bilinear sample changes linearly between two pixels, so less than one candidate a pixel is
+    what loses. It is the 99th percentile over pixels and candidates that lands in another view.
+    """
+    h, w = cameras[0].height // REDUCED, cameras[0].width // REDUCED
+    disparities = spread(near, far, most)
+    longest = [1.0]
+    for reference in cameras:
+        for other in cameras:
+            if other is not reference:
+                start, offset = path(reference, other, (h, w))
+                x, y = positions(start[:, ::SPARSE], offset, disparities)
+                inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
+                steps = torch.hypot(x.diff(), y.diff())[inside[:, 1:] & inside[:, :-1]]
+                if len(steps):
+                    longest.append(float(steps.quantile(0.99)) * (most - 1))
+    return min(math.ceil(max(longest)) + 1, most)
+
+
+def path(reference: Camera, other: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Where pixels of ``reference`` land in ``other``, both seen as maps of ``size`` (h, w).
+
+    Returns
+    -------
+    start, offset : float32 [3, h * w], [3]
+        At disparity ``q`` a pixel lands on the homogeneous ``start + q offset``, whose third
+        component is the depth in ``other`` over that in ``reference``.
+    """
+    h, w = size
+    K_reference, K_other = reference.resized(w, h).K, other.resized(w, h).K
+    motion = other.w2c @ reference.c2w
+    v, u = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
+    pixels = np.stack([u, v, np.ones_like(u)])
+    start = K_other @ motion[:3, :3] @ np.linalg.inv(K_reference) @ pixels
+    return start.astype(np.float32), (K_other @ motion[:3, 3]).astype(np.float32)
+
+
+def positions(
+    start: np.ndarray, offset: np.ndarray, disparities: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Pixels x and y, float32 [P, D], where P paths are at D disparities."""
+    columns = torch.from_numpy(np.ascontiguousarray(start)).to(disparities.device)[..., None]
+    x, y, z = (c + disparities * s for c, s in zip(columns, offset.tolist(), strict=True))
+    z = torch.maximum(z, MIN_DEPTH * disparities)
+    return x.div_(z), y.div_(z)
+
+
+def add_warped(
+    start: np.ndarray,
+    offset: np.ndarray,
+    reference: torch.Tensor,
+    other: torch.Tensor,
+    disparities: torch.Tensor,
+    out: torch.Tensor,
+) -> None:
+    """Add to ``out`` [h, w, D] the products of ``reference`` and ``other`` [h, w, C].
+
+    The same as ``cost_volume_cpu.add_products``, on any device and as it is defined.
+    """
+    h, w, channels = reference.shape
+    corners, weights = bilinear(*positions(start, offset, disparities), (h, w))
+    references, rows = reference.view(h * w, channels, 1), other.view(h * w, channels)
+    products = out.view(h * w, -1, 1)
+    for first in range(0, h * w, CHUNK):
+        part = slice(first, first + CHUNK)
+        # A bilinear sample is a weighted sum of four rows.
+        warped = F.embedding_bag(
+            corners[part].reshape(-1, 4),
+            rows,
+            per_sample_weights=weights[part].reshape(-1, 4),
+            mode="sum",
+        )
+        products[part].baddbmm_(warped.view(-1, len(disparities), channels), references[part])
+
+
+def bilinear(
+    x: torch.Tensor, y: torch.Tensor, size: tuple[int, int]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The four pixels around each position, and how much each counts.
+
+    Returns
+    -------
+    corners : int32 [P, D, 4]
+        Flat indices into a map of ``size`` (h, w).
+    weights : float32 [P, D, 4]
+        0 for a corner outside.
+    """
+    h, w = size
+    columns, across = zip(*_neighbours(x, w), strict=True)
+    rows, down = zip(*_neighbours(y, h), strict=True)
+    corners = torch.stack([row * w + column for row in rows for column in columns], -1)
+    return corners, torch.stack([b * a for b in down for a in across], -1)
+
+
+def _neighbours(position: torch.Tensor, length: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """The whole numbers below and above, brought into the map, and their weights."""
+    # Farther outside the weights are zero anyway, and integers must not overflow.
+    position = position.clamp(-1, length)
+    below = position.floor()
+    share = position - below
+    found = []
+    for index, weight in ((below, 1 - share), (below + 1, share)):
+        inside = (index >= 0) & (index < length)
+        found.append((index.clamp(0, length - 1).int(), weight * inside))
+    return found

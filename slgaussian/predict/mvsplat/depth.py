@@ -1,0 +1,173 @@
+"""From matches to depth, and from depth and image to the raw numbers of the Gaussians."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from slgaussian.predict.mvsplat.config import Config
+from slgaussian.predict.mvsplat.unet import GROUPS, Gelu, UNet, conv
+
+FACTOR = 4
+"""Features are at this fraction of the image's resolution."""
+
+POSE_CHANNELS = 9
+"""Raw channels before the harmonics: 2 of offset, 3 of scale, 4 of rotation."""
+
+VECTOR = 16
+"""Numbers of a processor's vector, at most."""
+
+STRIP = 64
+"""Rows of an image in the last layers at a time. Their values are then small enough for the memory
+to be used again, and fresh memory costs more than many a layer."""
+
+HALO = 2
+"""Rows around a strip that two 3x3 convolutions see."""
+
+
+class Pixelwise(NamedTuple):
+    """What the network says of every pixel.
+
+    Attributes
+    ----------
+    disparity : float32 [V, H, W]
+        Inverse depth.
+    opacity : float32 [V, H, W]
+        In (0, 1).
+    raw : float [V, H, W, 9 + 16 * 3]
+        Offset, scale and rotation before their activations, and harmonics of degree 0 to 3 in the
+        camera's frame, three colours a coefficient.
+    """
+
+    disparity: torch.Tensor
+    opacity: torch.Tensor
+    raw: torch.Tensor
+
+
+class DepthPredictor(nn.Module):
+    """What the checkpoint calls ``depth_predictor``: all that follows the cost volume.
+
+    ``drawn`` of the predicted harmonics are computed: no renderer evaluates the last nine.
+    """
+
+    def __init__(self, config: Config, drawn: int) -> None:
+        super().__init__()
+        width, depths, detail = config.width, config.candidates, config.detail_width
+        self.corr_refine_net = nn.Sequential(
+            conv(depths + width, width),
+            nn.GroupNorm(GROUPS, width),
+            Gelu(),
+            UNet(width, config.cost_levels, config.cost_attention),
+            conv(width, depths),
+        )
+        self.regressor_residual = nn.Conv2d(depths + width, depths, 1)
+        self.depth_head_lowres = nn.Sequential(
+            conv(depths, 2 * depths), Gelu(), conv(2 * depths, depths)
+        )
+        self.upsampler = nn.Sequential(
+            conv(2 * width, width),
+            nn.Upsample(scale_factor=FACTOR, mode="bilinear", align_corners=True),
+            Gelu(),
+        )
+        self.proj_feature = conv(width, detail)
+        self.refine_unet = nn.Sequential(
+            conv(detail + 5, detail),
+            nn.GroupNorm(4, detail),
+            Gelu(),
+            UNet(detail, config.detail_levels, config.detail_attention),
+        )
+        coefficients = (config.sh_degree + 1) ** 2
+        raw = POSE_CHANNELS + 3 * coefficients
+        self.to_gaussians = nn.Sequential(
+            conv(detail + 3 + width, 2 * raw), Gelu(), conv(2 * raw, raw)
+        )
+        self.to_disparity = nn.Sequential(conv(detail, 2 * detail), Gelu(), conv(2 * detail, 2))
+        self.kept = kept_channels(coefficients, drawn)
+
+    def forward(
+        self,
+        images: torch.Tensor,
+        local: torch.Tensor,
+        matched: torch.Tensor,
+        correlation: torch.Tensor,
+        disparities: torch.Tensor,
+    ) -> Pixelwise:
+        """Refine what the cost volume says.
+
+        Parameters
+        ----------
+        images : float [V, 3, H, W]
+            In [0, 1].
+        local, matched : float [V, C, H/4, W/4]
+            Features of the backbone.
+        correlation : float32 [V, D, H/4, W/4]
+        disparities : float32 [D]
+            Of the candidates, ascending.
+        """
+        coarse, certainty = self.coarse(matched, correlation, disparities)
+        features = self.upsampler(torch.cat([matched.to(local.dtype), local], 1))
+        images = images.to(features.dtype)
+        hints = torch.cat([coarse, certainty], 1).to(features.dtype)
+        detail = self.refine_unet(torch.cat([images, self.proj_feature(features), hints], 1))
+        return self.heads(images, features, detail, coarse[:, 0], disparities)
+
+    def coarse(
+        self, matched: torch.Tensor, correlation: torch.Tensor, disparities: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Expected disparity and greatest probability, both float32 [V, 1, H, W]."""
+        volume = torch.cat([correlation, matched.to(correlation.dtype)], 1)
+        refined = self.corr_refine_net(volume) + self.regressor_residual(volume)
+        chances = self.depth_head_lowres(refined).float().softmax(1)
+        disparity = (chances * disparities[:, None, None]).sum(1, keepdim=True)
+        disparity = F.interpolate(
+            disparity, scale_factor=FACTOR, mode="bilinear", align_corners=True
+        )
+        certainty = chances.amax(1, keepdim=True)
+        return disparity, F.interpolate(certainty, scale_factor=FACTOR, mode="nearest")
+
+    def heads(
+        self,
+        images: torch.Tensor,
+        features: torch.Tensor,
+        detail: torch.Tensor,
+        coarse: torch.Tensor,
+        disparities: torch.Tensor,
+    ) -> Pixelwise:
+        """Two convolutions on each full-resolution input, in strips: the widest layers of all."""
+        views, _, H, W = images.shape
+        disparity, opacity = (coarse.new_empty(views, H, W) for _ in range(2))
+        raw = features.new_empty(views, H, W, len(self.kept))
+        for view in range(views):
+            for top in range(0, H, STRIP):
+                rows = slice(max(top - HALO, 0), top + STRIP + HALO)
+                mine = slice(top - rows.start, top - rows.start + STRIP)
+                parts = [x[view : view + 1, :, rows] for x in (detail, images, features)]
+                out = view, slice(top, top + STRIP)
+                # Depth in float32, whatever the rest is computed in.
+                with torch.autocast(detail.device.type, enabled=False):
+                    delta, density = self.to_disparity(parts[0].float())[0, :, mine]
+                disparity[out] = (coarse[out] + delta).clamp(disparities[0], disparities[-1])
+                opacity[out] = density.sigmoid()
+                raw[out] = self.raw_gaussians(torch.cat(parts, 1))[0, mine]
+        return Pixelwise(disparity, opacity, raw)
+
+    def raw_gaussians(self, x: torch.Tensor) -> torch.Tensor:
+        """[1, C, H, W] to [1, H, W, 9 + 16 * 3]."""
+        first, activation, last = self.to_gaussians
+        weight, bias = last.weight[self.kept], last.bias[self.kept]
+        # Zeros up to the next multiple: the convolution is twice as fast with whole vectors.
+        padding = -len(weight) % VECTOR
+        weight = F.pad(weight, (0, 0, 0, 0, 0, 0, 0, padding))
+        x = F.conv2d(activation(first(x)), weight, F.pad(bias, (0, padding)), padding=1)
+        return x.permute(0, 2, 3, 1)[..., : len(self.kept)]
+
+
+def kept_channels(coefficients: int, drawn: int) -> list[int]:
+    """Channels of the head that are computed: from colours by coefficients to the transpose."""
+    harmonics = [
+        POSE_CHANNELS + color * coefficients + k for k in range(drawn) for color in range(3)
+    ]
+    return [*range(POSE_CHANNELS), *harmonics]

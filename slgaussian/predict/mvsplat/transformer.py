@@ -1,0 +1,168 @@
+"""Attention within a view and between views, in windows that shift from block to block.
+
+After GMFlow (Xu et al., CVPR 2022) and the Swin transformer (Liu et al., ICCV 2021). In a shifted
+block Swin rolls the map by half a window, and adds -100 to the score of two tokens that are in one
+window only because the map wraps around. A weight of e^-100 is zero in float32, so here every part
+that may be attended to is cut out and attended to alone: the same numbers without masks, and 9/16
+of the products.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from slgaussian.predict.mvsplat.unet import Gelu
+
+BLOCKS = 6
+TEMPERATURE = 10_000.0
+
+TOKENS = 4096
+"""Tokens in the feed-forward net at a time. Its inner layer is then small enough for the memory to
+be used again: fresh memory costs six times what the activation does."""
+
+Part = tuple[torch.Tensor, torch.Tensor]
+
+
+class Attention(nn.Module):
+    """One head of attention, merged into the tokens that ask; with or without a feed-forward net.
+
+    Names are those of the checkpoint: ``norm1`` follows ``merge``, ``norm2`` follows ``mlp``.
+    """
+
+    def __init__(self, width: int, feed_forward: bool) -> None:
+        super().__init__()
+        self.q_proj = nn.Linear(width, width, bias=False)
+        self.k_proj = nn.Linear(width, width, bias=False)
+        self.v_proj = nn.Linear(width, width, bias=False)
+        self.merge = nn.Linear(width, width, bias=False)
+        self.norm1 = nn.LayerNorm(width)
+        self.mlp = None
+        if feed_forward:
+            self.mlp = nn.Sequential(
+                nn.Linear(2 * width, 8 * width, bias=False),
+                Gelu(),
+                nn.Linear(8 * width, width, bias=False),
+            )
+            self.norm2 = nn.LayerNorm(width)
+
+    def forward(
+        self, x: torch.Tensor, other: torch.Tensor, seen: torch.Tensor, parts: list[Part]
+    ) -> torch.Tensor:
+        """``x`` after its tokens looked at those of ``other``.
+
+        Parameters
+        ----------
+        x, other : float [V, h, w, C]
+        seen : int64 [V, n]
+            Which views of ``other`` each view looks at.
+        parts : list of (tokens int64 [T], keys int64 [S])
+            Tokens of a view, and at which of the n h w tokens seen these look.
+        """
+        q = self.q_proj(x).flatten(1, 2)
+        k, v = self.k_proj(other)[seen].flatten(1, 3), self.v_proj(other)[seen].flatten(1, 3)
+        message = torch.empty_like(q)
+        for tokens, keys in parts:
+            found = F.scaled_dot_product_attention(
+                q[:, None, tokens], k[:, None, keys], v[:, None, keys]
+            )
+            message[:, tokens] = found[:, 0]
+        message = self.norm1(self.merge(message)).view_as(x)
+        if self.mlp is not None:
+            message = self._feed_forward(x, message)
+        return x + message
+
+    def _feed_forward(self, x: torch.Tensor, message: torch.Tensor) -> torch.Tensor:
+        """The new message [V, h, w, C], for a part of the tokens at a time."""
+        rows = (t.flatten(0, -2).to(message.dtype).split(TOKENS) for t in (x, message))
+        pairs = (torch.cat(pair, -1) for pair in zip(*rows, strict=True))
+        return torch.cat([self.norm2(self.mlp(pair)) for pair in pairs]).view_as(x)
+
+
+class Block(nn.Module):
+    """Attention of every view to itself, then to the others as they came into the block."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.self_attn = Attention(width, feed_forward=False)
+        self.cross_attn_ffn = Attention(width, feed_forward=True)
+
+    def forward(self, x: torch.Tensor, count: int, shifted: bool) -> torch.Tensor:
+        """[V, h, w, C] to the same, in ``count`` x ``count`` windows."""
+        views, h, w, _ = x.shape
+        itself = torch.arange(views, device=x.device)[:, None]
+        others = [[j for j in range(views) if j != i] for i in range(views)]
+        others = torch.tensor(others, device=x.device)
+        within = parts(h, w, count, shifted, 1, x.device)
+        between = parts(h, w, count, shifted, views - 1, x.device)
+        return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, others, between)
+
+
+class MultiViewTransformer(nn.Module):
+    """Six blocks; every second one has its windows shifted by half a window."""
+
+    def __init__(self, width: int, windows: int) -> None:
+        super().__init__()
+        self.windows = windows
+        self.layers = nn.ModuleList(Block(width) for _ in range(BLOCKS))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Features float [V, h, w, C] with their positions added; the same shape comes back."""
+        for index, block in enumerate(self.layers):
+            x = block(x, self.windows, shifted=index % 2 == 1)
+        return x
+
+
+def parts(
+    h: int, w: int, count: int, shifted: bool, others: int, device: torch.device
+) -> list[Part]:
+    """Which tokens of a map of h x w look at which, in the same place of ``others`` other maps.
+
+    The published code lays out the keys of several views token by token, and the mask against
+    looking across the edge view by view. With three or more views the two do not fit, so that in
+    shifted blocks some keys are left out and others let in. It is so here too.
+    """
+    sides = h // count, w // count
+    shift = [side // 2 if shifted else 0 for side in sides]
+    tokens = torch.arange(h * w, device=device).view(h, w)
+    # How often a token's window wraps around, by rows and by columns.
+    wraps = torch.zeros_like(tokens)
+    wraps[: shift[0]] += 1
+    wraps[:, : shift[1]] += 2
+    order = [-s for s in shift]
+    found = []
+    for row, column in itertools.product(range(count), repeat=2):
+        rows, columns = (
+            slice(i * side, (i + 1) * side) for i, side in zip((row, column), sides, strict=True)
+        )
+        mine = tokens.roll(order, (0, 1))[rows, columns].flatten()
+        kind = wraps.flatten()[mine]
+        for value in kind.unique():
+            places = (kind == value).nonzero()[:, 0]
+            key = (places + len(mine) * torch.arange(others, device=device)[:, None]).flatten()
+            keys = key % others * (h * w) + mine[key // others]
+            found.append((mine[places], keys))
+    return found
+
+
+def position_code(height: int, width: int, channels: int, device: torch.device) -> torch.Tensor:
+    """Sines and cosines of position, float32 [height, width, channels]: of y first, then of x.
+
+    As in DETR (Carion et al., ECCV 2020): coordinates go from one step to 2 pi, each over half
+    of the channels with sine and cosine in turn.
+    """
+    half = channels // 2
+    wavelengths = TEMPERATURE ** (2 * (torch.arange(half, device=device) // 2) / half)
+
+    def code(length: int) -> torch.Tensor:
+        steps = torch.arange(1, length + 1, device=device)
+        angles = (steps * (2 * math.pi / (length + 1e-6)))[:, None] / wavelengths
+        return torch.stack([angles[:, 0::2].sin(), angles[:, 1::2].cos()], -1).flatten(1)
+
+    y = code(height)[:, None].expand(-1, width, -1)
+    x = code(width)[None].expand(height, -1, -1)
+    return torch.cat([y, x], -1)

@@ -1,0 +1,57 @@
+"""The published implementation's numbers, and a network with the weights that they were made of."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benches.mvsplat import recipe_weights
+from slgaussian import threads
+from slgaussian.predict.mvsplat.checkpoint import load_network
+from slgaussian.predict.mvsplat.network import Network
+from slgaussian.scene import Camera
+from tests.predict.mvsplat.make_reference import FILE
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """At this size a thread more gains little, and on a busy machine it costs much."""
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+@pytest.fixture(scope="session")
+def weights() -> dict[str, torch.Tensor]:
+    return recipe_weights()
+
+
+@pytest.fixture(scope="session")
+def checkpoint(weights, tmp_path_factory) -> Path:
+    """As published: in a Lightning checkpoint, beside what is not the encoder's."""
+    path = tmp_path_factory.mktemp("mvsplat") / "recipe.ckpt"
+    state = {f"encoder.{name}": value for name, value in weights.items()}
+    state["losses.lpips.weight"] = torch.zeros(3)
+    torch.save({"epoch": 7, "state_dict": state, "optimizer_states": [{"lr": 2e-4}]}, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def network(checkpoint) -> Network:
+    return load_network(checkpoint)
+
+
+@pytest.fixture(scope="session")
+def reference() -> dict[str, np.ndarray]:
+    return dict(np.load(FILE))
+
+
+@pytest.fixture(scope="session")
+def cameras(reference) -> list[Camera]:
+    """Of the two views that the reference was given."""
+    size = reference["input/image"].shape[-1]
+    pixels = np.diag([size, size, 1.0])
+    matrices = zip(reference["input/intrinsics"], reference["input/extrinsics"], strict=True)
+    return [Camera(pixels @ K, c2w, size, size) for K, c2w in matrices]

@@ -1,0 +1,76 @@
+"""Which files are taken for checkpoints, and what is said of others."""
+
+import pytest
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.predict import load_predictor
+from slgaussian.predict.mvsplat.checkpoint import load_network, with_weights
+from slgaussian.predict.mvsplat.config import PUBLISHED
+
+
+def test_lightning_and_bare_dictionaries_load_alike(network, weights, tmp_path):
+    torch.save(weights, tmp_path / "bare.pt")
+    bare = load_network(tmp_path / "bare.pt").state_dict()
+    for name, value in network.state_dict().items():
+        assert torch.equal(value, weights[name])
+        assert torch.equal(value, bare[name])
+
+
+def test_half_precision_is_widened(weights):
+    half = {name: value.half() for name, value in weights.items()}
+    state = with_weights(half, PUBLISHED, "half").state_dict()
+    assert {value.dtype for value in state.values()} == {torch.float32}
+
+
+def test_all_that_does_not_fit_is_named(weights):
+    state = dict(weights)
+    for name in [n for n in state if n.startswith("backbone.transformer.layers.5")]:
+        del state[name]
+    state["extra.weight"] = torch.zeros(1)
+    state["backbone.backbone.conv2.bias"] = torch.zeros(64)
+    with pytest.raises(InputError) as caught:
+        with_weights(state, PUBLISHED, "odd.ckpt")
+    said = str(caught.value)
+    assert "odd.ckpt" in said
+    assert "16 missing: backbone.transformer.layers.5.self_attn.q_proj.weight, " in said
+    assert "1 unexpected: extra.weight" in said
+    assert "1 of another shape: backbone.backbone.conv2.bias (64,) for (128,)" in said
+
+
+class Harmful:
+    def __reduce__(self):
+        return eval, ("1 / 0",)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ([1, 2, 3], "found no tensors by name"),
+        ({"state_dict": {"a": 1}}, "found no tensors by name"),
+        ({"weight": torch.zeros(2)}, "471 missing"),
+        ({"state_dict": Harmful()}, "cannot be read as tensors alone"),
+    ],
+)
+def test_other_contents(content, expected, tmp_path):
+    path = tmp_path / "file.ckpt"
+    torch.save(content, path)
+    with pytest.raises(InputError, match=expected):
+        load_predictor("mvsplat", checkpoint=path)
+
+
+def test_files_that_are_no_checkpoints(checkpoint, tmp_path):
+    with pytest.raises(InputError, match="there is no such file"):
+        load_network(tmp_path / "missing.ckpt")
+    text = tmp_path / "page.html"
+    text.write_text("<html>Sign in to download</html>")
+    with pytest.raises(InputError, match=r"page.html: "):
+        load_network(text)
+    cut = tmp_path / "cut.ckpt"
+    cut.write_bytes(checkpoint.read_bytes()[:100_000])
+    with pytest.raises(InputError, match=r"cut.ckpt: "):
+        load_network(cut)
+    empty = tmp_path / "empty.ckpt"
+    empty.touch()
+    with pytest.raises(InputError, match=r"empty.ckpt: "):
+        load_network(empty)

@@ -1,0 +1,169 @@
+"""Fast ways against obvious ones: windows, correlation, strips, memory."""
+
+import resource
+import sys
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from slgaussian.predict.mvsplat import cost_volume, transformer
+from slgaussian.predict.mvsplat.memory import kept_memory
+from tests.predict.textured_planes import camera
+
+
+def swin_attention(q, k, v, count, shifted):
+    """Rolled, cut into windows, masked with -100 across the edge, and rolled back; float64.
+
+    Queries are [V, h, w, C]; keys and values [V, n, h, w, C] are laid out with views the fastest,
+    and the mask of one view is repeated n times: as published.
+    """
+    _, h, w, channels = q.shape
+    sides = h // count, w // count
+    shift = [-(side // 2) for side in sides] if shifted else [0, 0]
+    region = torch.zeros(h, w, dtype=torch.int64)
+    if shifted:
+        for axis, (length, side) in enumerate(zip((h, w), sides, strict=True)):
+            edges = torch.tensor([length - side, length - side // 2])
+            part = torch.bucketize(torch.arange(length), edges, right=True)
+            region += part[:, None] * 3 if axis == 0 else part[None]
+    out = torch.empty_like(q)
+    q, k, v = q.roll(shift, (1, 2)), k.roll(shift, (2, 3)), v.roll(shift, (2, 3))
+    for row in range(count):
+        for column in range(count):
+            rows = slice(row * sides[0], (row + 1) * sides[0])
+            columns = slice(column * sides[1], (column + 1) * sides[1])
+            qs = q[:, rows, columns].flatten(1, 2)
+            ks, vs = (
+                t[:, :, rows, columns].flatten(2, 3).transpose(1, 2).flatten(1, 2) for t in (k, v)
+            )
+            of = region[rows, columns].flatten()
+            mask = -100.0 * (of[:, None] != of).repeat(1, k.shape[1])
+            weights = (qs @ ks.mT / channels**0.5 + mask).softmax(-1)
+            out[:, rows, columns] = (weights @ vs).view(len(q), *sides, channels)
+    return out.roll([-s for s in shift], (1, 2))
+
+
+@pytest.mark.parametrize("views", [2, 3])
+@pytest.mark.parametrize("shifted", [False, True])
+def test_windows_are_those_of_swin(shifted, views):
+    torch.manual_seed(0)
+    layer = transformer.Attention(16, feed_forward=False).double().requires_grad_(False)
+    # Neither merges nor normalises: what comes out is the attention alone.
+    layer.merge = layer.norm1 = torch.nn.Identity()
+    x, other = torch.randn(2, views, 12, 20, 16, dtype=torch.float64)
+    seen = torch.tensor([[j for j in range(views) if j != i] for i in range(views)])
+    parts = transformer.parts(12, 20, 2, shifted, views - 1, torch.device("cpu"))
+    assert len(parts) == (9 if shifted else 4)
+    found = layer(x, other, seen, parts) - x
+    q, k, v = layer.q_proj(x), layer.k_proj(other)[seen], layer.v_proj(other)[seen]
+    torch.testing.assert_close(found, swin_attention(q, k, v, 2, shifted))
+
+
+def test_a_view_attends_to_all_others():
+    torch.manual_seed(0)
+    block = transformer.Block(16).requires_grad_(False)
+    x = torch.randn(3, 4, 4, 16)
+    whole = block(x, 2, shifted=False)
+    for changed in range(3):
+        other = x.clone()
+        other[changed] += 1
+        differs = (block(other, 2, shifted=False) - whole).abs().amax((1, 2, 3)) > 1e-4
+        assert differs.all()
+    torch.testing.assert_close(block(x[[0, 2, 1]], 2, shifted=False), whole[[0, 2, 1]])
+
+
+RIGS = {
+    "sideways": (camera(), camera(x=0.4, turn=-0.1)),
+    "forward": (camera(), camera(x=0.05, z=0.9)),
+    "behind": (camera(), camera(z=3.0, turn=3.0)),
+    "two zooms": (camera(focal=120), camera(x=0.3, focal=220, principal=(50, 90))),
+    "three": (camera(), camera(x=0.3), camera(y=-0.3, turn=0.2)),
+}
+
+
+def plain_correlation(features, cameras, disparities):
+    """By warping everything with grid_sample; float64."""
+    views, channels, h, w = features.shape
+    out = torch.zeros(views, h, w, len(disparities), dtype=torch.float64)
+    v, u = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
+    pixels = torch.stack([u, v, torch.ones_like(u)], -1).double()
+    size = torch.tensor([w - 1, h - 1])
+    for i in range(views):
+        for j in set(range(views)) - {i}:
+            K_i, K_j = (torch.from_numpy(cameras[n].resized(w, h).K) for n in (i, j))
+            motion = torch.from_numpy(cameras[j].w2c @ cameras[i].c2w)
+            for d, disparity in enumerate(disparities.double()):
+                points = pixels @ K_i.inverse().T / disparity @ motion[:3, :3].T + motion[:3, 3]
+                seen = points @ K_j.T
+                grid = seen[..., :2] / seen[..., 2:].clamp(min=cost_volume.MIN_DEPTH)
+                warped = F.grid_sample(
+                    features[j : j + 1].double(), (grid / size * 2 - 1)[None], align_corners=True
+                )[0]
+                out[i, ..., d] += (features[i] * warped).sum(0)
+    return out / (channels**0.5 * (views - 1))
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_correlation_is_that_of_warped_features(rig):
+    cameras = RIGS[rig]
+    generator = torch.Generator().manual_seed(0)
+    features = torch.randn(len(cameras), 32, 15, 20, generator=generator)
+    disparities = cost_volume.spread(1.0, 100.0, 24)
+    plain = plain_correlation(features, cameras, disparities)
+    fast = cost_volume.correlate(features, cameras, disparities)
+    anywhere = torch.zeros_like(fast)
+    for i in range(len(cameras)):
+        for j in set(range(len(cameras))) - {i}:
+            lines = cost_volume.path(cameras[i], cameras[j], (15, 20))
+            maps = (features[n].permute(1, 2, 0).contiguous() for n in (i, j))
+            cost_volume.add_warped(*lines, *maps, disparities, anywhere[i])
+    anywhere /= 32**0.5 * (len(cameras) - 1)
+    # Values are up to 5. float32 positions are 2e-6 pixels off, and 2e-5 where a point is beside
+    # the other camera and flies through its image.
+    assert (fast - plain).abs().max() < 2e-4
+    assert (anywhere - plain).abs().max() < 2e-4
+
+
+def test_candidates_are_a_pixel_apart():
+    pair = camera(size=(416, 576), focal=500), camera(size=(416, 576), focal=500, x=0.2)
+    # Over all disparities a point moves by 0.2 * 125 * 0.99 = 24.75 pixels of the features.
+    assert cost_volume.needed_candidates(pair, 1.0, 100.0, 128) == 26
+    assert cost_volume.needed_candidates(pair, 0.1, 10.0, 128) == 128
+
+
+def test_strips_leave_no_seams(network, monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    images, features, detail, coarse = (
+        torch.rand(1, channels, 48, 32, generator=generator) for channels in (3, 128, 32, 1)
+    )
+    disparities = cost_volume.spread(1.0, 100.0, 128)
+    heads = network.depth_predictor.heads
+    with torch.no_grad():
+        whole = heads(images, features, detail, coarse[:, 0], disparities)
+        monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP", 20)
+        strips = heads(images, features, detail, coarse[:, 0], disparities)
+    for one, other in zip(whole, strips, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=5e-6)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's memory")
+def test_memory_is_used_again():
+    def page_faults() -> int:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        torch.ones(2**24)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    if resource.getpagesize() == 4096:
+        assert page_faults() > 10_000
+    with kept_memory():
+        # Small arrays may lie down in the first places that get free.
+        assert min(page_faults() for _ in range(10)) < 1000
+
+
+def test_position_code_repeats_in_no_direction():
+    code = transformer.position_code(8, 6, 128, torch.device("cpu"))
+    assert code.shape == (8, 6, 128)
+    np.testing.assert_array_equal(code[0, :, :64], code[0, :1, :64].expand(6, -1))
+    assert len(torch.unique(code.reshape(48, 128), dim=0)) == 48
