@@ -19,7 +19,10 @@ WORKERS = 256
 
 @intrinsic
 def take(typing, counter):
-    """The number in ``counter``, int64 [1], which goes up by one: each number is taken once."""
+    """The number in ``counter``, int64 [1], which goes up by one: each number is taken once.
+
+    Numba does not see that it changes; do not read it after the loop.
+    """
 
     def lower(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
