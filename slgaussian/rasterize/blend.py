@@ -100,7 +100,7 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
 def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_image, d_alpha, d_z):
     """Gradients of the splats, one row a tile that they touch.
 
-    The weights are computed again; then each row is walked back to front. With R the composite of
+    The weights are computed again; then each block is walked back to front. With R the composite of
     everything behind a splat as if nothing were before it, ``dL/dalpha = T (f - R)``, where T is
     the light before the splat and f its values, all times the upstream gradient. T is the light
     after the splat plus its weight: no division, so that opaque splats do no harm.

@@ -97,8 +97,8 @@ def prune(
     ----------
     gaussians : Gaussians
     cameras : sequence of Camera
-        The views to keep. Each takes about 80 bytes for every block of 4x4 pixels that a Gaussian
-        touches: 150 MB at 416x576 with a Gaussian a pixel of two such views.
+        The views to keep. Each takes about 90 bytes for every block of 4x4 pixels that a Gaussian
+        touches: 175 MB at 416x576 with a Gaussian a pixel of two such views.
     tolerance : float
         0 or more, in the units of the values: 1/255 is a grey level. At 0 only what has no part in
         any pixel goes.

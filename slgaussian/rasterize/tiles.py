@@ -37,6 +37,9 @@ ACROSS, DOWN = (np.float32(lane.ravel()) for lane in np.indices((BLOCK, BLOCK))[
 """Where in its block each lane is."""
 
 TILE_WIDTH, TILE_HEIGHT = 16, 32
+"""Larger tiles sort fewer splats twice, but hold more at a time. Measured: 8x32 is slower by a
+tenth, 16x16 by a twentieth, 16x64 no faster."""
+
 BLOCKS_ACROSS = TILE_WIDTH // BLOCK
 TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 
@@ -44,7 +47,7 @@ PARTS = 16
 """Parts in which splats are counted and listed side by side."""
 
 MOST_BITS = 11
-"""Of depth, looked at in one pass of the sort."""
+"""Of depth, looked at in one pass of the sort: most tiles need two, and with eight bits three."""
 
 AHEAD = 12
 """Splats between what is read and what is asked for."""

@@ -56,7 +56,7 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             "weights_only=False) to a new file, and give that"
         ) from None
     except (OSError, RuntimeError, EOFError, ValueError, KeyError) as problem:
-        reason = (str(problem).strip() or type(problem).__name__).splitlines()[0]
+        reason = f"{type(problem).__name__} {problem}".strip().splitlines()[0]
         raise InputError(
             f"checkpoint {path}: is damaged or no PyTorch file ({reason}); download it again"
         ) from None
