@@ -13,15 +13,21 @@ MIN_CANDIDATES = 32
 MAX_CANDIDATES = 112
 """Fewest that a sub-pixel fit is asked to interpolate, and most that memory and time allow."""
 
-MAX_DEPTH = 100.0
-"""Farthest estimated depth in baselines, where parallax of common cameras fades to a few pixels."""
+MAX_DEPTH = 1e4
+"""Farthest estimated depth in baselines, where even a long lens sees no parallax."""
+
+AGREEING = 3
+SPREAD = 0.9
+"""So many matches whose inverse depths are within this factor show a surface; fewer may be false
+matches."""
 
 
 def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[float, float]:
     """Least and greatest inverse depth to try, from those of sparse matches.
 
     Matches sit on texture, not on the nearest or farthest surface, so the range is wider than they
-    are: half of the 2nd and 1.25 times the 98th percentile.
+    are: half of the 2nd and 1.25 times the 98th percentile, or 1.25 times the nearest depth that
+    :data:`AGREEING` matches share, if that is more: what is near is often small.
 
     Parameters
     ----------
@@ -31,9 +37,11 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
         Distance between the cameras, scene units.
     """
     low, high = np.percentile(inverse_depths, (2, 98))
-    floor = 1 / (MAX_DEPTH * baseline)
-    low = max(0.5 * low, floor)
-    return float(low), float(max(1.25 * high, 2 * low))
+    low = max(0.5 * low, 1 / (MAX_DEPTH * baseline))
+    falling = np.sort(inverse_depths)[::-1]
+    first, last = falling[: 1 - AGREEING], falling[AGREEING - 1 :]
+    nearest = first[last >= SPREAD * first][:1].max(initial=high)
+    return float(low), float(max(1.25 * nearest, 2 * low))
 
 
 def candidates(relative: Relative, size: tuple[int, int], low: float, high: float) -> np.ndarray:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slgaussian.errors import InputError
+from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.pose import GATE, Relative, refine, sift_matches
 from slgaussian.scene import View
 
@@ -16,6 +18,11 @@ NEIGHBOURS = 2
 
 INLIER = 2.0
 """Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
+
+
+MIN_PARALLAX = 1.0
+"""Motion of matches by depth, pixels (their 90th percentile), below which two views are taken for
+one: the matches themselves are a few tenths of a pixel off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +45,20 @@ class Link:
 
 
 def link_views(views: Sequence[View]) -> list[list[Link]]:
-    """For each view, links to its :data:`NEIGHBOURS` nearest views in order of distance."""
+    """For each view, links to its :data:`NEIGHBOURS` nearest views in order of distance.
+
+    Two views whose matches show no parallax are not linked: nothing can be learnt from them.
+
+    Raises
+    ------
+    InputError
+        If that leaves a view without a link, or if most matches of two views would lie behind the
+        cameras.
+    """
     greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in views]
     sources = [_nearest(views, i) for i in range(len(views))]
     links: dict[tuple[int, int], Link] = {}
+    too_close: dict[int, str] = {}
     for i, j in sorted({(min(i, j), max(i, j)) for i, js in enumerate(sources) for j in js}):
         given = Relative.between(views[i].camera, views[j].camera)
         a, b = sift_matches(greys[i], greys[j])
@@ -53,9 +70,29 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
         a, b = a[fits], b[fits]
         here, there = forth.triangulate(a, b), back.triangulate(b, a)
         front = (here > 0) & (there > 0)
+        if len(a) >= MIN_MATCHES:
+            both = f"{views[i].name!r} and {views[j].name!r}"
+            motion = np.abs(here) * forth.parallax(a)
+            if np.percentile(motion, 90) < MIN_PARALLAX:
+                too_close[i] = too_close[j] = (
+                    f"{both} were taken from almost the same place: their {len(a)} matches show "
+                    f"{np.median(motion):.2g} pixels of parallax, but depth takes "
+                    f"{MIN_PARALLAX:g} or more; choose photographs taken farther apart"
+                )
+                continue
+            if front.mean() < 0.5:
+                raise InputError(
+                    f"{both}: by their poses, {(~front).sum()} of their {len(a)} matches lie "
+                    "behind the cameras; check that no two photographs are exchanged, and that "
+                    "poses are camera-to-world and follow the axes of their file format"
+                )
         links[i, j] = Link(j, forth, here[front])
         links[j, i] = Link(i, back, there[front])
-    return [[links[i, j] for j in js] for i, js in enumerate(sources)]
+    linked = [[links[i, j] for j in js if (i, j) in links] for i, js in enumerate(sources)]
+    for i, found in enumerate(linked):
+        if not found:
+            raise InputError(too_close[i])
+    return linked
 
 
 def _nearest(views: Sequence[View], i: int) -> list[int]:

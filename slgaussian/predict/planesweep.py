@@ -142,7 +142,8 @@ class PlaneSweep:
             for link in links[i][1:]:
                 other = matching_cost(guides[i], guides[link.source], link.relative, steps)
                 np.minimum(cost, other, out=cost)
-            index, margin = winners(aggregate(cost, guides[i]))
+            best, offset, margin = winners(aggregate(cost, guides[i]))
+            index = best + offset
             inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
             found.append((Swept(steps, inverse_depth, margin > 0), index))
         result = []
@@ -213,5 +214,5 @@ def _opacity(
 
 
 def _grey(view: View) -> np.ndarray:
-    """Grey image float32 [H, W], 0 to 255."""
-    return cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    """Grey image uint8 [H, W]."""
+    return cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)

@@ -83,6 +83,15 @@ class Relative:
         scale = np.sqrt((Fa[:, :2] ** 2).sum(1) + (Fb[:, :2] ** 2).sum(1))
         return (b * Fa).sum(1) / np.maximum(scale, 1e-12)
 
+    def parallax(self, ref: np.ndarray) -> np.ndarray:
+        """Pixels [M] that reference pixels [M, 2] move in the source per unit of inverse depth.
+
+        Exact for distant points.
+        """
+        far, ratio = self.project(ref, 0.0)
+        e = self.epipole
+        return np.linalg.norm(e[:2] - far * e[2], axis=-1) / np.abs(ratio)
+
     def triangulate(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
         """Inverse depths [M] in the reference that explain matches best; may be negative."""
         a = ref @ self.infinity[:, :2].T + self.infinity[:, 2]

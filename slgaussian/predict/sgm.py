@@ -1,12 +1,13 @@
-"""Semi-global matching (Hirschmueller 2008): costs summed along eight paths, and winners."""
+"""Semi-global matching (Hirschmueller 2008): costs summed along eight paths, and winners.
+
+Each half of the paths is followed in one sweep over the rows, so that a cost is read twice and not
+eight times: the memory is what limits it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
-
-DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
-"""Steps (dy, dx) of the eight paths."""
 
 _FAR = np.int16(20000)
 
@@ -19,7 +20,7 @@ def aggregate(
     p2_floor: int = 12,
     contrast: float = 20.0,
 ) -> np.ndarray:
-    """Sum of the eight path costs of semi-global matching.
+    """Path costs of semi-global matching.
 
     Along a path a change of one candidate costs ``p1`` and a larger one
     ``max(p2_floor, p2 / (1 + |dI| / contrast))``, where dI is the step of the guide image. With
@@ -28,97 +29,125 @@ def aggregate(
     Parameters
     ----------
     cost : uint8 [H, W, D]
-    guide : float32 [H, W]
-        Grey image, 0 to 255.
+    guide : uint8 [H, W]
+        Grey image.
 
     Returns
     -------
-    uint16 [H, W, D]
+    uint16 [2, H, W, D]
+        Sums over the four paths that come from the left or above, and over their four opposites.
+        What is minimised is the sum of both.
     """
-    H, W, D = cost.shape
-    total = np.zeros((H, W, D), np.uint16)
-    for dy, dx in DIRECTIONS:
-        first_row = [(0 if dy > 0 else H - 1, x) for x in range(W)] if dy else []
-        first_column = [(y, 0 if dx > 0 else W - 1) for y in range(H)] if dx else []
-        starts = np.array(sorted({*first_row, *first_column}), np.int64)
-        _aggregate_along(cost, guide, starts, dy, dx, p1, p2, p2_floor, contrast, total)
-    return total
+    halves = np.empty((2, *cost.shape), np.uint16)
+    # What a change costs by the step of the guide, 0 to 255.
+    jumps = np.maximum(p2_floor, p2 / (1 + np.arange(256) / contrast)).astype(np.int16)
+    _aggregate(cost, guide, jumps, np.int16(p1), halves)
+    return halves
 
 
 @njit(cache=True, parallel=True)
-def _aggregate_along(cost, guide, starts, dy, dx, p1, p2, p2_floor, contrast, total):
-    """Add the path costs of one direction; lines of a direction never share a pixel."""
+def _aggregate(cost, guide, jumps, p1, halves):
+    for half in prange(2):
+        _sweep(cost, guide, jumps, p1, half == 0, halves[half])
+
+
+@njit(cache=True)
+def _sweep(cost, guide, jumps, p1, down, total):
+    """Sum the paths along the row, down it (or up) and both diagonals, row after row."""
     H, W, D = cost.shape
-    small = np.int16(p1)
-    for line in prange(starts.shape[0]):
-        y, x = starts[line]
-        # One cell of padding at both ends saves the test for the first and last candidate.
-        previous = np.full(D + 2, _FAR, np.int16)
-        current = np.full(D + 2, _FAR, np.int16)
-        lowest = np.int16(0)
-        for d in range(D):
-            previous[d + 1] = 0
-        while 0 <= y < H and 0 <= x < W:
-            py, px = y - dy, x - dx
-            step = 0.0
-            if 0 <= py < H and 0 <= px < W:
-                step = abs(guide[y, x] - guide[py, px])
-            jump = np.int16(max(p2_floor, p2 / (1.0 + step / contrast)))
-            ceiling = np.int16(lowest + jump)
-            here = cost[y, x]
-            for d in range(D):
-                best = min(previous[d + 1], ceiling)
-                side = min(previous[d], previous[d + 2])
-                best = min(best, np.int16(side + small))
-                current[d + 1] = np.int16(np.int16(best - lowest) + np.int16(here[d]))
-            lowest = _FAR
-            sums = total[y, x]
-            for d in range(D):
-                lowest = min(lowest, current[d + 1])
-                sums[d] = np.uint16(sums[d] + np.uint16(current[d + 1]))
-            previous, current = current, previous
-            y += dy
-            x += dx
+    # A cell of padding at both ends saves the test for the first and last candidate.
+    start = np.full(D + 2, _FAR, np.int16)
+    start[1 : D + 1] = 0
+    along = np.full((2, D + 2), _FAR, np.int16)
+    across = np.full((2, 3, W, D + 2), _FAR, np.int16)
+    least_across = np.zeros((2, 3, W), np.int16)
+    for k in range(H):
+        y, before = (k, k - 1) if down else (H - 1 - k, H - k)
+        new, old = k % 2, (k + 1) % 2
+        least = np.int16(0)
+        for j in range(W):
+            x, beside = (j, j - 1) if down else (W - 1 - j, W - j)
+            here, grey, sums = cost[y, x], np.int32(guide[y, x]), total[y, x]
+            sums[:] = 0
+            this, last = along[j % 2], along[(j + 1) % 2]
+            if j == 0:
+                least = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+            else:
+                jump = jumps[abs(grey - np.int32(guide[y, beside]))]
+                least = _follow(last, least, jump, p1, here, this, sums)
+            for path in range(3):
+                from_x = x + path - 1
+                this = across[new, path, x]
+                if k == 0 or from_x < 0 or from_x >= W:
+                    found = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+                else:
+                    jump = jumps[abs(grey - np.int32(guide[before, from_x]))]
+                    found = _follow(
+                        across[old, path, from_x], least_across[old, path, from_x], jump, p1,
+                        here, this, sums,
+                    )  # fmt: skip
+                least_across[new, path, x] = found
+
+
+@njit(cache=True, inline="always")
+def _follow(last, least, jump, p1, here, this, sums):
+    """Take a path one pixel on: write its costs, add them to ``sums``, and return the least."""
+    ceiling = np.int16(least + jump)
+    lowest = _FAR
+    for d in range(here.shape[0]):
+        side = np.int16(min(last[d], last[d + 2]) + p1)
+        value = np.int16(min(min(last[d + 1], side), ceiling) - least + here[d])
+        this[d + 1] = value
+        lowest = min(lowest, value)
+        sums[d] = np.uint16(sums[d] + np.uint16(value))
+    return lowest
 
 
 @njit(cache=True, parallel=True)
-def winners(total):
+def winners(halves):
     """Candidate of least cost with a sub-pixel offset, and how clearly it won.
 
     Parameters
     ----------
-    total : uint16 [H, W, D]
+    halves : uint16 [2, H, W, D]
+        From :func:`aggregate`.
 
     Returns
     -------
-    index : float32 [H, W]
-        Position of the minimum of the parabola through the winner and its two neighbours; ties go
-        to the lowest candidate.
+    best : int16 [H, W]
+        The winner; ties go to the lowest candidate.
+    offset : float32 [H, W]
+        From the winner to the minimum of the parabola through it and its two neighbours, -0.5 to
+        0.5; 0 for the first and the last candidate.
     margin : float32 [H, W]
-        ``1 - best / second``, 0 to 1, where second is the least cost more than one candidate away;
+        ``1 - least / second``, 0 to 1, where second is the least cost more than one candidate away;
         0 where all cost the same.
     """
-    H, W, D = total.shape
-    index = np.empty((H, W), np.float32)
+    H, W, D = halves.shape[1:]
+    best = np.empty((H, W), np.int16)
+    offset = np.zeros((H, W), np.float32)
     margin = np.empty((H, W), np.float32)
     for y in prange(H):
+        costs = np.empty(D, np.int32)
         for x in range(W):
-            costs = total[y, x]
-            best = 0
-            for d in range(1, D):
-                if costs[d] < costs[best]:
-                    best = d
-            second = np.int64(65535)
+            first, other = halves[0, y, x], halves[1, y, x]
+            least = np.int32(2**30)
             for d in range(D):
-                if costs[d] < second and abs(d - best) > 1:
-                    second = np.int64(costs[d])
-            least = np.int64(costs[best])
-            offset = 0.0
-            if 0 < best < D - 1:
-                left, right = np.int64(costs[best - 1]), np.int64(costs[best + 1])
+                costs[d] = np.int32(first[d]) + np.int32(other[d])
+                least = min(least, costs[d])
+            k = 0
+            while costs[k] != least:
+                k += 1
+            second = np.int32(2**16)
+            for d in range(k - 1):
+                second = min(second, costs[d])
+            for d in range(k + 2, D):
+                second = min(second, costs[d])
+            if 0 < k < D - 1:
+                left, right = costs[k - 1], costs[k + 1]
                 bend = left + right - 2 * least
                 if bend > 0:
-                    offset = 0.5 * (left - right) / bend
-            index[y, x] = best + offset
+                    offset[y, x] = 0.5 * (left - right) / bend
+            best[y, x] = k
             margin[y, x] = 1.0 - least / second if second > 0 else 0.0
-    return index, margin
+    return best, offset, margin

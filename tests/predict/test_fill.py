@@ -99,7 +99,7 @@ def test_fill_continues_planes_up_to_the_image_edge_between_them():
     keep[40:80, 60:100] = False
     guide = np.where(np.arange(160) < 80, 60, 180) * np.ones((120, 1))
     broken = np.where(keep, exact, np.float32(0.95))
-    out = fill(broken, keep, guide.astype(np.float32), np.array(expected), STEPS, [])
+    out = fill(broken, keep, guide.astype(np.uint8), np.array(expected), STEPS, [])
     assert np.array_equal(out[keep], exact[keep])
     assert np.abs(out - truth).max() < 1e-5
 
@@ -110,32 +110,34 @@ def test_fill_avoids_what_another_view_sees_through():
     keep[:, :20] = True
     truth = np.full((120, 160), 0.3, np.float32)
     planes = np.array([[0, 0, 0.6], [0, 0, 0.3]])
-    flat = np.zeros((120, 160), np.float32)
     near = np.where(keep, np.float32(0.6), truth)
+    blank = np.zeros((120, 160), np.uint8)
     # Alone, the answered strip spreads its near plane; the other view knows that space is free.
-    alone = fill(near, keep, flat, planes, STEPS, [])
+    alone = fill(near, keep, blank, planes, STEPS, [])
     assert (alone == np.float32(0.6)).all()
-    seen = fill(near, keep, flat, planes, STEPS, [(Relative.between(a, b), truth)])
+    seen = fill(near, keep, blank, planes, STEPS, [(Relative.between(a, b), truth)])
     assert (seen[:, 60:] == np.float32(0.3)).mean() > 0.9
 
 
 def test_fill_without_planes_takes_a_level():
     keep = np.zeros((20, 30), bool)
-    flat = np.zeros((20, 30), np.float32)
-    out = fill(flat, keep, flat, np.zeros((0, 3)), STEPS, [])
+    flat, blank = np.zeros((20, 30), np.float32), np.zeros((20, 30), np.uint8)
+    out = fill(flat, keep, blank, np.zeros((0, 3)), STEPS, [])
     assert np.allclose(out, 0.55)
     keep[3, 4], depth = True, flat.copy()
     depth[3, 4] = 0.7
-    assert np.allclose(fill(depth, keep, flat, np.zeros((0, 3)), STEPS, []), 0.7)
+    assert np.allclose(fill(depth, keep, blank, np.zeros((0, 3)), STEPS, []), 0.7)
 
 
 def plain_median(values, image, y, x):
-    """Weighted median of one window by sorting, float64."""
+    """Weighted median of every other pixel of one window by sorting, float64."""
     rows = slice(max(y - MEDIAN_RADIUS, 0), y + MEDIAN_RADIUS + 1)
     columns = slice(max(x - MEDIAN_RADIUS, 0), x + MEDIAN_RADIUS + 1)
     off = np.abs(image[rows, columns].astype(float) - image[y, x].astype(float)).sum(-1)
-    weight = np.exp(-0.5 * (off / MEDIAN_COLOR) ** 2).ravel()
-    value = values[rows, columns].astype(np.float64).ravel()
+    j, i = np.indices(values.shape)[:, rows, columns]
+    taken = (i + j + x + y) % 2 == 0
+    weight = np.exp(-0.5 * (off / MEDIAN_COLOR) ** 2)[taken]
+    value = values[rows, columns].astype(np.float64)[taken]
     order = np.argsort(value)
     half = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
     return value[order][half]

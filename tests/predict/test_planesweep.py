@@ -36,23 +36,16 @@ def errors(given: Sample, depths: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-ODD = {
-    "sideways": (camera(), camera(x=0.3)),
-    "vertical": (camera(), camera(y=-0.25)),
-    "forward": (camera(), camera(x=0.1, z=0.5)),
-    "turned": (camera(turn=0.1), camera(x=0.4, turn=-0.1)),
-    "portrait": (camera(size=(160, 100)), camera(x=0.3, size=(160, 100))),
-    "off-centre": (camera(principal=(40, 90)), camera(x=0.3, principal=(100, 40))),
-    "two zooms": (camera(focal=140), camera(x=0.3, focal=180)),
-}
+SIDEWAYS = camera(), camera(x=0.3)
+TURNED = camera(turn=0.1), camera(x=0.4, turn=-0.1)
 
 
-@pytest.mark.parametrize("case", ODD)
-def test_a_slanted_plane_is_recovered(case):
-    given = sample(*ODD[case])
+@pytest.mark.parametrize("cameras", [SIDEWAYS, TURNED], ids=["sideways", "turned"])
+def test_a_slanted_plane_is_recovered(cameras):
+    given = sample(*cameras)
     off = errors(given, depths_of(given))
-    # Measured over the cases: median 0.16 to 0.46 %, 99th percentile 0.6 to 1.6 %; forward motion,
-    # whose centre has no parallax, is the worst.
+    # Measured: median 0.23 and 0.27 %, 99th percentile 0.85 and 0.88 %. Harder pairs are in
+    # test_hard_pairs.py.
     assert np.median(off) < 0.008
     assert np.percentile(off, 99) < 0.03
 
@@ -76,54 +69,26 @@ def test_given_range_and_camera_range_are_used():
 
 
 def test_the_order_of_views_does_not_matter():
-    cameras = ODD["turned"]
-    there = depths_of(sample(*cameras))
-    back = depths_of(sample(*cameras[::-1]))[::-1]
+    there = depths_of(sample(*TURNED))
+    back = depths_of(sample(*TURNED[::-1]))[::-1]
     # Not the same bytes: the pose is refined from the other side. Measured median 1e-3.
     assert np.median(np.abs(there / back - 1)) < 3e-3
 
 
-def test_three_views():
-    given = sample(camera(), camera(x=0.3), camera(x=-0.1, y=0.25))
-    depths = depths_of(given)
-    assert depths.shape == (3, 120, 160)
-    off = errors(given, depths)
-    # Measured 0.19 % and 0.76 %.
-    assert np.median(off) < 0.006
-    assert np.percentile(off, 99) < 0.03
-
-
 def test_same_input_same_bytes():
-    given = sample(*ODD["sideways"])
+    given = sample(*SIDEWAYS)
     first, second = PlaneSweep()(given), PlaneSweep()(given)
     for (_, a), (_, b) in zip(first.items(), second.items(), strict=True):
         assert torch.equal(a, b)
 
 
 def test_truth_and_targets_are_not_read():
-    given = sample(*ODD["sideways"])
+    given = sample(*SIDEWAYS)
     blind = tuple(replace(view, depth=None) for view in given.context)
     target = replace(given.context[0], name="t", image=np.zeros_like(given.context[0].image))
     first = PlaneSweep()(given)
     second = PlaneSweep()(replace(given, context=blind, targets=(target,)))
     assert torch.equal(first.means, second.means)
-
-
-def blank(*cameras: Camera) -> Sample:
-    return Sample(
-        "wall",
-        tuple(
-            View(f"v{i}", c, np.full((c.height, c.width, 3), 180, np.uint8))
-            for i, c in enumerate(cameras)
-        ),
-    )
-
-
-def test_a_blank_wall_gets_a_depth_in_range_everywhere():
-    depths = depths_of(blank(camera(), camera(x=0.3)), near=1.0, far=4.0)
-    assert np.isfinite(depths).all()
-    assert depths.min() >= 0.999
-    assert depths.max() <= 4.001
 
 
 def test_a_surface_drawn_twice_is_opaque_and_free_space_is_not():
@@ -167,11 +132,6 @@ def test_near_beyond_the_camera_far_is_refused():
     given = sample(camera(far=4.0), camera(x=0.3, far=4.0))
     with pytest.raises(InputError, match="near 5 is not below far 4"):
         PlaneSweep(near=5.0)(given)
-
-
-def test_without_texture_a_range_is_asked_for():
-    with pytest.raises(InputError, match="too little texture"):
-        PlaneSweep()(blank(camera(), camera(x=0.3)))
 
 
 def test_views_apart_within_the_range_are_refused():

@@ -109,9 +109,25 @@ def test_range_is_wider_than_the_matches_and_bounded_far_away():
     w = np.linspace(0.2, 1.0, 101)
     low, high = inverse_depth_range(w, baseline=0.3)
     assert low < 0.12
-    assert 1.2 < high < 1.25
+    assert 1.2 < high <= 1.25
     low, _ = inverse_depth_range(np.full(50, 1e-6), baseline=0.3)
-    assert low == pytest.approx(1 / 30)
+    assert low == pytest.approx(1 / 3000)
+
+
+def test_range_reaches_to_what_three_matches_share():
+    many = np.linspace(0.2, 0.5, 300)
+    false = [0.8, 2.0]
+    _, high = inverse_depth_range(np.append(many, false), baseline=0.3)
+    assert high == pytest.approx(1.25 * 0.5, rel=0.01)
+    _, high = inverse_depth_range(np.append(many, [0.79, 0.82, 0.85, *false]), baseline=0.3)
+    assert high == pytest.approx(1.25 * 0.85)
+
+
+def test_parallax_is_what_a_distant_point_moves():
+    pixels, _, _ = matches()
+    relative = Relative.between(A, B)
+    moved = relative.project(pixels, 1e-6)[0] - relative.project(pixels, 0.0)[0]
+    assert np.allclose(relative.parallax(pixels), np.linalg.norm(moved, axis=1) / 1e-6, rtol=1e-4)
 
 
 def test_visible_share_tells_overlap_from_none():

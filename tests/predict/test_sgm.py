@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.predict.sgm import DIRECTIONS, aggregate, winners
+from slgaussian.predict.sgm import aggregate, winners
+
+DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
 def plain_paths(cost, guide, p1, p2, floor, contrast):
@@ -37,17 +39,17 @@ def plain_paths(cost, guide, p1, p2, floor, contrast):
 def test_aggregation_is_exactly_the_recursion(shape, p1):
     rng = np.random.default_rng(3)
     cost = rng.integers(0, 201, shape, dtype=np.uint8)
-    guide = rng.integers(0, 256, shape[:2]).astype(np.float32)
-    fast = aggregate(cost, guide, p1=p1)
+    guide = rng.integers(0, 256, shape[:2], dtype=np.uint8)
+    fast = aggregate(cost, guide, p1=p1).sum(0)
     assert np.array_equal(fast, plain_paths(cost, guide.astype(np.float64), p1, 200, 12, 20.0))
 
 
 def test_the_largest_costs_do_not_overflow():
     cost = np.full((40, 50, 6), 200, np.uint8)
     cost[::3, ::2, 1] = 0
-    guide = np.zeros((40, 50), np.float32)
-    fast = aggregate(cost, guide)
-    assert np.array_equal(fast, plain_paths(cost, guide, 20, 200, 12, 20.0))
+    guide = np.zeros((40, 50), np.uint8)
+    fast = aggregate(cost, guide).sum(0)
+    assert np.array_equal(fast, plain_paths(cost, guide.astype(float), 20, 200, 12, 20.0))
 
 
 @settings(max_examples=30, deadline=None)
@@ -55,27 +57,45 @@ def test_the_largest_costs_do_not_overflow():
 def test_aggregation_follows_a_mirrored_image(seed):
     rng = np.random.default_rng(seed)
     cost = rng.integers(0, 201, (6, 7, 5), dtype=np.uint8)
-    guide = rng.integers(0, 256, (6, 7)).astype(np.float32)
+    guide = rng.integers(0, 256, (6, 7), dtype=np.uint8)
     there = aggregate(cost, guide)
+    # Half the paths follow the other half.
     back = aggregate(cost[::-1, ::-1].copy(), guide[::-1, ::-1].copy())
-    assert np.array_equal(there, back[::-1, ::-1])
+    assert np.array_equal(there, back[::-1, ::-1, ::-1])
+
+
+def split(total):
+    """Any halves [2, 1, W, D] with this sum [W, D]."""
+    half = np.random.default_rng(0).integers(0, total + 1)
+    return np.stack([half, total - half])[:, None].astype(np.uint16)
 
 
 def test_winner_is_the_vertex_of_a_parabola():
     d = np.arange(12)
     truth = np.linspace(1, 10, 40)
-    total = (100 * (d - truth[:, None]) ** 2 + 7).astype(np.uint16)[None]
-    index, margin = winners(total)
+    total = (100 * (d - truth[:, None]) ** 2 + 7).astype(np.int64)
+    best, offset, margin = winners(split(total))
+    assert np.array_equal(best[0], total.argmin(-1))
     # Costs are whole numbers of at least 100 at one candidate's distance: off by up to 1 %.
-    assert np.abs(index[0] - truth).max() < 0.01
+    assert np.abs(best[0] + offset[0] - truth).max() < 0.01
     assert (margin > 0).all()
 
 
+def test_margin_is_against_the_best_that_is_not_a_neighbour():
+    rng = np.random.default_rng(5)
+    total = rng.integers(1, 2000, (50, 7))
+    best, _, margin = winners(split(total))
+    for k, row in enumerate(total):
+        apart = np.abs(np.arange(7) - row.argmin()) > 1
+        assert best[0, k] == row.argmin()
+        assert margin[0, k] == pytest.approx(1 - row.min() / row[apart].min(), abs=1e-6)
+
+
 def test_flat_costs_win_nothing_and_ends_get_no_offset():
-    flat = np.full((2, 3, 8), 500, np.uint16)
-    index, margin = winners(flat)
+    best, offset, margin = winners(split(np.full((3, 8), 500)))
     assert (margin == 0).all()
-    assert (index == 0).all()
-    falling = np.broadcast_to(np.arange(80, 0, -10, dtype=np.uint16), (2, 3, 8)).copy()
-    index, _ = winners(falling)
-    assert (index == 7).all()
+    assert (best == 0).all()
+    falling = np.broadcast_to(np.arange(80, 0, -10), (3, 8))
+    best, offset, _ = winners(split(falling))
+    assert (best == 7).all()
+    assert (offset == 0).all()
