@@ -11,6 +11,9 @@ from slgaussian.predict.links import Link
 MIN_SAMPLES = 200
 """Fewest shared pixels that two exposures are compared on."""
 
+MAX_SAMPLES = 20_000
+"""Of more answered pixels than this, evenly spread ones are taken."""
+
 DARK, BRIGHT = 8, 245
 """Values outside are noise or clipped and say nothing about exposure."""
 
@@ -41,6 +44,8 @@ def color_gains(
     for i, link in ((i, link) for i, sources in enumerate(links) for link in sources):
         j = link.source
         y, x = np.nonzero(answered[i])
+        spacing = max(1, len(y) // MAX_SAMPLES)
+        y, x = y[::spacing], x[::spacing]
         here = images[i][y, x]
         where, ratio = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
         H, W = answered[j].shape

@@ -10,7 +10,7 @@ MIN_MATCHES = 12
 """Fewest triangulated matches that a depth range is estimated from."""
 
 MIN_CANDIDATES = 32
-MAX_CANDIDATES = 112
+MAX_CANDIDATES = 144
 """Fewest that a sub-pixel fit is asked to interpolate, and most that memory and time allow."""
 
 MAX_DEPTH = 1e4

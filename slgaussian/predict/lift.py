@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,12 +10,12 @@ import torch
 from numba import njit, prange
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
-from slgaussian.scene import View
+from slgaussian.scene import Camera
 
-FOOTPRINT = 0.45
+FOOTPRINT = 0.35
 """Standard deviation of a disc across the line of sight, in pixels of its own view. With the
-rasterizer's low-pass a surface then has no holes; larger ones blur (0.6 cost half a decibel
-in novel views)."""
+rasterizer's low-pass a surface then has no holes, nor from half the distance. Larger ones blur:
+0.45 costs 0.1 dB in novel views, 0.6 half a decibel."""
 
 THICKNESS = 0.1
 """Standard deviation along the normal, as a share of that across the line of sight."""
@@ -28,8 +29,8 @@ SAME_SURFACE = 0.03
 
 
 def lift(
-    views: Sequence[View],
-    gains: np.ndarray,
+    cameras: Sequence[Camera],
+    colors: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     opacities: Sequence[np.ndarray],
 ) -> Gaussians:
@@ -37,9 +38,9 @@ def lift(
 
     Parameters
     ----------
-    views : V views of one size
-    gains : float [V, 3]
-        Factors on the RGB values of each view.
+    cameras : V Camera of one size
+    colors : V of float32 [H, W, 3]
+        RGB in [0, 1].
     inverse_depths : V of float32 [H, W]
         1 / z, positive and finite.
     opacities : V of float32 [H, W]
@@ -49,30 +50,35 @@ def lift(
     Gaussians
         V * H * W of them in world space, spherical harmonics of degree 0.
     """
-    parts = [_lift_view(*one) for one in zip(views, inverse_depths, strict=True)]
+    parts = [_discs_of(*one) for one in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))
-    colors = [
-        v.image.reshape(-1, 3) * np.float32(g / 255) for v, g in zip(views, gains, strict=True)
-    ]
+    rgb = np.concatenate([c.reshape(-1, 3) for c in colors])
     return Gaussians(
-        means=torch.from_numpy(means.astype(np.float32)),
+        means=torch.from_numpy(means),
         scales=torch.from_numpy(scales),
         quats=torch.from_numpy(quats),
         opacities=torch.from_numpy(np.concatenate([o.ravel() for o in opacities])),
-        sh=rgb_to_sh(torch.from_numpy(np.concatenate(colors).clip(0, 1))),
+        sh=rgb_to_sh(torch.from_numpy(rgb)),
         source=torch.arange(len(means), dtype=torch.int32),
     )
 
 
-def _lift_view(view: View, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    camera = view.camera
-    depth = 1 / inverse_depth.astype(np.float64)
-    local = normals(inverse_depth, camera.K)
-    footprint = FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-    scales, quats = _discs(
-        local, depth, np.linalg.inv(camera.K), np.ascontiguousarray(camera.c2w[:3, :3]), footprint
+def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
+    """One structure of the Gaussians of all parts, in order; they have the same fields."""
+    names = [name for name, _ in parts[0].items()]
+    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts]) for name in names})
+
+
+def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Means [H * W, 3], scales [H * W, 3] and quaternions wxyz [H * W, 4], float32, world space."""
+    return _discs(
+        inverse_depth,
+        normals(inverse_depth, camera.K),
+        np.linalg.inv(camera.K),
+        np.ascontiguousarray(camera.c2w[:3, :3]),
+        np.ascontiguousarray(camera.center),
+        FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]),
     )
-    return camera.unproject(depth).reshape(-1, 3), scales, quats
 
 
 def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -81,19 +87,14 @@ def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
     A plane ``n . X = 1`` has inverse depth ``w = (K^-T n) . (u, v, 1)``: linear in the pixel, so
     its normal follows from the slope of ``w``, fitted to the pixels nearby on the same surface.
     """
-    slope = _slopes(inverse_depth, SLOPE_RADIUS, SAME_SURFACE).astype(np.float64)
-    H, W = inverse_depth.shape
-    u, v = np.arange(W) + 0.5, np.arange(H)[:, None] + 0.5
-    du, dv = slope[..., 0], slope[..., 1]
-    away = np.stack([du, dv, inverse_depth - u * du - v * dv], -1) @ K
-    return -away / np.linalg.norm(away, axis=-1, keepdims=True)
+    return _normals(inverse_depth, np.ascontiguousarray(K), SLOPE_RADIUS, SAME_SURFACE)
 
 
 @njit(cache=True, parallel=True)
-def _slopes(values, radius, same):
-    """Least-squares slope (d/dx, d/dy) over the window pixels within a share ``same`` of each."""
+def _normals(values, K, radius, same):
+    """From least-squares slopes over the window pixels within a share ``same`` of each."""
     H, W = values.shape
-    out = np.zeros((H, W, 2), np.float32)
+    out = np.empty((H, W, 3))
     for y in prange(H):
         for x in range(W):
             centre = values[y, x]
@@ -116,55 +117,74 @@ def _slopes(values, radius, same):
             a, b, c = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
             p, q = sxw - sx * sw / n, syw - sy * sw / n
             det = a * c - b * b
+            du = dv = 0.0
             if n >= 6 and det > 1e-3 * n * n:
-                out[y, x, 0] = (c * p - b * q) / det
-                out[y, x, 1] = (a * q - b * p) / det
+                du, dv = (c * p - b * q) / det, (a * q - b * p) / det
+            rest = centre - (x + 0.5) * du - (y + 0.5) * dv
+            along = du * K[0, 0] + dv * K[1, 0] + rest * K[2, 0]
+            down = du * K[0, 1] + dv * K[1, 1] + rest * K[2, 1]
+            away = du * K[0, 2] + dv * K[1, 2] + rest * K[2, 2]
+            length = math.sqrt(along * along + down * down + away * away)
+            out[y, x, 0] = -along / length
+            out[y, x, 1] = -down / length
+            out[y, x, 2] = -away / length
     return out
 
 
 @njit(cache=True, parallel=True)
-def _discs(normal, depth, K_inverse, R, footprint):
-    """Scales [H * W, 3] and world quaternions wxyz [H * W, 4] of discs with these normals.
-
-    Local axes are (across the line of sight, uphill along the surface, normal).
-    """
-    H, W = depth.shape
+def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
+    """Local axes are (across the line of sight, uphill along the surface, normal)."""
+    H, W = inverse_depth.shape
+    means = np.empty((H * W, 3), np.float32)
     scales = np.empty((H * W, 3), np.float32)
     quats = np.empty((H * W, 4), np.float32)
     for y in prange(H):
+        axes = np.empty((3, 3))
+        turned = np.empty((3, 3))
+        s = np.empty(3)
         for x in range(W):
-            n = normal[y, x]
-            s = K_inverse @ np.array([x + 0.5, y + 0.5, 1.0])
-            s /= np.sqrt((s * s).sum())
-            across = _cross(n, s)
-            tilt = np.sqrt((across * across).sum())
+            k = y * W + x
+            depth = 1 / float(inverse_depth[y, x])
+            for i in range(3):
+                s[i] = K_inverse[i, 0] * (x + 0.5) + K_inverse[i, 1] * (y + 0.5) + K_inverse[i, 2]
+            for i in range(3):
+                ray = R[i, 0] * s[0] + R[i, 1] * s[1] + R[i, 2] * s[2]
+                means[k, i] = center[i] + depth * ray
+            s /= math.sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
+            axes[:, 2] = normal[y, x]
+            tilt = _cross(axes[:, 2], s, axes[:, 0])
             if tilt < 1e-6:
                 # Seen squarely: any axis in the plane will do.
-                across = _cross(n, np.array([0.0, 1.0, 0.0]))
-                tilt = np.sqrt((across * across).sum())
-            across /= tilt
-            axes = np.empty((3, 3))
-            axes[:, 0] = across
-            axes[:, 1] = _cross(n, across)
-            axes[:, 2] = n
-            width = footprint * depth[y, x]
-            k = y * W + x
+                s[:] = 0
+                s[1] = 1
+                tilt = _cross(axes[:, 2], s, axes[:, 0])
+                s[:] = -axes[:, 2]
+            axes[:, 0] /= tilt
+            _cross(axes[:, 2], axes[:, 0], axes[:, 1])
+            for i in range(3):
+                for j in range(3):
+                    turned[i, j] = (
+                        R[i, 0] * axes[0, j] + R[i, 1] * axes[1, j] + R[i, 2] * axes[2, j]
+                    )
+            cosine = abs(axes[0, 2] * s[0] + axes[1, 2] * s[1] + axes[2, 2] * s[2])
+            width = footprint * depth
             scales[k, 0] = width
-            scales[k, 1] = width / max(abs((n * s).sum()), MIN_COSINE)
+            scales[k, 1] = width / max(cosine, MIN_COSINE)
             scales[k, 2] = width * THICKNESS
-            quats[k] = _quaternion(R @ axes)
-    return scales, quats
+            _quaternion(turned, quats[k])
+    return means, scales, quats
 
 
 @njit(cache=True)
-def _cross(a, b):
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+def _cross(a, b, out):
+    """Write ``a x b`` to ``out`` and return its length."""
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    out[0], out[1], out[2] = x, y, z
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @njit(cache=True)
-def _quaternion(R):
+def _quaternion(R, out):
     """Unit quaternion wxyz of a rotation, from its largest component (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     q = np.empty(4)
@@ -184,4 +204,4 @@ def _quaternion(R):
         q[1 + i] = 1 + 2 * R[i, i] - trace
         q[1 + j] = R[j, i] + R[i, j]
         q[1 + k] = R[k, i] + R[i, k]
-    return q / np.sqrt((q * q).sum())
+    out[:] = q / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])

@@ -47,7 +47,7 @@ def predict(given: Sample) -> tuple[Gaussians, np.ndarray]:
     gaussians.check()
     cameras = [view.camera for view in given.context]
     pixels = sum(c.width * c.height for c in cameras)
-    assert (gaussians.source.numpy() == np.arange(pixels)).all()
+    assert (gaussians.source.numpy()[:pixels] == np.arange(pixels)).all()
     assert bool(((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all())
     assert bool((gaussians.scales > 0).all())
     depths = source_depths(gaussians, cameras)
@@ -251,8 +251,9 @@ def test_another_white_balance():
 def color_gap(name: str) -> float:
     """Difference of the two views' mean Gaussian colours, as a share of the photographs'."""
     given, (gaussians, _) = case(name), answer(name)
-    drawn = gaussians.colors().numpy().reshape(2, -1, 3).mean(1)
-    taken = np.stack([view.image for view in given.context]).reshape(2, -1, 3).mean(1) / 255
+    taken = np.stack([view.image for view in given.context]).reshape(2, -1, 3) / 255
+    drawn = gaussians.colors().numpy()[: taken.shape[1] * 2].reshape(2, -1, 3).mean(1)
+    taken = taken.mean(1)
     return float(np.abs(drawn[0] - drawn[1]).max() / np.abs(taken[0] - taken[1]).max())
 
 

@@ -1,4 +1,4 @@
-"""Discs along the surface, and one exposure for all views."""
+"""Discs along the surface."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,7 @@ import torch
 from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.gaussians import covariances, rotation_matrices, source_depths
-from slgaussian.predict.balance import color_gains
 from slgaussian.predict.lift import FOOTPRINT, THICKNESS, lift, normals
-from slgaussian.predict.links import Link
-from slgaussian.predict.pose import Relative
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 
@@ -19,7 +16,8 @@ def lifted():
     views = sample(*CAMERAS).context
     inverse_depths = [1 / view.depth for view in views]
     opacities = [np.full(view.depth.shape, 0.5, np.float32) for view in views]
-    return views, lift(views, np.ones((2, 3)), inverse_depths, opacities)
+    colors = [(view.image / 255).astype(np.float32) for view in views]
+    return views, lift(CAMERAS, colors, inverse_depths, opacities)
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.4, -0.3, 1.0), (0.0, 1.2, 1.0)])
@@ -77,31 +75,3 @@ def test_a_disc_covers_its_pixel_evenly(lifted):
     # field angle (1.35 in the corners here), and the two focal lengths differ by 2 %.
     assert spread.min() > 0.95 * FOOTPRINT
     assert spread.max() < 1.4 * FOOTPRINT
-
-
-def links_between(a, b):
-    relative = Relative.between(a, b)
-    none = np.zeros(0)
-    return [[Link(1, relative, none)], [Link(0, relative.reversed(), none)]]
-
-
-def test_gains_undo_an_exposure_difference():
-    views = sample(*CAMERAS).context
-    factor = np.array([0.8, 0.9, 1.1])
-    images = [views[0].image // 2 + 30, None]
-    images[1] = ((views[1].image // 2 + 30) * factor).round().astype(np.uint8)
-    inverse_depths = [1 / view.depth for view in views]
-    answered = [np.ones(view.depth.shape, bool) for view in views]
-    gains = color_gains(images, inverse_depths, answered, links_between(*CAMERAS))
-    # Whole grey levels around 90: half a level is 0.5 %.
-    assert np.allclose(gains[0] / gains[1], factor, rtol=0.01)
-    assert np.allclose(gains[0] * gains[1], 1)
-
-
-def test_without_shared_pixels_the_gains_are_one():
-    views = sample(*CAMERAS).context
-    nothing = [np.zeros(view.depth.shape, bool) for view in views]
-    inverse_depths = [1 / view.depth for view in views]
-    images = [view.image for view in views]
-    gains = color_gains(images, inverse_depths, nothing, links_between(*CAMERAS))
-    assert np.array_equal(gains, np.ones((2, 3)))

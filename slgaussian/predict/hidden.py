@@ -1,0 +1,133 @@
+"""Gaussians for what no view sees: beyond the images' borders, and behind what is in front.
+
+The scene goes on there, and a view from between the photographs shows some of it. It is a guess:
+the nearest surface, continued at its depth in its colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.predict.lift import THICKNESS, concatenate
+from slgaussian.scene import Camera
+
+BLOCK = 4
+"""Pixels along a side of the block that each of these Gaussians stands for."""
+
+SPREAD = 0.5
+"""Standard deviation of one, in blocks."""
+
+MARGIN = 0.07
+"""How far beyond the border a view is continued, as a share of its longer side."""
+
+EDGE = 6.0
+"""Candidates between the nearest and the farthest surface in a neighbourhood of blocks from which
+the far one is continued behind the near one."""
+
+BEHIND = 0.03
+"""Share of its depth by which a point must lie behind what a view shows, to be hidden there."""
+
+OPACITY_BEYOND = 0.6
+OPACITY_BEHIND = 0.3
+"""The first closes a surface by itself. The second is faint, for it shines through what is in front
+of it; it colours what would be black."""
+
+
+def hidden(
+    cameras: Sequence[Camera],
+    colors: Sequence[np.ndarray],
+    inverse_depths: Sequence[np.ndarray],
+    steps: Sequence[float],
+) -> Gaussians:
+    """Continue the surfaces of every view to where no other view says what is there.
+
+    Parameters
+    ----------
+    cameras : V Camera of one size
+    colors : V of float32 [H, W, 3]
+        RGB in [0, 1].
+    inverse_depths : V of float32 [H, W]
+    steps : V of float
+        Distance between candidates.
+
+    Returns
+    -------
+    Gaussians
+        Some per cent of V * H * W. ``source`` is the pixel that each continues: it has the depth
+        of that pixel, its colour or that of its block, and should have its label.
+    """
+    parts = []
+    for i, camera in enumerate(cameras):
+        beyond = _beyond(colors[i], inverse_depths[i])
+        behind = _behind(colors[i], inverse_depths[i], EDGE * steps[i])
+        opacity = np.repeat([OPACITY_BEYOND, OPACITY_BEHIND], [len(beyond[0]), len(behind[0])])
+        centre, pixel, rgb = (np.concatenate(p) for p in zip(beyond, behind, strict=True))
+        column, row = pixel.T
+        depth = 1 / inverse_depths[i][row, column].astype(np.float64)
+        rays = np.concatenate([centre, np.ones((len(centre), 1))], 1) @ np.linalg.inv(camera.K).T
+        means = camera.center + (rays * depth[:, None]) @ camera.c2w[:3, :3].T
+        unseen = np.ones(len(means), bool)
+        for j, other in enumerate(cameras):
+            if j != i:
+                unseen &= _unseen(means, other, inverse_depths[j])
+        width = SPREAD * BLOCK * depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+        turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
+        scales = width[:, None] * (1, 1, THICKNESS)
+        source = (i * camera.height + row) * camera.width + column
+        fields = (means, scales, np.tile(turn, (len(means), 1)), opacity, rgb)
+        kept = [torch.from_numpy(f[unseen].astype(np.float32)) for f in fields]
+        labels = torch.from_numpy(source[unseen].astype(np.int32))
+        parts.append(Gaussians(*kept[:4], rgb_to_sh(kept[4]), labels))
+    return concatenate(parts)
+
+
+def _beyond(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Blocks around the image: their centres (x, y), the pixels nearest to them, and colours."""
+    H, W = inverse_depth.shape
+    blocks = int(np.ceil(MARGIN * max(H, W) / BLOCK))
+    x, y = ((np.arange(-blocks, size // BLOCK + 1 + blocks) + 0.5) * BLOCK for size in (W, H))
+    x, y = (grid.ravel() for grid in np.meshgrid(x, y))
+    outside = (x < 0) | (x > W) | (y < 0) | (y > H)
+    centre = np.stack([x, y], 1)[outside]
+    pixel = np.floor(centre).astype(np.int64).clip(0, (W - 1, H - 1))
+    return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
+
+
+def _behind(color: np.ndarray, inverse_depth: np.ndarray, edge: float) -> tuple[np.ndarray, ...]:
+    """Blocks at depth edges, likewise; their pixels are the farthest of the nine blocks around."""
+    H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
+    ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
+    tiles = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
+    tiles = tiles.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
+    farthest = tiles.argmin(-1)
+    rows, columns = np.arange(H)[:, None], np.arange(W)
+    least = tiles.min(-1)
+    best, best_row = least.copy(), rows * BLOCK + farthest // BLOCK
+    best_column = columns * BLOCK + farthest % BLOCK
+    around = np.pad(np.stack([least, best_row, best_column]), ((0, 0), (1, 1), (1, 1)), "edge")
+    for dy in range(3):
+        for dx in range(3):
+            w, row, column = around[:, dy : dy + H, dx : dx + W]
+            farther = w < best
+            best = np.where(farther, w, best)
+            best_row = np.where(farther, row, best_row)
+            best_column = np.where(farther, column, best_column)
+    y, x = np.nonzero(tiles.max(-1) - best > edge)
+    centre = (np.stack([x, y], 1) + 0.5) * BLOCK
+    pixel = np.stack([best_column[y, x], best_row[y, x]], 1).astype(np.int64)
+    pixel = np.minimum(pixel, np.array(inverse_depth.shape)[::-1] - 1)
+    return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
+
+
+def _unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) -> np.ndarray:
+    """Which points [M, 3] lie outside a view or behind what it shows, bool [M]."""
+    pixels, z = camera.project(points)
+    size = camera.width, camera.height
+    inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
+    column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
+    return ~inside | (z * inverse_depth[row, column] > 1 + BEHIND)

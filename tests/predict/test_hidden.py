@@ -1,0 +1,101 @@
+"""What is continued, where to, and that it stays out of what the views show."""
+
+import numpy as np
+import pytest
+from textured_planes import camera
+
+from slgaussian.gaussians import source_depths
+from slgaussian.predict.hidden import BEHIND, BLOCK, MARGIN, hidden
+from slgaussian.predict.lift import concatenate, lift
+
+SIZE = (60, 90)
+CAMERAS = (camera(size=SIZE), camera(x=0.3, size=SIZE))
+STEP = 0.01
+
+
+def scene(cameras, box):
+    """Inverse depths of a wall at 4 and, if asked for, a box at 2 in the middle of each view."""
+    walls = [np.full((c.height, c.width), 0.25, np.float32) for c in cameras]
+    for wall in walls:
+        if box:
+            wall[20:40, 28:60] = 0.5
+    rng = np.random.default_rng(0)
+    return walls, [rng.random((*wall.shape, 3), np.float32) for wall in walls]
+
+
+def shown(points, cameras, walls):
+    """Which points [M, 3] some view shows, or has in its free space; one by one."""
+    out = []
+    for point in points:
+        seen = False
+        for c, wall in zip(cameras, walls, strict=True):
+            pixel, z = c.project(point)
+            if z > 0 and (pixel >= 0).all() and (pixel < (c.width, c.height)).all():
+                depth = 1 / wall[int(pixel[1]), int(pixel[0])]
+                seen |= bool(z < depth * (1 + BEHIND) * (1 - 1e-5))
+        out.append(seen)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("box", [False, True])
+@pytest.mark.parametrize("size", [SIZE, (90, 60), (61, 93), (7, 3)])
+def test_only_what_no_view_shows_is_continued(box, size):
+    cameras = camera(size=size), camera(x=0.3, size=size)
+    walls, colors = scene(cameras, box)
+    made = hidden(cameras, colors, walls, [STEP] * 2)
+    made.check()
+    assert len(made) > 0
+    points = made.means.numpy().astype(np.float64)
+    view = made.source.numpy() // (size[0] * size[1])
+    for i in range(2):
+        # Float32 means: a point just inside a border may be just outside. Measured none.
+        others = [[v[1 - i]] for v in (cameras, walls)]
+        assert not shown(points[view == i], *others).any()
+
+
+def test_a_view_goes_on_beyond_its_border():
+    walls, colors = scene(CAMERAS[:1], False)
+    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    assert np.allclose(z, 4, rtol=1e-5)
+    H, W = SIZE
+    outside = (pixels < 0).any(1) | (pixels > (W, H)).any(1)
+    assert outside.all()
+    reach = MARGIN * W
+    assert (pixels.min(0) < -reach + BLOCK).all()
+    assert (pixels.max(0) > np.array([W, H]) + reach - BLOCK).all()
+    row, column = np.divmod(made.source.numpy(), W)
+    assert np.allclose(made.colors().numpy(), colors[0][row, column], atol=1e-6)
+    # The pixel nearest to each.
+    nearest = np.floor(pixels + 1e-3).clip(0, (W - 1, H - 1))
+    assert np.array_equal(np.stack([column, row], 1), nearest)
+
+
+def test_the_wall_goes_on_behind_the_rim_of_a_box():
+    walls, colors = scene(CAMERAS[:1], True)
+    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    column, row = np.floor(pixels).astype(int).T
+    behind = (column >= 28) & (column < 60) & (row >= 20) & (row < 40)
+    # The outermost of the 5 x 8 blocks that the box covers.
+    assert behind.sum() == 2 * 8 + 2 * 3
+    assert np.allclose(z[behind], 4, rtol=1e-5)
+    inner = (column >= 40) & (column < 50) & (row >= 28) & (row < 32)
+    assert not inner.any()
+
+
+def test_a_slope_has_nothing_behind_it():
+    walls, colors = scene(CAMERAS[:1], False)
+    walls[0] += np.linspace(0, 0.1, SIZE[1], dtype=np.float32)
+    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    pixels, _ = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    assert ((pixels < 0) | (pixels > (SIZE[1], SIZE[0]))).any(1).all()
+
+
+def test_depths_of_the_views_stay_what_they_are():
+    walls, colors = scene(CAMERAS, True)
+    opacities = [np.full(SIZE, 0.5, np.float32)] * 2
+    given = lift(CAMERAS, colors, walls, opacities)
+    both = concatenate([given, hidden(CAMERAS, colors, walls, [STEP] * 2)])
+    assert len(both) > len(given)
+    assert np.allclose(source_depths(both, CAMERAS), source_depths(given, CAMERAS), rtol=1e-5)
