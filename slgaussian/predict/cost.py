@@ -174,52 +174,59 @@ def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, colu
 @njit(cache=True, parallel=True)
 def _matching_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share):
     H, W = squares.shape
-    D = inverse_depths.shape[0]
-    volume = np.empty((H, W, D), np.uint8)
+    volume = np.empty((H, W, len(inverse_depths)), np.uint8)
     for block in prange((H + BLOCK - 1) // BLOCK):
         y0 = block * BLOCK
-        rows = min(BLOCK, H - y0)
-        here = wide[y0 : y0 + rows + 2 * RADIUS]
-        total = np.zeros((rows, W), np.float32)
-        deviation = np.zeros((rows, W), np.float32)
-        bits = np.empty((rows, W), np.uint32)
-        for y in range(rows):
-            for x in range(W):
-                s = q = np.float32(0)
-                for j in range(_SIDE):
-                    for i in range(_SIDE):
-                        s += here[y + j, x + i]
-                        q += here[y + j, x + i] ** 2
-                total[y, x] = s
-                deviation[y, x] = max(q + _FLOOR - s * s / _AREA, _FLOOR)
-                bits[y, x] = _census(here[y : y + _SIDE], x)
-        at = np.empty(W, np.int32)
-        du = np.empty(W, np.float32)
-        dv = np.empty(W, np.float32)
-        near = np.empty_like(here)
-        inside = np.empty((rows + 2 * RADIUS, W), np.bool_)
-        columns = np.empty((3, W + 2 * RADIUS), np.float32)
-        costs = np.empty((D, rows, W), np.uint8)
-        for d in range(D):
-            for k in range(rows + 2 * RADIUS):
-                y = min(max(y0 - RADIUS + k, 0), H - 1)
-                row = near[k]
-                middle = row[RADIUS : RADIUS + W]
-                _warp_row(squares, A, e, inverse_depths[d], y, at, du, dv, middle, inside[k])
-                row[:RADIUS] = middle[0]
-                row[RADIUS + W :] = middle[W - 1]
-            for y in range(rows):
-                window = slice(y, y + _SIDE)
-                cost = costs[d, y]
-                _row_cost(
-                    near[window], here[window], total[y], deviation[y], bits[y],
-                    zncc_share, census_share, columns, cost,
-                )  # fmt: skip
-                seen = inside[y + RADIUS]
-                for x in range(W):
-                    cost[x] = cost[x] if seen[x] else np.uint8(OUTSIDE)
-        for y in range(rows):
-            for x in range(W):
-                for d in range(D):
-                    volume[y0 + y, x, d] = costs[d, y, x]
+        part = volume[y0 : y0 + BLOCK]
+        _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, part)
     return volume
+
+
+@njit(cache=True)
+def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, volume):
+    """Costs of the rows from ``y0`` on, as many as ``volume`` has."""
+    H, W = squares.shape
+    rows, _, D = volume.shape
+    here = wide[y0 : y0 + rows + 2 * RADIUS]
+    total = np.zeros((rows, W), np.float32)
+    deviation = np.zeros((rows, W), np.float32)
+    bits = np.empty((rows, W), np.uint32)
+    for y in range(rows):
+        for x in range(W):
+            s = q = np.float32(0)
+            for j in range(_SIDE):
+                for i in range(_SIDE):
+                    s += here[y + j, x + i]
+                    q += here[y + j, x + i] ** 2
+            total[y, x] = s
+            deviation[y, x] = max(q + _FLOOR - s * s / _AREA, _FLOOR)
+            bits[y, x] = _census(here[y : y + _SIDE], x)
+    at = np.empty(W, np.int32)
+    du = np.empty(W, np.float32)
+    dv = np.empty(W, np.float32)
+    near = np.empty_like(here)
+    inside = np.empty((rows + 2 * RADIUS, W), np.bool_)
+    columns = np.empty((3, W + 2 * RADIUS), np.float32)
+    costs = np.empty((D, rows, W), np.uint8)
+    for d in range(D):
+        for k in range(rows + 2 * RADIUS):
+            y = min(max(y0 - RADIUS + k, 0), H - 1)
+            row = near[k]
+            middle = row[RADIUS : RADIUS + W]
+            _warp_row(squares, A, e, inverse_depths[d], y, at, du, dv, middle, inside[k])
+            row[:RADIUS] = middle[0]
+            row[RADIUS + W :] = middle[W - 1]
+        for y in range(rows):
+            window = slice(y, y + _SIDE)
+            cost = costs[d, y]
+            _row_cost(
+                near[window], here[window], total[y], deviation[y], bits[y],
+                zncc_share, census_share, columns, cost,
+            )  # fmt: skip
+            seen = inside[y + RADIUS]
+            for x in range(W):
+                cost[x] = cost[x] if seen[x] else np.uint8(OUTSIDE)
+    for y in range(rows):
+        for x in range(W):
+            for d in range(D):
+                volume[y, x, d] = costs[d, y, x]

@@ -296,43 +296,48 @@ def weighted_median(
 
 @njit(cache=True, parallel=True)
 def _weighted_median(values, bins, image, weights, radius):
-    H, W = values.shape
+    out = np.empty_like(values)
     count = bins.max() + 1
-    out = np.empty((H, W), np.float32)
-    for y in prange(H):
-        mass = np.zeros(count, np.float32)
-        moment = np.zeros(count, np.float32)
-        for x in range(W):
-            r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
-            centre = values[y, x]
-            total = np.float32(0)
-            least, most = count, 0
-            # Every other pixel: half the time, and the same errors on real scenes.
-            for j in range(max(y - radius, 0), min(y + radius + 1, H)):
-                left = max(x - radius, 0)
-                left += (left + x + j + y) % 2
-                for i in range(left, min(x + radius + 1, W), 2):
-                    weight = weights[
-                        abs(image[j, i, 0] - r) + abs(image[j, i, 1] - g) + abs(image[j, i, 2] - b)
-                    ]
-                    k = bins[j, i]
-                    mass[k] += weight
-                    # Relative to the centre: keeps float32 exact enough.
-                    moment[k] += weight * (values[j, i] - centre)
-                    total += weight
-                    least, most = min(least, k), max(most, k)
-            below = np.float32(0)
-            median = least
-            for k in range(least, most + 1):
-                below += mass[k]
-                if 2 * below >= total:
-                    median = k
-                    break
-            near, lever = np.float32(0), np.float32(0)
-            for k in range(max(median - 3, least), min(median + 3, most) + 1):
-                near += mass[k]
-                lever += moment[k]
-            out[y, x] = centre + lever / near
-            mass[least : most + 1] = 0
-            moment[least : most + 1] = 0
+    for y in prange(values.shape[0]):
+        _median_row(values, bins, image, weights, radius, y, count, out[y])
     return out
+
+
+@njit(cache=True)
+def _median_row(values, bins, image, weights, radius, y, count, out):
+    H, W = values.shape
+    mass = np.zeros(count, np.float32)
+    moment = np.zeros(count, np.float32)
+    for x in range(W):
+        r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
+        centre = values[y, x]
+        total = np.float32(0)
+        least, most = count, 0
+        # Every other pixel: half the time, and the same errors on real scenes.
+        for j in range(max(y - radius, 0), min(y + radius + 1, H)):
+            left = max(x - radius, 0)
+            left += (left + x + j + y) % 2
+            for i in range(left, min(x + radius + 1, W), 2):
+                weight = weights[
+                    abs(image[j, i, 0] - r) + abs(image[j, i, 1] - g) + abs(image[j, i, 2] - b)
+                ]
+                k = bins[j, i]
+                mass[k] += weight
+                # Relative to the centre: keeps float32 exact enough.
+                moment[k] += weight * (values[j, i] - centre)
+                total += weight
+                least, most = min(least, k), max(most, k)
+        below = np.float32(0)
+        median = least
+        for k in range(least, most + 1):
+            below += mass[k]
+            if 2 * below >= total:
+                median = k
+                break
+        near, lever = np.float32(0), np.float32(0)
+        for k in range(max(median - 3, least), min(median + 3, most) + 1):
+            near += mass[k]
+            lever += moment[k]
+        out[x] = centre + lever / near
+        mass[least : most + 1] = 0
+        moment[least : most + 1] = 0
