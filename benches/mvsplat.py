@@ -1,115 +1,162 @@
-"""Speed, memory and error of MVSplat's settings.
+"""Speed, memory and error of MVSplat's settings: a table, and a page of it.
 
-``python benches/mvsplat.py [CHECKPOINT]``: two views of 416 x 576, each setting in a process of its
-own. Errors are against float32 with all candidates: of the distance from the camera as a share of
-it, of opacity and degree-0 colour as they are. Without a checkpoint the weights are made by a
-recipe: times and memory are those of published ones, errors are not.
+python benches/mvsplat.py [CHECKPOINT]             weights by a recipe if none are given
+python benches/mvsplat.py [CHECKPOINT] -o docs     also writes docs/mvsplat.md
 """
 
+import argparse
 import json
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-import zlib
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
+from machine import machine
+from pairs import SIZE
+from recipe import recipe_weights
+from tables import Table, count, error, hundredths
 
-from slgaussian import datasets
+from slgaussian import datasets, threads
+from slgaussian.benchmark.evaluate import camera_between
 from slgaussian.predict import load_predictor
-from slgaussian.predict.mvsplat.network import Network
+from slgaussian.predict.mvsplat.cost_volume import needed_candidates
+from slgaussian.rasterize import rasterize
+from slgaussian.store import write_atomic
 
-SIZE = (416, 576)
-REPEATS = 3
-SETTINGS = {
-    "float32": {},
-    "float32, 64 candidates": {"depth_candidates": 64},
-    "float32, 32 candidates": {"depth_candidates": 32},
-    "float32, auto candidates": {"depth_candidates": "auto"},
-    "bfloat16": {"precision": "bfloat16"},
-    "bfloat16, auto candidates": {"precision": "bfloat16", "depth_candidates": "auto"},
-}
+ROUNDS = 3
+PRECISIONS = ("float32", "bfloat16")
+CANDIDATES = (128, 64, 32, "auto")
+TIMES = ("load", "seconds", "cpu")
 
-GAIN = {
-    "depth_predictor.regressor_residual.weight": 0.02,
-    "depth_predictor.depth_head_lowres.2.weight": 0.5,
-    "depth_predictor.to_disparity.2.weight": 0.1,
-    "depth_predictor.to_disparity.2.bias": 0.1,
-}
-"""Factors that bring the recipe's outputs into the range of trained ones."""
-
-
-def recipe_weights() -> dict[str, torch.Tensor]:
-    """Weights by name, float32, the same everywhere: each from its own name as the seed.
-
-    Unlike freshly initialised ones, none is zero, so that every layer has a say.
-    """
-    with torch.device("meta"):
-        shapes = {name: tuple(t.shape) for name, t in Network().state_dict().items()}
-    return {name: torch.from_numpy(_values(name, shape)) for name, shape in shapes.items()}
-
-
-def _values(name: str, shape: tuple[int, ...]) -> np.ndarray:
-    normal = np.random.default_rng(zlib.crc32(name.encode())).standard_normal(shape)
-    if len(shape) >= 2:
-        values = normal / np.sqrt(np.prod(shape[1:]))
-    else:
-        values = 0.1 * normal + name.endswith("weight")
-    return (values * GAIN.get(name, 1)).astype(np.float32)
+TABLE = Table(
+    "Settings",
+    f"Each in processes of its own, once in each of {ROUNDS} rounds. Times are the best of these: "
+    "on the clock, of all cores together (*CPU*), and on the clock over that of the first row. "
+    "*Load* is reading the checkpoint, libraries included; *peak* is the most memory that the "
+    "process ever held, libraries and inputs included. Errors are against the first row: of "
+    "*distances* from the camera as a share of them, and of *pixels* in [0, 1] drawn from halfway "
+    "between the views.",
+    {
+        "precision": ("precision", str),
+        "candidates": ("candidates", str),
+        "load": ("load, s", hundredths),
+        "seconds": ("s", hundredths),
+        "cpu": ("CPU, s", hundredths),
+        "share": ("of first", hundredths),
+        "peak": ("peak, MB", count),
+        "distance_mean": ("distance: mean", error),
+        "distance_greatest": ("greatest", error),
+        "pixel_mean": ("pixel: mean", error),
+        "pixel_greatest": ("greatest", error),
+    },
+)
 
 
-def measure(checkpoint: str, out: str, settings: str) -> None:
-    """Print seconds and peak memory of one setting; leave its numbers in ``out``."""
+def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
+    """Print times and peak memory of one prediction as JSON; leave what it says in ``out``."""
     scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
     names = list(scene.cameras)
     sample = scene.sample([names[0], names[-1]], near=1.0, far=100.0)
     start = time.perf_counter()
-    predict = load_predictor("mvsplat", checkpoint=checkpoint, **json.loads(settings))
-    loading = time.perf_counter() - start
-    seconds = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        gaussians = predict(sample)
-        seconds.append(time.perf_counter() - start)
-    centres = np.stack([view.camera.center for view in sample.context])
+    predict = load_predictor(
+        "mvsplat",
+        checkpoint=checkpoint,
+        precision=precision,
+        depth_candidates=candidates if candidates == "auto" else int(candidates),
+    )
+    row = {"load": time.perf_counter() - start, "precision": precision, "candidates": candidates}
+    cameras = [view.camera for view in sample.context]
+    if candidates == "auto":
+        row["candidates"] += f": {needed_candidates(cameras, 1.0, 100.0, CANDIDATES[0])}"
+    predict(sample.resized(64, 96))
+    start = time.perf_counter(), time.process_time()
+    gaussians = predict(sample)
+    row |= {"seconds": time.perf_counter() - start[0], "cpu": time.process_time() - start[1]}
+    row["peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     means = gaussians.means.numpy().reshape(2, -1, 3)
-    depth = np.linalg.norm(means - centres[:, None], axis=-1).ravel()
-    colors, opacities = gaussians.colors().numpy(), gaussians.opacities.numpy()
-    np.savez(out, depth=depth, colors=colors, opacities=opacities)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(json.dumps({"load": loading, "seconds": min(seconds), "GiB": peak}))
+    centres = np.stack([camera.center for camera in cameras])
+    distance = np.linalg.norm(means - centres[:, None], axis=-1)
+    pixel = rasterize(gaussians, None, camera_between(*cameras, 0.5)).values.clamp(0, 1).numpy()
+    np.savez(out, distance=distance, pixel=pixel)
+    print(json.dumps(row))
 
 
-def main(checkpoint: str | None) -> None:
+def rows(checkpoint: str, folder: Path) -> list[dict]:
+    best: dict[tuple[str, str], dict] = {}
+    for _ in range(ROUNDS):
+        for setting in product(PRECISIONS, map(str, CANDIDATES)):
+            out = folder / f"{'_'.join(setting)}.npz"
+            words = [sys.executable, __file__, "--one", checkpoint, *setting, str(out)]
+            row = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
+            before = best.setdefault(setting, row)
+            best[setting] = row | {key: min(row[key], before[key]) for key in TIMES}
+            print(f"{', '.join(setting)}: {row['seconds']:.1f} s", file=sys.stderr)
+            best[setting] |= errors(out, folder / "float32_128.npz")
+    first = best["float32", "128"]
+    return [row | {"share": row["seconds"] / first["seconds"]} for row in best.values()]
+
+
+def errors(found: Path, exact: Path) -> dict[str, float]:
+    found, exact = dict(np.load(found)), dict(np.load(exact))
+    off = {
+        "distance": np.abs(found["distance"] / exact["distance"] - 1),
+        "pixel": np.abs(found["pixel"] - exact["pixel"]),
+    }
+    return {f"{name}_mean": values.mean() for name, values in off.items()} | {
+        f"{name}_greatest": values.max() for name, values in off.items()
+    }
+
+
+def page(table: str, weights: str, given: bool) -> str:
+    command = " ".join(["python benches/mvsplat.py", *["CHECKPOINT"] * given, "-o docs"])
+    return f"""# MVSplat, measured
+
+Made by `{command}` on {machine()}.
+
+Two views of {SIZE[0]} x {SIZE[1]} pixels of a made-up room, with {weights}. `candidates` is how
+many disparities the views are compared at; the network was trained with 128, and fewer are
+interpolated to as many; `auto` takes one for each pixel of motion over the feature map, so it
+depends on the pair. In bfloat16, disparities, probabilities and geometry are still float32.
+
+{table}"""
+
+
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
+    parser.add_argument(
+        "-o", dest="out", type=Path, metavar="FOLDER", help="write mvsplat.md there"
+    )
+    options = parser.parse_args(arguments)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    weights = f"the weights of {Path(options.checkpoint or '').name}"
     with tempfile.TemporaryDirectory() as folder:
+        checkpoint = options.checkpoint
         if checkpoint is None:
-            print("No checkpoint given: weights by a recipe, whose errors say little of real ones.")
+            weights = (
+                "weights by a recipe (`benches/recipe.py`):\ntimes and memory are those of the "
+                "published ones, errors say little of theirs"
+            )
             checkpoint = str(Path(folder) / "recipe.ckpt")
             torch.save(recipe_weights(), checkpoint)
-        print(f"{torch.get_num_threads()} threads; best of {REPEATS}\n")
-        print(
-            "| setting | load s | s | peak GiB | depth: mean | max | opacity: max | colour: max |"
-        )
-        print("|---|--:|--:|--:|--:|--:|--:|--:|")
-        first = None
-        for name, settings in SETTINGS.items():
-            out = str(Path(folder) / "out.npz")
-            command = [sys.executable, __file__, "--one", checkpoint, out, json.dumps(settings)]
-            done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-            row, found = json.loads(done.stdout), dict(np.load(out))
-            first = first or found
-            depth = np.abs(found["depth"] / first["depth"] - 1)
-            others = [np.abs(found[key] - first[key]).max() for key in ("opacities", "colors")]
-            errors = " | ".join(f"{e:.1e}" for e in (depth.mean(), depth.max(), *others))
-            times = f"{row['load']:.2f} | {row['seconds']:.2f} | {row['GiB']:.2f}"
-            print(f"| {name} | {times} | {errors} |", flush=True)
+        table = TABLE.markdown(rows(checkpoint, Path(folder)))
+    made = page(table, weights, options.checkpoint is not None)
+    print(made)
+    if options.out is not None:
+        write_atomic(options.out / "mvsplat.md", made.encode())
 
 
 if __name__ == "__main__":
+    threads.share()
     if sys.argv[1:2] == ["--one"]:
         measure(*sys.argv[2:])
     else:
-        main(*(sys.argv[1:] or [None]))
+        main(sys.argv[1:])

@@ -5,15 +5,14 @@ python benches/rasterize.py DATA -o docs     photographs; also writes docs/raste
 """
 
 import argparse
-import platform
 import sys
 from pathlib import Path
 
 import fresh_process
-import numba
 import prune
 import sweeps
 import torch
+from machine import machine
 from pairs import DATA_HELP, load_samples
 from rasterize_page import TABLES, page
 from rasterize_picture import picture
@@ -58,16 +57,6 @@ def subject_of(name: str, sample: Sample) -> Subject:
     values = torch.cat([gaussians.colors(), codes], 1)
     contexts = [view.camera for view in sample.context]
     return Subject(name, gaussians, values, sample.targets[0].camera, contexts)
-
-
-def machine() -> str:
-    info = Path("/proc/cpuinfo").read_text()
-    models = [line.split(":")[1] for line in info.splitlines() if line.startswith("model name")]
-    model = models[0].replace("(R)", "").replace("(TM)", "").strip() if models else "processor"
-    return (
-        f"{threads.cores()} cores ({platform.machine()}, {model}), Python "
-        f"{platform.python_version()}, torch {torch.__version__}, Numba {numba.__version__}"
-    )
 
 
 def run(options: argparse.Namespace) -> None:

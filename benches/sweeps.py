@@ -32,15 +32,14 @@ FINE = NOTHING_CUT | {"alpha_min": 2.0**-20}
 
 LOOP, FAST = "plain loop", "fast (alpha_min 1/4096)"
 CUTS = {
-    "3dgs, mvsplat": PRESETS["3dgs"],
+    "3dgs": PRESETS["3dgs"],
     "alpha_min 1/255": Settings(alpha_min=1 / 255, pass_min=1 / 255),
     "alpha_min 1/512": Settings(alpha_min=1 / 512, pass_min=1 / 512),
     "alpha_min 1/1024": Settings(alpha_min=1 / 1024, pass_min=1 / 1024),
     FAST: DEFAULT,
     "alpha_min 1/65536": Settings(alpha_min=2.0**-16, pass_min=2.0**-16),
 }
-"""Cut-offs by the name they have in table and plot. Given values, the presets 3dgs and mvsplat are
-the same."""
+"""Cut-offs by the name they have in table and plot."""
 
 LOOP_CUTS = {"alpha_min": 1 / 255, "sigmas": 3.0, "pass_min": 1e-4}
 """What is written into the loop of ``yardstick.py``."""

@@ -10,7 +10,7 @@ from slgaussian.errors import SLGaussianError
 
 METHOD = (
     "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
-    "replicas", "temperature", "threshold", "seed",
+    "replicas", "temperature", "threshold", "seed", "mvsplat",
 )  # fmt: skip
 BUILD = tuple(name for name in METHOD if name not in ("temperature", "threshold"))
 RUN = (*METHOD, "store", "workers", "method")

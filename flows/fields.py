@@ -41,8 +41,12 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     start = time.perf_counter()
     sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
     height, width = sample.context[0].image.shape[:2]
-    print(f"building a field from {len(names)} views of {width}x{height}", file=sys.stderr)
-    field = build_field(sample, **method.parts())
+    parts = ", ".join(method.part_names().values())
+    print(
+        f"building a field from {len(names)} views of {width}x{height} with {parts}",
+        file=sys.stderr,
+    )
+    field = build_field(sample, **method.build_arguments())
     field.save(out)
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)

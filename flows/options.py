@@ -8,16 +8,25 @@ from collections.abc import Callable
 from typing import Any
 
 import typer
+from pydantic.fields import FieldInfo
 
-from flows.settings import Settings
+from flows.settings import TABLES, Settings
 
 
 def with_options(*names: str) -> Callable[[Callable], Callable]:
-    """Give a command an option for each named setting.
+    """Give a command an option for each named setting, and for each key of one that is a table.
 
-    Those that the user set arrive as one dict in the parameter ``settings``; the others are left
-    out of it, so that defaults and configuration files have their say.
+    Those that the user set arrive as one dict in the parameter ``settings``, as a configuration
+    file would have them; the others are left out of it, so that defaults and such files have their
+    say.
     """
+    fields = {}
+    for name in names:
+        if name in TABLES:
+            for key, field in TABLES[name].model_fields.items():
+                fields[name, key] = field
+        else:
+            fields[name,] = Settings.model_fields[name]
 
     def decorate(command: Callable) -> Callable:
         own = inspect.signature(command)
@@ -25,11 +34,15 @@ def with_options(*names: str) -> Callable[[Callable], Callable]:
 
         @functools.wraps(command)
         def wrapper(**values: Any) -> Any:
-            chosen = {name: values.pop(name) for name in names}
-            chosen = {name: value for name, value in chosen.items() if value is not None}
+            chosen: dict[str, Any] = {}
+            for path in fields:
+                value = values.pop("_".join(path))
+                if value is not None:
+                    table = chosen.setdefault(path[0], {}) if len(path) > 1 else chosen
+                    table[path[-1]] = value
             return command(**values, settings=chosen)
 
-        extra = [_option(name) for name in names]
+        extra = [_option("_".join(path), field) for path, field in fields.items()]
         wrapper.__signature__ = own.replace(parameters=[*kept, *extra])
         hints = {p.name: p.annotation for p in (*kept, *extra)}
         wrapper.__annotations__ = {**hints, "return": None}
@@ -38,8 +51,7 @@ def with_options(*names: str) -> Callable[[Callable], Callable]:
     return decorate
 
 
-def _option(name: str) -> inspect.Parameter:
-    field = Settings.model_fields[name]
+def _option(name: str, field: FieldInfo) -> inspect.Parameter:
     kind = {int: int, float: float, float | None: float}.get(field.annotation, str)
     default_text = "" if field.default is None else f" [default: {field.default}]"
     help_text = field.description + default_text

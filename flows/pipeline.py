@@ -7,22 +7,23 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
 from flows.progress import Progress
-from flows.settings import Method, SceneSettings, Settings
+from flows.settings import TABLES, Method, SceneSettings, Settings
 from slgaussian import __version__
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import read_pairs
 from slgaussian.benchmark.report import with_times, write_predictions, write_samples
 from slgaussian.build import check_parts
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, write_atomic
+from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
 from tasks.artifacts import result_from_arrays
-from tasks.ingest import file_hashes, sha256_of
+from tasks.ingest import file_hashes
 from tasks.stage import stage_task, using
 
 STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark")
@@ -49,10 +50,12 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         folder cannot be written.
     """
     scenes = scenes_of(settings)
-    check_parts(**settings.part_names())
+    parts = settings.part_names()
+    check_parts(**parts, settings=settings.part_settings())
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
+    progress.line(f"with {', '.join(parts.values())}")
     outcome, report = _pipeline(settings, scenes, store, progress)
     done = [scene.name for scene in scenes if scene.name in outcome.refs]
     results = [load_result(store, outcome.refs[name]) for name in done]
@@ -126,7 +129,8 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
         {"sample": "ingest"},
         where=labels,
     )
-    parts = method.parts()
+    parts = method.identity
+    weights = method.part_settings().get(method.predictor, {}).get("checkpoint")
     base = {"sample": "ingest", "gaussians": "geometry"}
     known = {"sample": "ingest", "labels": "masks"}
     asked = {"method": name, "queries": scene.queries}
@@ -134,7 +138,12 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     return [
         ingest,
         truth,
-        Step("geometry", _only(parts, "predictor"), {"sample": "ingest"}),
+        Step(
+            "geometry",
+            _only(parts, "predictor"),
+            {"sample": "ingest"},
+            where={} if weights is None else {"checkpoint": str(weights)},
+        ),
         Step("masks", _only(parts, "proposer", "tracker", "replicas"), base),
         Step("supervision", _only(parts, "encoder", "codes", "seed"), known),
         Step("field", parts, {**base, **known, "bank": "supervision"}),
@@ -203,11 +212,10 @@ def _pipeline(
 def _report_chain(settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome) -> Chain:
     names = [scene.name for scene in scenes if scene.name in outcome.refs]
     refs = {name: outcome.refs[name]["benchmark"] for name in names}
+    shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
     manifest = {
         "versions": {name: _version(name) for name in ("slgaussian", "torch", "numpy", "numba")},
-        "settings": settings.model_dump(
-            mode="json", exclude={"store", "out", "workers", "data", "pairs", "labels", "scenes"}
-        ),
+        "settings": {name: shown[name] for name in shown if name not in TABLES} | settings.identity,
     }
     step = Step(
         "report",
@@ -234,8 +242,10 @@ def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
     return {file.name: sha256_of(file) for file in files if file.is_file()}
 
 
-def _only(settings: dict, *names: str) -> dict:
-    return {name: settings[name] for name in names}
+def _only(settings: dict[str, Any], *names: str) -> dict[str, Any]:
+    """The named settings, and the tables of those parts that they name."""
+    tables = [settings[name] for name in names if settings[name] in TABLES]
+    return {name: settings[name] for name in (*names, *tables)}
 
 
 def _version(package: str) -> str:

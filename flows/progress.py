@@ -54,22 +54,22 @@ class Progress:
         mine = self.done.setdefault(scene, [])
         mine.append((stage, seconds, cached))
         if self.verbose or self.scenes == 1:
-            self._line(f"{scene}  {stage}  {_took(seconds, cached)}")
+            self.line(f"{scene}  {stage}  {_took(seconds, cached)}")
         elif len(mine) == self.stages:
             computed = [(name, s) for name, s, was_cached in mine if not was_cached]
             told = " · ".join(f"{name} {s:.1f} s" for name, s in computed)
             rest = len(mine) - len(computed)
             cached_too = f"{rest} stages cached" if rest else ""
-            self._line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
+            self.line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
         self._status()
 
     def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
         """A scene is taken out."""
         self.active.pop(scene, None)
         self.total -= self.stages - len(self.done.get(scene, []))
-        self._line(f"{scene}  left out at {stage}: {reason}")
+        self.line(f"{scene}  left out at {stage}: {reason}")
         if self.verbose and not isinstance(error, SLGaussianError):
-            self._line("".join(traceback.format_exception(error)).rstrip())
+            self.line("".join(traceback.format_exception(error)).rstrip())
 
     def summary(self) -> None:
         """One line a stage with its time, then the whole."""
@@ -80,8 +80,14 @@ class Progress:
                 computed = len(runs) - cached
                 told = [f"{computed} in {seconds:.1f} s" if computed else ""]
                 told.append(f"{cached} cached" if cached else "")
-                self._line(f"{stage:<12} {', '.join(filter(None, told))}")
-        self._line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
+                self.line(f"{stage:<12} {', '.join(filter(None, told))}")
+        self.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
+
+    def line(self, text: str) -> None:
+        """A line that stays."""
+        self._clear()
+        self.stream.write(text + "\n")
+        self.stream.flush()
 
     def _status(self) -> None:
         now = time.perf_counter()
@@ -94,12 +100,7 @@ class Progress:
             self.stream.write(f"\r\x1b[2K{told[:110]}")
             self.stream.flush()
         else:
-            self._line(told)
-
-    def _line(self, text: str) -> None:
-        self._clear()
-        self.stream.write(text + "\n")
-        self.stream.flush()
+            self.line(told)
 
     def _clear(self) -> None:
         if self.live:

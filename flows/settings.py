@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -44,6 +45,40 @@ Size = Annotated[tuple[int, int] | Literal["auto", "original"], BeforeValidator(
 Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 
+def _parse_count(value: Any) -> Any:
+    """A whole number, which the command line gives as text, or ``"auto"``."""
+    if isinstance(value, str) and value.isdecimal():
+        return int(value)
+    if value == "auto" or type(value) is int:
+        return value
+    raise PydanticCustomError("count", "expected a whole number or 'auto'")
+
+
+Count = Annotated[int | Literal["auto"], BeforeValidator(_parse_count)]
+
+
+class PartTable(BaseModel):
+    """Settings of one part: the table of its name in a file, options ``--NAME-KEY`` of a command.
+
+    For settings of another part, make a subclass of this, and in :class:`Method` a field with the
+    part's name. Types are checked here, values by the part itself. A ``checkpoint`` is a file: in
+    cache keys and artifacts its SHA-256 stands for it.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MVSplatTable(PartTable):
+    """Those of the predictor ``mvsplat``."""
+
+    checkpoint: Path | None = Field(None, description="Weights of mvsplat, such as re10k.ckpt.")
+    precision: str = Field("float32", description="Of mvsplat's layers: float32 or bfloat16.")
+    depth_candidates: Count = Field(
+        128,
+        description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
+    )
+
+
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
 """The settings that name a part of the method."""
 
@@ -64,7 +99,10 @@ class Method(BaseModel):
         description="Least depth in scene units, found from the photographs if left out.",
     )
     far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
-    predictor: str = Field("planesweep", description="What makes Gaussians of photographs.")
+    predictor: str = Field(
+        "planesweep",
+        description="What makes Gaussians of photographs: planesweep, or mvsplat with its weights.",
+    )
     proposer: str = Field("regions", description="What proposes object masks.")
     tracker: str = Field("flow", description="What carries masks from view to view.")
     encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
@@ -76,14 +114,39 @@ class Method(BaseModel):
         None, gt=0, lt=1, description="Relevancy above which objects are selected."
     )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
+    mvsplat: MVSplatTable = MVSplatTable()
 
     def part_names(self) -> dict[str, str]:
-        """The name of each part, as :func:`slgaussian.build.check_parts` takes them."""
+        """The name of each part."""
         return self.model_dump(include=PARTS)
 
-    def parts(self) -> dict[str, Any]:
+    def part_settings(self) -> dict[str, dict[str, Any]]:
+        """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
+        return self.model_dump(include=TABLES.keys() & set(self.part_names().values()))
+
+    def build_arguments(self) -> dict[str, Any]:
         """What :func:`slgaussian.build.build_field` takes besides the sample."""
-        return self.model_dump(include=PARTS | {"replicas", "seed"})
+        named = self.model_dump(include=PARTS | {"replicas", "seed"})
+        return {**named, "settings": self.part_settings()}
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What a field depends on besides the sample, as cache keys and artifacts hold it.
+
+        The chosen parts, their settings with files by content, replicas and seed.
+        """
+        from slgaussian.build import described
+
+        named = self.model_dump(include=PARTS | {"replicas", "seed"})
+        return {**named, **described(self.part_settings())}
+
+
+TABLES: dict[str, type[PartTable]] = {
+    name: field.annotation
+    for name, field in Method.model_fields.items()
+    if isinstance(field.annotation, type) and issubclass(field.annotation, PartTable)
+}
+"""The settings that are the table of a part, by its name."""
 
 
 class SceneSettings(BaseModel):
@@ -124,7 +187,16 @@ PATHS = ("out", "data", "pairs", "labels")
 
 
 def make_settings(values: dict[str, Any], source: str) -> Settings:
-    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits."""
+    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits.
+
+    All of them must have an effect: none may be of a part that is not chosen.
+    """
+    settings = _validated(values, source)
+    _refuse_idle(values, settings, source)
+    return settings
+
+
+def _validated(values: dict[str, Any], source: str) -> Settings:
     try:
         settings = Settings(**values)
     except ValidationError as error:
@@ -138,6 +210,8 @@ def make_settings(values: dict[str, Any], source: str) -> Settings:
 
 def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     """Read a configuration; its relative paths are relative to the file, those given to hand not.
+
+    It may hold tables of parts that are not chosen, so that one is changed for another easily.
 
     Raises
     ------
@@ -158,7 +232,24 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     for scene in scenes if isinstance(scenes, list) else []:
         if isinstance(scene, dict):
             _anchor(scene, ("path", "labels"), here)
-    return make_settings({**values, **overrides}, str(path))
+    merged = {**values, **overrides}
+    for name in TABLES:
+        if isinstance(values.get(name), dict):
+            _anchor(values[name], ("checkpoint",), here)
+            merged[name] = {**values[name], **overrides.get(name, {})}
+    settings = _validated(merged, str(path))
+    _refuse_idle(overrides, settings, "run")
+    return settings
+
+
+def _refuse_idle(given: dict[str, Any], settings: Settings, source: str) -> None:
+    for name in TABLES:
+        if name in given and name not in settings.part_settings():
+            chosen = ", ".join(f"{part} {name!r}" for part, name in settings.part_names().items())
+            raise InputError(
+                f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
+                f"{chosen}); choose it, or leave them out"
+            )
 
 
 def _anchor(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:
@@ -182,7 +273,7 @@ def _sentence(error: ValidationError) -> str:
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
-        model = SceneSettings if place[0] == "scenes" else Settings
+        model = {"scenes": SceneSettings, **TABLES}.get(place[0], Settings)
         return f"unknown key {key!r}; the keys are {', '.join(model.model_fields)}"
     if first["type"] == "missing":
         return f"{key} is missing"

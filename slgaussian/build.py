@@ -1,8 +1,10 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
+from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
@@ -14,6 +16,10 @@ from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
 from slgaussian.semantic import load_lifting
+from slgaussian.store import sha256_of
+
+PartSettings = Mapping[str, Mapping[str, Any]]
+"""Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
 
 
 def build_field(
@@ -26,6 +32,7 @@ def build_field(
     lifting: str = "hard",
     replicas: int = 5,
     seed: int = 0,
+    settings: PartSettings | None = None,
 ) -> SemanticField:
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
@@ -39,17 +46,28 @@ def build_field(
         How many copies of each view vote on its labels (five in the paper, section 3.2).
     seed : int
         Decides which ID codes are drawn; the same seed gives the same bytes.
+    settings : mapping, optional
+        The predictor's own settings under its name (see its class):
+        ``{"mvsplat": {"checkpoint": "re10k.ckpt", "precision": "bfloat16"}}``.
+
+    Returns
+    -------
+    SemanticField
+        Its own ``settings`` say all this; see :func:`described`.
 
     Raises
     ------
     InputError
-        If a name is unknown or the views cannot be used; the message says which and why.
+        If a name or a setting is unknown, a checkpoint does not fit, or the views cannot be used;
+        the message says which and why.
     """
-    check_parts(predictor, proposer, tracker, encoder, codes, lifting)
-    gaussians = load_predictor(predictor)(sample)
+    settings = settings or {}
+    check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
+    made_by = described(settings)
+    gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas)
     bank = remember(sample, label_maps, encoder, codes, seed)
-    settings = {
+    about = {
         "scene": sample.scene,
         "predictor": predictor,
         "proposer": proposer,
@@ -59,20 +77,66 @@ def build_field(
         "lifting": lifting,
         "replicas": replicas,
         "seed": seed,
+        **made_by,
     }
-    return lift_field(sample, gaussians, label_maps, bank, lifting, settings)
+    return lift_field(sample, gaussians, label_maps, bank, lifting, about)
 
 
 def check_parts(
-    predictor: str, proposer: str, tracker: str, encoder: str, codes: str, lifting: str
+    predictor: str,
+    proposer: str,
+    tracker: str,
+    encoder: str,
+    codes: str,
+    lifting: str,
+    settings: PartSettings,
 ) -> None:
-    """Raise InputError if no part has one of these names, before the others have worked."""
-    load_predictor(predictor)
+    """Load every part once, so that what cannot work is said before the others have worked.
+
+    Raises
+    ------
+    InputError
+        If no part has one of these names, settings are not the predictor's, or its files do not
+        fit.
+    """
+    for name in settings:
+        if name != predictor:
+            raise InputError(
+                f"settings: found some of {name!r}, expected none but those of the predictor, "
+                f"which is {predictor!r}"
+            )
+    try:
+        load_predictor(predictor, **settings.get(predictor, {}))
+    except TypeError as error:
+        raise InputError(f"settings of {predictor!r}: {error}") from None
     load_proposer(proposer)
     load_tracker(tracker)
     load_encoder(encoder)
     load_codes(codes)
     load_lifting(lifting)
+
+
+def described(settings: PartSettings) -> dict[str, dict[str, Any]]:
+    """Settings of parts as artifacts and cache keys hold them: files by content, not by place.
+
+    That is, of a setting called ``checkpoint`` the SHA-256 of the file, hexadecimal.
+
+    Raises
+    ------
+    InputError
+        If a value cannot be written down.
+    """
+    found = {
+        part: {
+            name: sha256_of(value) if name == "checkpoint" else value for name, value in own.items()
+        }
+        for part, own in settings.items()
+    }
+    try:
+        json.dumps(found)
+    except TypeError as error:
+        raise InputError(f"settings: {error}; give plain numbers and text") from None
+    return found
 
 
 def label_views(

@@ -17,6 +17,7 @@ import pyarrow as pa
 import torch
 
 from data_specs import load_spec
+from slgaussian import harmonics
 from slgaussian.errors import InputError, SpecError
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import Encoder, load_encoder
@@ -92,7 +93,8 @@ class SemanticField:
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""
-        values = torch.cat([self.gaussians.colors(), self.gaussians.features], 1)
+        rgb = harmonics.colors(self.gaussians, camera)
+        values = torch.cat([rgb, self.gaussians.features], 1)
         image = rasterize(self.gaussians, values, camera, backend=backend)
         drawn = image.values.float().numpy()
         ids = object_ids(drawn[..., 3:], self.bank)

@@ -1,23 +1,18 @@
 """Colour that depends on where it is seen from: real spherical harmonics of degree 0 to 3.
 
-The convention "3dgs" is that of Kerbl et al., "3D Gaussian Splatting", 2023, and of the files that
-follow it: ``rgb = max(0, 0.5 + sum_k Y_k(d) sh_k)`` with ``d`` the unit vector from the camera's
+The convention is that of Kerbl et al., "3D Gaussian Splatting", 2023, and of the files that follow
+it: ``rgb = max(0, 0.5 + sum_k Y_k(d) sh_k)`` with ``d`` the unit vector from the camera's
 centre to the Gaussian's mean, and ``k = l (l + 1) + m`` for degree ``l`` and order ``m = -l .. l``.
 The basis is orthonormal on the sphere and keeps the Condon-Shortley phase ``(-1)^m``, so the
-degree 1 is ``0.4886 (-y, z, -x)``.
-
-The convention "mvsplat" is what the checkpoints of MVSplat (Chen et al., ECCV 2024) and pixelSplat
-(Charatan et al., CVPR 2024) were trained with: the same formula with its axes cycled, ``(x, y, z)``
-to ``(z, x, y)``. In the basis of e3nn, in which these models rotate their coefficients, that is the
-direction ``(-x, y, -z)``. They predict 25 coefficients a colour and draw with the first 16. The
-kernel that they were trained with has ``z`` for ``y`` in one term of degree 3, in its forward pass
-alone; here that term is the harmonic, as their masks scale that degree by 0.0016.
+degree 1 is ``0.4886 (-y, z, -x)``. Whoever makes Gaussians brings them to it.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
 
+import numpy as np
 import torch
 
 from slgaussian.errors import InputError
@@ -26,12 +21,15 @@ from slgaussian.scene import Camera
 
 MAX_DEGREE = 3
 
-CONVENTIONS = {"3dgs": (1, 4, 9, 16), "mvsplat": (1, 4, 9, 16, 25)}
-"""How many coefficients a colour may have in each convention."""
+COUNTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
+"""How many coefficients a colour may have."""
+
+BANDS = tuple(slice(degree**2, (degree + 1) ** 2) for degree in range(MAX_DEGREE + 1))
+"""The coefficients of each degree."""
 
 
 def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
-    """The real spherical harmonics up to ``degree`` in the convention "3dgs".
+    """The real spherical harmonics up to ``degree``.
 
     Parameters
     ----------
@@ -75,20 +73,30 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
     return torch.stack(rows)
 
 
-def colors(
-    gaussians: Gaussians, camera: Camera, convention: str = "3dgs", degree: int | None = None
-) -> torch.Tensor:
+def turned(R: np.ndarray) -> np.ndarray:
+    """Matrix float64 [16, 16] that turns coefficients as the rotation ``R`` [3, 3] turns the scene.
+
+    The Wigner matrices of degree 0 to 3 of the real basis: ``Y(R d) = D Y(d)`` for every direction.
+    It is solved for on fixed directions, exact to rounding, as the harmonics of one degree turn
+    into combinations of themselves.
+    """
+    directions, inverse = _sphere()
+    Y = basis(torch.from_numpy(R @ directions), MAX_DEGREE).numpy()
+    D = np.zeros((len(Y), len(Y)))
+    for band in BANDS:
+        D[band, band] = Y[band] @ inverse[:, band]
+    return D
+
+
+def colors(gaussians: Gaussians, camera: Camera, degree: int | None = None) -> torch.Tensor:
     """RGB of every Gaussian as ``camera`` sees it, differentiable in ``sh`` and ``means``.
 
     Parameters
     ----------
     gaussians : Gaussians
-        With 1, 4, 9 or 16 coefficients a colour; in the convention "mvsplat" also 25, of which the
-        last nine are not used.
+        With 1, 4, 9 or 16 coefficients a colour.
     camera : Camera
         Only its centre matters.
-    convention : "3dgs" or "mvsplat"
-        See the top of this module.
     degree : int, optional
         Leave out what is above it. All that there is, if not given.
 
@@ -102,22 +110,15 @@ def colors(
     Raises
     ------
     InputError
-        If the convention is unknown, the number of coefficients is none of its, or they do not
-        reach ``degree``.
+        If there are other numbers of coefficients, or they do not reach ``degree``.
     """
-    if convention not in CONVENTIONS:
-        raise InputError(
-            f"harmonics: unknown convention {convention!r}, expected one of "
-            f"{', '.join(CONVENTIONS)}"
-        )
     count = gaussians.sh.shape[1]
-    if count not in CONVENTIONS[convention]:
-        expected = ", ".join(map(str, CONVENTIONS[convention]))
+    if count not in COUNTS:
         raise InputError(
-            f"gaussians sh: found {count} coefficients a colour, expected one of {expected} in the "
-            f"convention {convention!r}"
+            f"gaussians sh: found {count} coefficients a colour, expected one of "
+            f"{', '.join(map(str, COUNTS))}"
         )
-    stored = min(math.isqrt(count) - 1, MAX_DEGREE)
+    stored = math.isqrt(count) - 1
     degree = stored if degree is None else degree
     if degree not in range(stored + 1):
         raise InputError(
@@ -127,8 +128,6 @@ def colors(
     if degree == 0:
         return (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(min=0)
     directions = _directions(gaussians.means, camera).to(gaussians.sh.dtype)
-    if convention == "mvsplat":
-        directions = directions.roll(1, 0)
     sh = gaussians.sh[:, : (degree + 1) ** 2]
     return (torch.einsum("kn,nkc->nc", basis(directions, degree), sh) + 0.5).clamp(min=0)
 
@@ -141,3 +140,12 @@ def _directions(means: torch.Tensor, camera: Camera) -> torch.Tensor:
     squared = offsets.square().sum(0)
     # Infinity where the length is 0 makes both the quotient and its gradient zero, never NaN.
     return offsets / torch.where(squared > 0, squared, torch.inf).sqrt()
+
+
+@cache
+def _sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Directions [3, N] in no special position, and the pseudo-inverse [N, 16] of their basis."""
+    directions = np.random.default_rng(0).standard_normal((3, 64))
+    directions /= np.linalg.norm(directions, axis=0)
+    Y = basis(torch.from_numpy(directions), MAX_DEGREE).numpy()
+    return directions, np.concatenate([np.linalg.pinv(Y[band]) for band in BANDS], 1)

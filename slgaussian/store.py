@@ -175,6 +175,12 @@ def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         raise
 
 
+def sha256_of(file: str | os.PathLike[str]) -> str:
+    """SHA-256 of a local file's content, hexadecimal."""
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
 def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 over (name, dtype, shape, C-order bytes) of the arrays in order of their names."""
     sha = hashlib.sha256()

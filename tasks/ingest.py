@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from slgaussian import datasets
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.store import ArtifactRef, ArtifactStore, sha256_of
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 
@@ -54,12 +53,6 @@ def file_hashes(path: str | Path, views: Sequence[str]) -> dict[str, str]:
         pass
     files = {name: camera_file.parent / name for name in names}
     return {name: sha256_of(file) for name, file in files.items() if file.is_file()}
-
-
-def sha256_of(file: Path) -> str:
-    """SHA-256 of a file's content, hexadecimal."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _same_view(file_path: str, view: str) -> bool:

@@ -1,6 +1,7 @@
 """The field on a scene with an exact truth: a red and a blue half of one wall."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,20 @@ def test_the_backends_agree(field):
     fast, true = field.render(small, "cpu"), field.render(small, "reference")
     assert (fast.ids == true.ids).mean() > 0.99
     assert np.abs(fast.rgb.astype(int) - true.rgb).max() <= 2
+
+
+def test_colours_are_those_seen_from_the_camera(field):
+    # Redder to the left of the camera and bluer to its right, by 0.4886 times 0.5 times x.
+    gaussians = field.gaussians
+    sh = torch.zeros(len(gaussians), 4, 3)
+    sh[:, 3] = torch.tensor([0.5, 0, -0.5])
+    turned = SemanticField(replace(gaussians, sh=sh), field.bank, field.cameras, field.settings)
+    for cam in (camera(-0.2), camera(0.2)):
+        rays = cam.rays()
+        x = 0.4886025 * 0.5 * rays[..., 0] / np.linalg.norm(rays, axis=-1)
+        expected = np.stack([0.5 - x, np.full_like(x, 0.5), 0.5 + x], -1) * 255
+        inner = np.s_[2:-2, 3:-3]
+        assert np.abs(turned.render(cam).rgb[inner] - expected[inner]).max() <= 2
 
 
 def test_words_find_their_half(field):

@@ -82,7 +82,7 @@ def rasterize(
         ``cpu`` is parallel Numba in float32; ``cuda`` is gsplat; ``reference`` is plain float64
         torch that leaves nothing out, slow, for comparison. ``auto`` takes ``cuda`` for tensors
         that are on a GPU, else ``cpu``.
-    settings : Settings or "fast", "exact", "3dgs", "mvsplat"
+    settings : Settings or "fast", "exact", "3dgs"
         What is drawn and what is cut; see :mod:`slgaussian.rasterize.settings`.
     background : float [C], optional
         Seen through what is not opaque; nothing (zeros) if not given.
@@ -97,7 +97,7 @@ def rasterize(
     """
     settings = find_settings(settings)
     if values is None:
-        values = colors(gaussians, camera, settings.harmonics)
+        values = colors(gaussians, camera)
     if values.ndim != 2 or values.shape[0] != len(gaussians):
         raise InputError(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"

@@ -136,16 +136,16 @@ def prune(
         frozen = over if frozen is None else frozen | over
 
 
-def _values(gaussians: Gaussians, camera: Camera, settings: Settings) -> torch.Tensor:
+def _values(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     """The channels that count: float32 [N, C]; the first three are colour."""
-    colour = colors(gaussians, camera, settings.harmonics)
+    colour = colors(gaussians, camera)
     carried = [] if gaussians.features is None else [gaussians.features]
     return torch.cat([colour, *carried], 1).detach().to("cpu", torch.float32)
 
 
 def _draw(gaussians: Gaussians, camera: Camera, settings: Settings) -> torch.Tensor:
     """The channels that count, and colour over white: float32 [H, W, C + 3]."""
-    values = _values(gaussians, camera, settings)
+    values = _values(gaussians, camera)
     with torch.no_grad():
         drawn = rasterize(gaussians, values, camera, backend="cpu", settings=settings)
     return torch.cat([drawn.values, drawn.values[..., :3] + 1 - drawn.alpha[..., None]], 2)
@@ -187,9 +187,7 @@ class _Scene:
         project_checked(self.gaussians, torch.zeros(len(gaussians), 0), self.eyes[0])
         geometry = [getattr(self.gaussians, name).numpy() for name in GEOMETRY]
         self.lists = list_views(geometry, self.eyes, settings.alpha_max)
-        self.values = np.stack(
-            [_values(self.gaussians, camera, settings).numpy() for camera in cameras]
-        )
+        self.values = np.stack([_values(self.gaussians, camera).numpy() for camera in cameras])
         self.tolerance = tolerance
         blocks = len(self.lists.starts)
         self.frozen = np.zeros(blocks, np.bool_) if frozen is None else frozen

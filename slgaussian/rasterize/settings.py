@@ -12,7 +12,7 @@ from slgaussian.errors import InputError
 class Settings:
     """How Gaussians become pixels.
 
-    The first five define the picture; every backend and the float64 reference follow them. The
+    The first four define the picture; every backend and the float64 reference follow them. The
     others are cut-offs: what they leave out is the error of a fast backend, and the reference
     leaves out nothing.
 
@@ -26,8 +26,6 @@ class Settings:
     compensate : bool
         Scale each opacity by ``sqrt(det(cov) / det(cov + low_pass I))``, so that the low-pass does
         not thicken what is smaller than a pixel (Yu et al., "Mip-Splatting", CVPR 2024).
-    harmonics : "3dgs" or "mvsplat"
-        How colour is evaluated where it is asked for; see :func:`slgaussian.harmonics.colors`.
     alpha_max : float
         Alphas are clamped to this, in (0, 1]; 1 leaves them alone.
     alpha_min : float
@@ -47,7 +45,6 @@ class Settings:
     near: float = 0.01
     low_pass: float = 0.3
     compensate: bool = False
-    harmonics: str = "3dgs"
     alpha_max: float = 1.0
     alpha_min: float = 1 / 4096
     sigmas: float = math.inf
@@ -73,18 +70,10 @@ PRESETS = {
     "fast": Settings(),
     "exact": Settings(alpha_min=0.0, pass_min=0.0),
     "3dgs": Settings(near=0.2, alpha_max=0.99, alpha_min=1 / 255, sigmas=3.0, pass_min=1e-4),
-    "mvsplat": Settings(
-        near=0.2,
-        alpha_max=0.99,
-        alpha_min=1 / 255,
-        sigmas=3.0,
-        pass_min=1e-4,
-        harmonics="mvsplat",
-    ),
 }
 """Settings by name. ``fast`` is the default: errors below a grey level on real scenes. ``exact``
 cuts nothing and is slow. ``3dgs`` has the constants of Kerbl et al. 2023, for comparison with what
-others render. ``mvsplat`` is how the published MVSplat checkpoints were trained; that renderer also
+others render. The published MVSplat checkpoints were trained with these, too; that renderer also
 took the principal point for the middle of the image, so give it a camera where it is."""
 
 

@@ -313,12 +313,10 @@ def test_gradients_come_in_the_dtype_of_the_input():
         assert torch.equal(gradient.float(), narrow[field]), field
 
 
-@pytest.mark.parametrize("harmonics", ["3dgs", "mvsplat"])
-def test_spherical_harmonics(harmonics):
+def test_spherical_harmonics():
     """Through the colour, to its coefficients and to the means, which it is seen from."""
     made, _ = cloud(40, 3, 0.5)
     sh = 0.3 * torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
-    chosen = replace(EXACT, harmonics=harmonics)
     found = []
     for backend in ("cpu", "reference"):
         means, coefficients = made.means.clone().requires_grad_(), sh.clone().requires_grad_()
@@ -327,7 +325,7 @@ def test_spherical_harmonics(harmonics):
             None,
             camera(),
             backend=backend,
-            settings=chosen,
+            settings=EXACT,
         )
         (drawn.values * torch.linspace(-1, 1, 32)[:, None].to(drawn.values)).sum().backward()
         found.append((means.grad, coefficients.grad))

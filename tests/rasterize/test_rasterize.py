@@ -238,13 +238,13 @@ def test_median_depth_is_where_half_the_light_is_gone(backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("chosen", ["fast", "mvsplat"])
+@pytest.mark.parametrize("chosen", ["fast", "3dgs"])
 def test_no_values_means_the_colour_from_here(backend, chosen):
     made, _ = cloud(40)
     sh = torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
     made = replace(made, sh=sh)
     drawn = rasterize(made, None, camera(), backend=backend, settings=chosen)
-    rgb = colors(made, camera(), PRESETS[chosen].harmonics)
+    rgb = colors(made, camera())
     expected = rasterize(made, rgb, camera(), backend=backend, settings=chosen)
     assert torch.equal(drawn.values, expected.values)
     assert drawn.values.shape == (24, 32, 3)
@@ -476,10 +476,8 @@ def test_unknown_names_are_refused_with_those_that_are_known():
     made, values = cloud(5)
     with pytest.raises(InputError, match="expected one of cpu, cuda, reference"):
         rasterize(made, values, camera(), backend="opengl")
-    with pytest.raises(InputError, match="'slow': expected one of fast, exact, 3dgs, mvsplat"):
+    with pytest.raises(InputError, match="'slow': expected one of fast, exact, 3dgs"):
         rasterize(made, values, camera(), settings="slow")
-    with pytest.raises(InputError, match="unknown convention 'inria'"):
-        rasterize(made, None, camera(), settings=Settings(harmonics="inria"))
 
 
 @pytest.mark.parametrize(

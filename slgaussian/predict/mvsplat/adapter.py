@@ -1,9 +1,15 @@
-"""From the network's numbers at every pixel to Gaussians in the world."""
+"""From the network's numbers at every pixel to Gaussians in the world.
+
+**Colour.** The networks were trained with harmonics of their own, which end here:
+:func:`harmonics_to_world` brings them to those of :mod:`slgaussian.harmonics`. They predict in the
+basis of e3nn, whose polar axis is y, and turn into the world there. Then they draw with the formula
+of Kerbl et al. with its axes cycled, which is e3nn's basis seen from ``(-x, y, -z)``: that, too, is
+a rotation, so one rotation of the coefficients does all. They predict 25 coefficients a colour and
+draw 16 of them. The kernel that they were trained with has ``z`` for ``y`` in one term of degree 3,
+in its forward pass alone; here that term is the harmonic, as that degree is damped to 0.0016.
+"""
 
 from __future__ import annotations
-
-import math
-from functools import cache
 
 import numpy as np
 import torch
@@ -13,6 +19,12 @@ from slgaussian import harmonics
 from slgaussian.predict.mvsplat.config import Config
 from slgaussian.predict.mvsplat.depth import POSE_CHANNELS
 from slgaussian.scene import Camera
+
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+"""About y: from where the networks see the harmonics."""
+
+CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+"""From (x, y, z) to (z, x, y): the axes of the formula that they draw with."""
 
 
 def lift(
@@ -90,53 +102,27 @@ def _quats(xyzw: torch.Tensor, camera: Camera) -> torch.Tensor:
 
 
 def _harmonics(sh: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Coefficients [N, K, 3] in the world of [N, K * 3] in the camera's frame, damped by degree."""
-    rotation = rotate_harmonics(camera.c2w[:3, :3])
-    rotation *= np.array([damping(math.isqrt(k)) for k in range(len(rotation))])
+    """Coefficients [N, 16, 3] in the world of predicted ones [N, 16 * 3], colours the fastest."""
     # All three colours in one product.
-    whole = torch.from_numpy(np.kron(rotation, np.eye(3))).to(sh)
+    whole = torch.from_numpy(np.kron(harmonics_to_world(camera.c2w[:3, :3]), np.eye(3))).to(sh)
     return (sh @ whole.T).view(len(sh), -1, 3)
+
+
+def harmonics_to_world(R: np.ndarray) -> np.ndarray:
+    """Matrix float64 [16, 16] from what the networks predict to coefficients in the world.
+
+    They say ``E(H d) . D m c`` of the colour in direction ``d``: coefficients ``c``, damped by
+    ``m``, are turned by the Wigner matrix ``D`` of the camera's rotation ``R``, and e3nn's basis
+    ``E`` is seen after the half turn ``H``. With ``E(d) = Y(C H d)``, where ``Y`` is the basis of
+    :mod:`slgaussian.harmonics` and ``C`` the cycle of axes, that is ``Y(d) . T m c``, where ``T``
+    turns as ``H R H C^-1`` does.
+    """
+    turn = harmonics.turned(HALF_TURN @ R @ HALF_TURN @ CYCLE.T)
+    for degree, band in enumerate(harmonics.BANDS):
+        turn[:, band] *= damping(degree)
+    return turn
 
 
 def damping(degree: int) -> float:
     """Factor on predicted coefficients: in training, higher degrees start out smaller."""
     return 1.0 if degree == 0 else 0.1 * 0.25**degree
-
-
-def rotate_harmonics(R: np.ndarray) -> np.ndarray:
-    """Matrix float64 [16, 16] that turns coefficients as ``R`` turns the scene.
-
-    The real Wigner matrices of degree 0 to 3 in the basis and order of e3nn, in which the networks
-    were trained: ``Y(R d) = D Y(d)`` for any direction. It is solved for on fixed directions,
-    exact to rounding as the harmonics of a degree are turned into themselves.
-    """
-    directions, inverse = _sphere()
-    turned = e3nn_basis(R @ directions)
-    D = np.zeros((len(turned), len(turned)))
-    for degree in range(harmonics.MAX_DEGREE + 1):
-        band = slice(degree**2, (degree + 1) ** 2)
-        D[band, band] = turned[band] @ inverse[:, band]
-    return D
-
-
-def e3nn_basis(directions: np.ndarray) -> np.ndarray:
-    """Real harmonics [16, N] of unit vectors [3, N] in the convention of e3nn.
-
-    That is the convention "mvsplat" of :mod:`slgaussian.harmonics` seen from (-x, y, -z).
-    """
-    x, y, z = directions
-    rolled = torch.from_numpy(np.stack([-z, -x, y]))
-    return harmonics.basis(rolled, harmonics.MAX_DEGREE).numpy()
-
-
-@cache
-def _sphere() -> tuple[np.ndarray, np.ndarray]:
-    """Directions [3, N] in no special position, and the pseudo-inverse [N, 16] of their basis."""
-    directions = np.random.default_rng(0).standard_normal((3, 64))
-    directions /= np.linalg.norm(directions, axis=0)
-    basis = e3nn_basis(directions)
-    inverse = np.zeros(basis.T.shape)
-    for degree in range(harmonics.MAX_DEGREE + 1):
-        band = slice(degree**2, (degree + 1) ** 2)
-        inverse[:, band] = np.linalg.pinv(basis[band])
-    return directions, inverse

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -49,17 +50,17 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             path, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(path)
         )
     except pickle.UnpicklingError as problem:
-        reason = str(problem).strip().splitlines()[0]
+        code = re.search(r"Unsupported global: GLOBAL (\S+)", str(problem))
+        if code is None:
+            raise _damaged(path, "it cannot be unpickled") from None
         raise InputError(
-            f"checkpoint {path}: cannot be read as tensors alone ({reason}); if it is a "
-            "checkpoint that you trust, save the state_dict of torch.load(path, "
-            "weights_only=False) to a new file, and give that"
+            f"checkpoint {path}: holds more than tensors ({code[1]}), which could run code; if you "
+            "trust it, save the state_dict of torch.load(path, weights_only=False) to a new file, "
+            "and give that"
         ) from None
     except (OSError, RuntimeError, EOFError, ValueError, KeyError) as problem:
         reason = f"{type(problem).__name__} {problem}".strip().splitlines()[0]
-        raise InputError(
-            f"checkpoint {path}: is damaged or no PyTorch file ({reason}); download it again"
-        ) from None
+        raise _damaged(path, reason) from None
     state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else None
     if not isinstance(state, Mapping) or not any(map(torch.is_tensor, state.values())):
         raise InputError(
@@ -103,6 +104,12 @@ def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str)
     state = {name: state[name].to(torch.float32, copy=True) for name in shared}
     network.load_state_dict(state, assign=True)
     return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+
+
+def _damaged(path: Path, reason: str) -> InputError:
+    return InputError(
+        f"checkpoint {path}: is damaged or no PyTorch file ({reason}); download it again"
+    )
 
 
 def _few(names: Iterable[str]) -> str:

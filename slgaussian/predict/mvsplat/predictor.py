@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -20,7 +19,6 @@ from slgaussian.predict.mvsplat.adapter import lift
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
-from slgaussian.predict.mvsplat.memory import kept_memory
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera, Sample, View
 
@@ -47,9 +45,7 @@ class MVSplat:
     views, over 1.25. With too few matches for that, it is the least distance between two views,
     the rule of pixelSplat for scenes of unknown scale.
 
-    **Colour.** ``sh`` has 16 coefficients in the convention "mvsplat" of
-    :mod:`slgaussian.harmonics`, rotated to the world. Draw with ``rasterize(gaussians, None,
-    camera, settings="mvsplat")``; settings for other conventions show wrong colours.
+    **Colour.** ``sh`` has 16 coefficients: colours depend on the direction that they are seen from.
 
     Attributes
     ----------
@@ -87,7 +83,7 @@ class MVSplat:
         if self.checkpoint is None:
             raise InputError(
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
-                "says, and give its path"
+                "says, and give its path, as in --mvsplat-checkpoint re10k.ckpt"
             )
         if self.precision not in PRECISIONS:
             raise InputError(
@@ -127,9 +123,7 @@ class MVSplat:
         views = [_cropped(sample.scene, view) for view in sample.context]
         unit = self.config.near / near
         cameras = [_scaled(view.camera, unit) for view in views]
-        on_cpu = self.device == "cpu"
-        with kept_memory() if on_cpu else contextlib.nullcontext():
-            gaussians = self._predict(views, cameras, near * unit, far * unit)
+        gaussians = self._predict(views, cameras, near * unit, far * unit)
         return replace(
             gaussians,
             means=gaussians.means.div_(unit),
@@ -214,7 +208,7 @@ def _scaled(camera: Camera, unit: float) -> Camera:
 
 
 def _source(original: Camera, cropped: Sequence[Camera]) -> torch.Tensor:
-    """Flat indices into the original views of all pixels of the cropped ones, int32 [N]."""
+    """Flat indices of the pixels of cropped views in the originals, all of one size, int32 [N]."""
     height, width = cropped[0].height, cropped[0].width
     index = torch.arange(len(cropped) * original.height * original.width, dtype=torch.int32)
     index = index.view(len(cropped), original.height, original.width)

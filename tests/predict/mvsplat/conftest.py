@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benches.mvsplat import recipe_weights
+from benches.recipe import recipe_weights
 from slgaussian import threads
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network

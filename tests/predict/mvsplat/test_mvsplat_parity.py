@@ -1,14 +1,19 @@
 """Every stage gives the numbers of the published implementation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from slgaussian import harmonics
 from slgaussian.gaussians import Gaussians, covariances
 from slgaussian.predict.mvsplat import adapter
 from slgaussian.predict.mvsplat.config import PUBLISHED
 from tests.predict.mvsplat.make_reference import digest, places
+from tests.predict.textured_planes import camera
+from tests.test_harmonics import scipy_basis
 
 STAGES = (
     "cnn_features",
@@ -78,8 +83,10 @@ def found(network, reference, cameras) -> dict[str, np.ndarray]:
     # Of 84 and 25 numbers ours leaves out those that nothing draws.
     raw = torch.full((count, 84), torch.nan)
     raw[:, depth.kept] = said.raw.reshape(count, -1)
+    # And ours are coefficients of another basis.
+    cycled = torch.from_numpy(harmonics.turned(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
-    sh[..., :16] = gaussians.sh.mT
+    sh[..., :16] = gaussians.sh.mT @ cycled.T
     seen |= {
         "depths": 1 / said.disparity,
         "densities": said.opacity,
@@ -110,35 +117,62 @@ def test_names_and_shapes_are_the_published(network, reference):
     assert digest(lines) == str(reference["names"])
 
 
-def test_harmonics_turn_as_in_e3nn(reference):
-    # 1e-5 measured: e3nn goes by way of Euler angles in float32.
-    for i, R in enumerate(reference["e3nn/R"].astype(np.float64)):
-        D = adapter.rotate_harmonics(R)
-        for degree in range(4):
-            band = slice(degree**2, (degree + 1) ** 2)
-            np.testing.assert_allclose(D[band, band], reference[f"e3nn/D{degree}"][i], atol=3e-5)
-            D[band, band] = 0
-        assert not D.any()
+def e3nn_basis(directions: np.ndarray) -> np.ndarray:
+    """Real harmonics [N, 16] of unit vectors [N, 3] as e3nn has them, float64.
+
+    y is the polar axis and the azimuth goes from z to x; without the phase, degree 1 is (x, y, z).
+    """
+    x, y, z = directions.T
+    return scipy_basis(np.arccos(y), np.arctan2(x, z), 3, phase=False)
+
+
+def unit_vectors(count: int) -> np.ndarray:
+    d = np.random.default_rng(0).standard_normal((count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def test_the_basis_is_that_of_e3nn(reference):
-    directions = reference["e3nn/dirs"].astype(np.float64).T
-    ours = adapter.e3nn_basis(directions)
-    theirs = np.concatenate([reference[f"e3nn/Y{degree}"] for degree in range(4)], 1).T
-    np.testing.assert_allclose(ours, theirs, atol=2e-6)
+    theirs = np.concatenate([reference[f"e3nn/Y{degree}"] for degree in range(4)], 1)
+    # Theirs are in float32.
+    np.testing.assert_allclose(e3nn_basis(reference["e3nn/dirs"].astype(float)), theirs, atol=2e-6)
 
 
-def test_colours_turn_with_the_scene():
-    # The renderer that the weights were trained with is at one with the rotation for turns about
-    # the vertical alone.
-    R = adapter.Rotation.from_rotvec([0, 0.7, 0]).as_matrix()
-    sh = torch.randn(20, 16, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    turned = torch.einsum("jk,nkc->njc", torch.from_numpy(adapter.rotate_harmonics(R)), sh)
-    directions = np.random.default_rng(0).standard_normal((3, 20))
-    directions /= np.linalg.norm(directions, axis=0)
+def test_coefficients_turn_as_in_e3nn(reference):
+    frame = adapter.CYCLE @ adapter.HALF_TURN
+    # 1e-5 measured: e3nn goes by way of Euler angles in float32.
+    for i, R in enumerate(reference["e3nn/R"].astype(np.float64)):
+        D = harmonics.turned(frame @ R @ frame.T)
+        for degree, band in enumerate(harmonics.BANDS):
+            np.testing.assert_allclose(D[band, band], reference[f"e3nn/D{degree}"][i], atol=3e-5)
 
-    def seen(sh: torch.Tensor, directions: np.ndarray) -> torch.Tensor:
-        basis = harmonics.basis(torch.from_numpy(np.roll(directions, 1, 0)), 3)
-        return torch.einsum("kn,nkc->nc", basis, sh)
 
-    torch.testing.assert_close(seen(turned, R @ directions), seen(sh, directions))
+def test_colours_from_anywhere_are_those_of_the_published_formula():
+    """Which is: e3nn's basis towards (-x, y, -z), times damped coefficients that the Wigner matrix
+    of the camera's rotation has turned; or the basis turned back, times them as they are."""
+    seen_from, predicted = unit_vectors(300), np.random.default_rng(1).standard_normal((300, 16))
+    damped = predicted * np.repeat([1, 0.025, 0.00625, 0.0015625], [1, 3, 5, 7])
+    for R in Rotation.random(5, random_state=0).as_matrix():
+        published = (e3nn_basis(seen_from * [-1, 1, -1] @ R) * damped).sum(1)
+        sh = predicted @ adapter.harmonics_to_world(R).T
+        ours = (harmonics.basis(torch.from_numpy(seen_from.T), 3).numpy().T * sh).sum(1)
+        # Measured 3e-15, most of it from arccos and arctan2.
+        np.testing.assert_allclose(ours, published, atol=2e-14)
+
+
+def test_lifted_gaussians_have_these_colours():
+    """As the renderer sees them, in float32: positions, order of channels and 0.5 included."""
+    one = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
+    generator = torch.Generator().manual_seed(0)
+    raw = torch.randn(8, 8, 9 + 48, generator=generator)
+    fields = adapter.lift(torch.full((8, 8), 0.5), raw, one, PUBLISHED)
+    rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
+    gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
+    window = replace(one, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))
+    d = gaussians.means.double().numpy() - eye
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    Y = e3nn_basis(d * [-1, 1, -1] @ one.c2w[:3, :3])
+    Y *= np.repeat([1, 0.025, 0.00625, 0.0015625], [1, 3, 5, 7])
+    predicted = raw.double().numpy().reshape(64, 57)[:, 9:].reshape(64, 16, 3)
+    published = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, predicted))
+    # Measured 2e-7.
+    np.testing.assert_allclose(harmonics.colors(gaussians, window), published, atol=1e-6)

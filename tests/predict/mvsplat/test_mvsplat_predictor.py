@@ -169,10 +169,10 @@ def test_fewer_candidates_are_near(predict, checkpoint):
     assert off.mean() < 0.003
 
 
-def test_it_is_drawn_with_its_own_settings(predict):
+def test_it_is_drawn_as_any_gaussians_are(predict):
     given = pair(near=1.0)
     window = given.context[0].camera.cropped(28, 28, 8, 8)
-    render = rasterize(predict(given), None, window, backend="reference", settings="mvsplat")
+    render = rasterize(predict(given), None, window, backend="reference", settings="3dgs")
     assert bool(torch.isfinite(render.values).all())
     assert float(render.alpha.mean()) > 0.5
 

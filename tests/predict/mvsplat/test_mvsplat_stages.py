@@ -1,7 +1,4 @@
-"""Fast ways against obvious ones: windows, correlation, strips, memory."""
-
-import resource
-import sys
+"""Fast ways against obvious ones: windows, correlation, strips."""
 
 import numpy as np
 import pytest
@@ -9,7 +6,6 @@ import torch
 import torch.nn.functional as F
 
 from slgaussian.predict.mvsplat import cost_volume, transformer
-from slgaussian.predict.mvsplat.memory import kept_memory
 from tests.predict.textured_planes import camera
 
 
@@ -146,20 +142,6 @@ def test_strips_leave_no_seams(network, monkeypatch):
         strips = heads(images, features, detail, coarse[:, 0], disparities)
     for one, other in zip(whole, strips, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=5e-6)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's memory")
-def test_memory_is_used_again():
-    def page_faults() -> int:
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        torch.ones(2**24)
-        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-
-    if resource.getpagesize() == 4096:
-        assert page_faults() > 10_000
-    with kept_memory():
-        # Small arrays may lie down in the first places that get free.
-        assert min(page_faults() for _ in range(10)) < 1000
 
 
 def test_position_code_repeats_in_no_direction():

@@ -1,0 +1,280 @@
+"""MVSplat by command and by flow, its weights made by a recipe: what people meet, end to end."""
+
+import hashlib
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from benches.recipe import recipe_weights
+from flows import cli, pipeline
+from flows.settings import MVSplatTable, Settings, make_settings, read_toml
+from slgaussian import datasets, harmonics, threads
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.ply import load_ply
+from slgaussian.predict.mvsplat.predictor import MVSplat
+from slgaussian.store import ArtifactStore
+from tasks import geometry
+from tasks.artifacts import sample_to_arrays
+from tasks.stage import StageCall
+
+ROOM = {
+    "name": "room",
+    "format": "procedural",
+    "options": {"seed": 1, "objects": 4, "views": 3},
+    "context": ["view_00", "view_02"],
+    "targets": ["view_01"],
+}
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """At this size a thread more gains little, and on a busy machine it costs much."""
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "recipe.ckpt"
+    torch.save(recipe_weights(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def digest(checkpoint) -> str:
+    return hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory) -> Path:
+    """Two photographs of 90 x 70 pixels, of which MVSplat takes the middle 80 x 64."""
+    folder = tmp_path_factory.mktemp("photos")
+    scene = datasets.load("procedural", seed=1, objects=4, views=3, height=70, width=90)
+    frames = []
+    for name in ("view_00", "view_02"):
+        camera = scene.cameras[name]
+        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
+        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 90, "h": 70}
+        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    return folder
+
+
+def run(monkeypatch, *words) -> int:
+    """Exit status of ``slgaussian WORDS``."""
+    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return left.value.code or 0
+
+
+def field_words(photos: Path, *words) -> list:
+    pair = (photos / "view_00.png", photos / "view_02.png")
+    return ["field", *pair, "--cameras", photos, "--near", 0.8, *words]
+
+
+def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypatch, capsys):
+    given = ["--predictor", "mvsplat", "--mvsplat-checkpoint", checkpoint]
+    given += ["--mvsplat-depth-candidates", "auto", "-o", tmp_path / "field"]
+    assert run(monkeypatch, *field_words(photos, *given)) == 0
+    assert "with mvsplat, regions, flow" in capsys.readouterr().err
+    field = SemanticField.load(tmp_path / "field")
+    assert field.settings["predictor"] == "mvsplat"
+    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
+    assert field.settings["mvsplat"] == own
+    assert str(checkpoint.parent) not in (tmp_path / "field" / "field.json").read_text()
+
+    # Pixels at the edge have no Gaussian, and all of the others have one.
+    view, pixel = np.divmod(field.gaussians.source.numpy(), 70 * 90)
+    row, column = np.divmod(pixel, 90)
+    assert np.bincount(view).tolist() == [64 * 80] * 2
+    assert (row.min(), row.max(), column.min(), column.max()) == (3, 66, 5, 84)
+
+    # What other programs read shows the same colours, from anywhere.
+    assert run(monkeypatch, "export", tmp_path / "field", "-o", tmp_path / "scene.ply") == 0
+    read, _ = load_ply(tmp_path / "scene.ply")
+    camera = field.cameras["view_00.png"]
+    seen = harmonics.colors(field.gaussians, camera)
+    torch.testing.assert_close(harmonics.colors(read, camera), seen, rtol=0, atol=1e-6)
+    assert (seen - field.gaussians.colors()).abs().max() > 0.01
+    words = ["render", tmp_path / "field", "-o", tmp_path / "seen.png"]
+    assert run(monkeypatch, *words) == 0
+
+
+NOT_WEIGHTS = "<html>Sign in to download</html>"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--predictor", "mvsplat"], "mvsplat checkpoint: none given; download re10k.ckpt"),
+        (["--predictor", "mvsplat", "--mvsplat-checkpoint", "none.ckpt"], "there is no such file"),
+        (["--predictor", "mvsplat", "--mvsplat-checkpoint", "page.ckpt"], "page.ckpt: is damaged"),
+        (["--mvsplat-precision", "bfloat16"], "but no part is 'mvsplat' (found predictor 'planes"),
+        (
+            ["--predictor", "mvsplat", "--mvsplat-precision", "half", "--mvsplat-checkpoint", None],
+            "mvsplat precision: found 'half', expected one of float32, bfloat16",
+        ),
+        (
+            ["--predictor", "mvsplat", "--mvsplat-depth-candidates", "129"]
+            + ["--mvsplat-checkpoint", None],
+            "mvsplat depth_candidates: found 129, expected 2 to 128 or",
+        ),
+    ],
+)
+def test_field_that_cannot_be_ends_in_one_sentence(
+    photos, checkpoint, tmp_path, monkeypatch, capsys, words, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "page.ckpt").write_text(NOT_WEIGHTS)
+    words = [checkpoint if word is None else word for word in words]
+    assert run(monkeypatch, *field_words(photos, *words, "-o", "field")) == 2
+    said = [n for n in capsys.readouterr().err.splitlines() if not n.startswith("building")]
+    assert len(said) == 1
+    assert said[0].startswith("error: ")
+    assert sentence in said[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["page.ckpt"]
+
+
+@pytest.mark.parametrize("broken", [None, "none.ckpt", "page.ckpt"])
+def test_a_run_without_its_checkpoint_does_not_begin(tmp_path, monkeypatch, capsys, broken):
+    (tmp_path / "page.ckpt").write_text(NOT_WEIGHTS)
+    table = "" if broken is None else f'[mvsplat]\ncheckpoint = "{broken}"\n'
+    config = toml(tmp_path, f'predictor = "mvsplat"\n{table}{SCENE}')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    assert run(monkeypatch, "run", config, "--store", tmp_path / "store") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert "checkpoint" in said
+    assert broken is None or str(tmp_path / broken) in said
+    assert said.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.ckpt", "run.toml"]
+
+
+SCENE = '[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n'
+
+
+def toml(folder: Path, text: str) -> Path:
+    (folder / "run.toml").write_text(text)
+    return folder / "run.toml"
+
+
+def test_a_table_has_its_paths_from_its_folder_and_options_win(tmp_path):
+    table = '[mvsplat]\ncheckpoint = "weights/re10k.ckpt"\nprecision = "bfloat16"\n'
+    path = toml(tmp_path, f'predictor = "mvsplat"\n{table}{SCENE}')
+    read = read_toml(path, {"mvsplat": {"precision": "float32", "depth_candidates": "64"}})
+    assert read.mvsplat == MVSplatTable(
+        checkpoint=tmp_path / "weights/re10k.ckpt", precision="float32", depth_candidates=64
+    )
+    given = {"checkpoint": "elsewhere.ckpt"}
+    assert read_toml(path, {"mvsplat": given}).mvsplat.checkpoint == Path("elsewhere.ckpt")
+    # A file may keep the table of a part that is not chosen; an option without effect is a slip.
+    assert read_toml(path, {"predictor": "planesweep"}).part_settings() == {}
+    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
+        read_toml(path, {"predictor": "planesweep", "mvsplat": given})
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("mvsplat = 3", "mvsplat: found 3; expected a table"),
+        (
+            "[mvsplat]\ndepth_candidates = 64.5",
+            "mvsplat.depth_candidates: found 64.5; expected a whole number or 'auto'",
+        ),
+        ("[mvsplat]\ncheckpoint = 3", "mvsplat.checkpoint: found 3; expected a path, in quotes"),
+        (
+            '[mvsplat]\nweights = "re10k.ckpt"',
+            "unknown key 'mvsplat.weights'; the keys are checkpoint, precision, depth_candidates$",
+        ),
+    ],
+)
+def test_a_slip_in_a_table_is_one_sentence(tmp_path, table, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read_toml(toml(tmp_path, f"{table}\n"), {})
+
+
+def test_defaults_are_those_of_the_predictor():
+    for name, value in MVSplatTable():
+        assert value == MVSplat.__dataclass_fields__[name].default
+
+
+def settings_for(checkpoint: Path, out: Path, **own) -> Settings:
+    table = {"checkpoint": checkpoint, "depth_candidates": "auto", **own}
+    values = {"size": "64x64", "near": 0.8, "predictor": "mvsplat", "mvsplat": table}
+    return make_settings({**values, "scenes": [ROOM], "out": out}, "test")
+
+
+def test_a_run_is_known_by_the_content_of_its_checkpoint(
+    checkpoint, digest, tmp_path, server, capsys
+):
+    store = ArtifactStore(tmp_path / "store")
+    finished = pipeline.run(settings_for(checkpoint, tmp_path / "out"), store)
+    assert [result.scene for result in finished.results] == ["room"]
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
+    assert "<dt>settings.mvsplat.depth_candidates</dt><dd>auto</dd>" in page
+    said = capsys.readouterr().err
+    assert said.startswith("with mvsplat, regions, flow, lexicon, grid, hard\n")
+
+    # The same weights in another place: nothing is computed. Another setting: the geometry is.
+    moved = tmp_path / "moved.ckpt"
+    shutil.copy(checkpoint, moved)
+    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    assert "room  geometry  cached" in capsys.readouterr().err
+    assert (
+        page.split("<h2>")[:-1]
+        == ((tmp_path / "again" / "report.html").read_text("utf-8").split("<h2>")[:-1])
+    )
+    pipeline.run(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
+    said = capsys.readouterr().err
+    assert "room  ingest  cached" in said
+    assert "room  geometry  cached" not in said
+    # No artifact and no record says where the weights are.
+    for file in Path(store.path).rglob("*"):
+        assert not file.is_file() or str(checkpoint.parent).encode() not in file.read_bytes()
+
+
+def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(tmp_path, checkpoint, digest):
+    scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
+    kept = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
+    plain, waiting = (pipeline.plan(s, scene) for s in (Settings(), read_toml(kept, {})))
+    assert plain == waiting
+    steps = {step.stage: step for step in pipeline.plan(settings_for(checkpoint, tmp_path), scene)}
+    (geometry,) = (step for step in plain if step.stage == "geometry")
+    assert (geometry.settings, geometry.where) == ({"predictor": "planesweep"}, {})
+    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
+    assert steps["geometry"].settings == {"predictor": "mvsplat", "mvsplat": own}
+    assert steps["geometry"].where == {"checkpoint": str(checkpoint)}
+    assert steps["field"].settings["mvsplat"] == own
+    assert "mvsplat" not in {**steps["masks"].settings, **steps["supervision"].settings}
+
+
+def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint, digest):
+    store = ArtifactStore(tmp_path / "store")
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
+    sample = store.put("sample", sample_to_arrays(room.sample(["view_00", "view_02"], near=0.8)))
+    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
+    call = StageCall(
+        "tasks.geometry",
+        {"predictor": "mvsplat", "mvsplat": own},
+        {"sample": sample},
+        {"checkpoint": str(checkpoint)},
+    )
+    assert geometry.run(store, call).meta == {"gaussians": 2 * 64 * 64}
+    other = tmp_path / "recipe.ckpt"
+    other.write_bytes(checkpoint.read_bytes()[:-1])
+    with pytest.raises(InputError, match="was changed after the run had begun"):
+        geometry.run(store, replace(call, where={"checkpoint": str(other)}))

@@ -1,0 +1,71 @@
+"""The front door: which settings of parts it takes, and how they are written down."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from slgaussian import datasets
+from slgaussian.build import build_field, check_parts, described
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import source_depths
+
+NAMES = {
+    "predictor": "planesweep",
+    "proposer": "regions",
+    "tracker": "flow",
+    "encoder": "lexicon",
+    "codes": "grid",
+    "lifting": "hard",
+}
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"mvsplat": {}}, "found some of 'mvsplat', expected none but .* 'planesweep'"),
+        ({"planesweep": {"nearest": 1.0}}, "settings of 'planesweep': .*'nearest'"),
+        ({"planesweep": {"near": -1.0}}, "plane sweep near: found -1.0"),
+    ],
+)
+def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        check_parts(**NAMES, settings=settings)
+    assert "\n" not in str(error.value)
+
+
+def test_files_are_written_down_by_content(tmp_path):
+    file = tmp_path / "weights.ckpt"
+    file.write_bytes(b"weights")
+    settings = {"mvsplat": {"checkpoint": str(file), "precision": "float32"}}
+    digest = hashlib.sha256(b"weights").hexdigest()
+    expected = {"mvsplat": {"checkpoint": digest, "precision": "float32"}}
+    assert described(settings) == described({"mvsplat": settings["mvsplat"]}) == expected
+    assert settings["mvsplat"]["checkpoint"] == str(file)
+
+
+def test_what_cannot_be_written_down_is_refused():
+    with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
+        described({"planesweep": {"near": np.float32(1.5)}})
+
+
+def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
+    sample = room.sample(["view_00", "view_02"])
+    depths = {}
+    for far in (10.0, 20.0):
+        given = {"planesweep": {"near": 0.9, "far": far}}
+        field = build_field(sample, replicas=1, settings=given)
+        field.save(tmp_path / "field")
+        assert SemanticField.load(tmp_path / "field").settings == {
+            "scene": sample.scene,
+            **NAMES,
+            "replicas": 1,
+            "seed": 0,
+            **given,
+        }
+        cameras = [view.camera for view in sample.context]
+        depths[far] = source_depths(field.gaussians, cameras).max()
+    assert 0.9 < depths[10.0] < 10.001
+    assert depths[10.0] != depths[20.0]
