@@ -1,13 +1,12 @@
-"""How good and how fast the default mask stage is: run ``python benches/masks.py [DATA]``.
+"""How good and how fast masks without weights are: run ``python benches/masks.py [DATA]``.
 
 Procedural pairs have exact truth. DATA, where given, is a folder with the camera file
 ``transforms.json``, ``pairs.json`` (scene -> context and target views) and LERF-OVS labels in
 ``labels/``; regions are then also compared with the labelled categories of the target views.
 
 Columns: ``one`` and ``three`` are the mean IoU of a true object (or category) with its best region
-and with its best union of three regions; ``tree`` with the best node of the merge tree; ``same`` is
-the share of pixels seen by both views whose ids agree; ``matched`` the share of objects, walls
-aside, whose main id is the same in both views.
+and with its best union of three regions; ``any`` with the best mask of all levels. What becomes of
+them in two views is ``benches/association.py``.
 """
 
 import json
@@ -19,12 +18,19 @@ import numpy as np
 
 from slgaussian.benchmark.labels import read_labels
 from slgaussian.datasets import nerfstudio, procedural
-from slgaussian.masks.associate import associate
+from slgaussian.gaussians import source_depths
 from slgaussian.masks.flatten import flatten
-from slgaussian.masks.flow import FlowTracker
-from slgaussian.masks.regions import Regions, grow_tree
+from slgaussian.masks.regions import Regions
+from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.scene import Sample
 
 SIZE = (416, 576)
+LABELLED_SIZE = (360, 540)
+STUFF = {
+    *("blue carpet", "wooden floor", "grey wall", "red wall", "black countertop", "curtain"),
+    *("black door", "white door", "wooden door frame", "window"),
+}
+"""Labelled categories without a shape of their own, or set into a wall; the others are things."""
 
 
 def best_unions(labels, truth, most=3):
@@ -43,38 +49,10 @@ def best_unions(labels, truth, most=3):
     return out[0], out[-1]
 
 
-def best_node(tree, truth):
-    """IoU of ``truth`` with the best node of a merge tree."""
-    count = tree.leaves.max() + 1
-    inter, area = np.zeros((2, len(tree.parent)))
-    inter[:count] = np.bincount(tree.leaves[truth], minlength=count)
-    area[:count] = np.bincount(tree.leaves.ravel(), minlength=count)
-    for node, parent in enumerate(tree.parent):
-        if parent >= 0:
-            inter[parent] += inter[node]
-            area[parent] += area[node]
-    return (inter / (area + truth.sum() - inter)).max()
-
-
-def same_ids(a, b, labels):
-    """Share of the pixels of ``a`` that ``b`` sees too and that carry one id in both views."""
-    pixels, z = b.camera.project(a.camera.unproject(a.depth))
-    column, row = np.floor(pixels).astype(int).transpose(2, 0, 1)
-    inside = (z > 0) & (column >= 0) & (column < SIZE[1]) & (row >= 0) & (row < SIZE[0])
-    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
-    seen = inside & (np.abs(b.depth[row, column] - z) < 0.02 * z)
-    return (labels[0] == labels[1][row, column])[seen].mean()
-
-
-def matched(a, b, labels, phrases):
-    """Share of objects, seen with 100 pixels in both views, whose main id is the same."""
-    hits = []
-    for instance in np.intersect1d(a.instances, b.instances):
-        masks = a.instances == instance, b.instances == instance
-        if instance and min(m.sum() for m in masks) >= 100 and "wall" not in phrases[instance]:
-            main = [np.bincount(labels[v][mask]).argmax() for v, mask in enumerate(masks)]
-            hits.append(main[0] == main[1])
-    return np.mean(hits)
+def best_mask(masks, truth):
+    """IoU of ``truth`` with the best one of ``masks``."""
+    shared = (masks & truth).sum((1, 2))
+    return (shared / (masks.sum((1, 2)) + truth.sum() - shared)).max()
 
 
 def procedural_rows(seeds=8):
@@ -82,60 +60,73 @@ def procedural_rows(seeds=8):
         rows = []
         for seed in range(seeds):
             scene = procedural.read(seed=seed, height=SIZE[0], width=SIZE[1])
-            names = list(scene.cameras)
-            a, b = scene.read(names[0]), scene.read(names[-1])
-            depths = [a.depth, b.depth] if use_depth else None
+            view = scene.read(list(scene.cameras)[-1])
             start = time.process_time()
-            maps = associate([a, b], Regions(), FlowTracker(), depths=depths)
+            proposals = Regions().propose(view.image, depth=view.depth if use_depth else None)
             seconds = time.process_time() - start
-            truths = [b.instances == i for i in np.unique(b.instances) if i]
-            ious = [best_unions(maps.labels[1], t) for t in truths if t.sum() >= 100]
-            same = same_ids(a, b, maps.labels)
-            right = matched(a, b, maps.labels, scene.phrases)
-            rows.append([*np.mean(ious, 0), same, right, len(maps.ids), seconds])
-        print(f"procedural, {'true' if use_depth else 'no'} depth, {seeds} pairs:", *_named(rows))
-
-
-def _named(rows):
-    names = ("one", "three", "same", "matched", "ids", "CPU s")
-    return [f"{n} {v:.3f}" for n, v in zip(names, np.mean(rows, 0), strict=True)]
+            labels = flatten(proposals)
+            truths = [view.instances == i for i in np.unique(view.instances) if i]
+            ious = [best_unions(labels, t) for t in truths if t.sum() >= 100]
+            rows.append([*np.mean(ious, 0), labels.max(), seconds])
+        one, three, count, seconds = np.mean(rows, 0)
+        print(
+            f"procedural, {'true' if use_depth else 'no'} depth, {seeds} views:",
+            f"one {one:.3f} three {three:.3f} objects {count:.0f} CPU s {seconds:.2f}",
+        )
 
 
 def labelled_rows(folder):
     scene = nerfstudio.read(folder)
     pairs = json.loads((folder / "pairs.json").read_text())
-    for use_depth in (False, True):
-        rows, counts = [], []
-        for pair in pairs.values():
-            name = pair["target"][0]
-            view = scene.read(scene.find(name)).resized(*SIZE)
-            truths = read_labels(folder / "labels", Path(name).stem, SIZE[1], SIZE[0])
-            depth = view.depth if use_depth else None
-            tree = grow_tree(view.image, depth=depth)
-            labels = flatten(Regions().propose(view.image, depth=depth))
-            counts.append(labels.max())
-            for truth in truths.values():
-                if truth.sum() >= 100:
-                    rows.append([*best_unions(labels, truth), best_node(tree, truth)])
-        one, three, node = np.mean(rows, 0)
+    views, truths = [], []
+    for pair in pairs.values():
+        names = pair["target"][0], pair["context"][0]
+        views.append([scene.read(scene.find(name)).resized(*LABELLED_SIZE) for name in names])
+        height, width = LABELLED_SIZE
+        found = read_labels(folder / "labels", Path(names[0]).stem, width, height)
+        truths.append({name: mask for name, mask in found.items() if mask.sum() >= 100})
+    depths = {
+        "no": [None] * len(views),
+        "sensor": [target.depth for target, _ in views],
+        "predicted": [predicted_depth(*pair) for pair in views],
+    }
+    Regions(level="all").propose(views[0][0].image)  # compile
+    for kind, maps in depths.items():
+        rows, stuff, counts, seconds = [], [], [], []
+        for (view, _), truth, depth in zip(views, truths, maps, strict=True):
+            start = time.process_time()
+            found = Regions(level="all").propose(view.image, depth=depth)
+            seconds.append(time.process_time() - start)
+            objects = flatten(Regions().propose(view.image, depth=depth))
+            counts.append([objects.max(), len(found.masks)])
+            for name, mask in truth.items():
+                rows.append([*best_unions(objects, mask), best_mask(found.masks, mask)])
+                stuff.append(name in STUFF)
+        rows, stuff = np.array(rows), np.array(stuff)
+        for name, use in (("all", stuff | True), ("things", ~stuff), ("stuff", stuff)):
+            one, three, best = rows[use].mean(0)
+            print(
+                f"labelled, {kind} depth, {use.sum()} {name}:",
+                f"one {one:.3f} three {three:.3f} any {best:.3f}",
+            )
         print(
-            f"labelled, {'sensor' if use_depth else 'no'} depth, {len(rows)} categories:",
-            f"one {one:.3f} three {three:.3f} tree {node:.3f} regions {np.mean(counts):.0f}",
+            f"  objects {np.mean(counts, 0)[0]:.0f}, masks {np.mean(counts, 0)[1]:.0f}, at most",
+            f"{np.max(counts, 0)[1]}; CPU s {np.mean(seconds):.2f}, at most {max(seconds):.2f}",
         )
+
+
+def predicted_depth(view, other):
+    """Depth of ``view`` as the plane sweep sees it from the two photographs."""
+    gaussians = PlaneSweep()(Sample(view.name, (view, other)))
+    return source_depths(gaussians, [view.camera, other.camera])[0]
 
 
 def step_rows():
     scene = procedural.read(seed=0, height=SIZE[0], width=SIZE[1])
-    names = list(scene.cameras)
-    a, b = scene.read(names[0]), scene.read(names[-1])
-    tracker = FlowTracker()
-    labels = flatten(Regions().propose(a.image))
+    image = scene.read("view_00").image
     steps = {
-        "propose": lambda: Regions().propose(a.image),
-        "remember": lambda: tracker.add(a, labels),
-        "propagate": lambda: tracker.propagate(b),
-        "replica": lambda: tracker.propagate(a),
-        "pair": lambda: associate([a, b], Regions(), FlowTracker()),
+        "propose": lambda: Regions().propose(image),
+        "propose all levels": lambda: Regions(level="all").propose(image),
     }
     for name, step in steps.items():
         start = time.process_time()

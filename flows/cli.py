@@ -10,7 +10,8 @@ from slgaussian.errors import SLGaussianError
 
 METHOD = (
     "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
-    "replicas", "temperature", "threshold", "seed", "mvsplat",
+    "replicas", "temperature", "threshold", "seed", "mvsplat", "sam", "sam2", "sam2_video",
+    "precomputed",
 )  # fmt: skip
 BUILD = tuple(name for name in METHOD if name not in ("temperature", "threshold"))
 RUN = (*METHOD, "store", "workers", "method")

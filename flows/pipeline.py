@@ -19,7 +19,7 @@ from slgaussian import __version__
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import read_pairs
 from slgaussian.benchmark.report import with_times, write_predictions, write_samples
-from slgaussian.build import check_parts
+from slgaussian.build import DIGESTS, check_parts
 from slgaussian.errors import InputError
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
 from tasks.artifacts import result_from_arrays
@@ -130,7 +130,14 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
         where=labels,
     )
     parts = method.identity
-    weights = method.part_settings().get(method.predictor, {}).get("checkpoint")
+    own = method.part_settings()
+    weights = own.get(method.predictor, {}).get("checkpoint")
+    places = {
+        part: str(own[part][key])
+        for part in (method.proposer, method.tracker)
+        for key in DIGESTS
+        if own.get(part, {}).get(key) is not None
+    }
     base = {"sample": "ingest", "gaussians": "geometry"}
     known = {"sample": "ingest", "labels": "masks"}
     asked = {"method": name, "queries": scene.queries}
@@ -144,7 +151,12 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             {"sample": "ingest"},
             where={} if weights is None else {"checkpoint": str(weights)},
         ),
-        Step("masks", _only(parts, "proposer", "tracker", "replicas"), base),
+        Step(
+            "masks",
+            _only(parts, "proposer", "tracker", "replicas"),
+            base,
+            where=places,
+        ),
         Step("supervision", _only(parts, "encoder", "codes", "seed"), known),
         Step("field", parts, {**base, **known, "bank": "supervision"}),
         Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}),
@@ -244,7 +256,7 @@ def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
 
 def _only(settings: dict[str, Any], *names: str) -> dict[str, Any]:
     """The named settings, and the tables of those parts that they name."""
-    tables = [settings[name] for name in names if settings[name] in TABLES]
+    tables = [settings[name] for name in names if settings[name] in settings]
     return {name: settings[name] for name in (*names, *tables)}
 
 

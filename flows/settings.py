@@ -61,8 +61,9 @@ class PartTable(BaseModel):
     """Settings of one part: the table of its name in a file, options ``--NAME-KEY`` of a command.
 
     For settings of another part, make a subclass of this, and in :class:`Method` a field with the
-    part's name. Types are checked here, values by the part itself. A ``checkpoint`` is a file: in
-    cache keys and artifacts its SHA-256 stands for it.
+    part's name, hyphens as underscores. Types are checked here, values by the part itself. A
+    ``checkpoint`` is a file, a ``model`` a folder or a name on the Hugging Face hub, a ``folder``
+    one of data: in cache keys and artifacts a SHA-256 of the content stands for them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -77,6 +78,47 @@ class MVSplatTable(PartTable):
         128,
         description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
     )
+
+
+class AutomaticTable(PartTable):
+    """Those of the proposers that prompt a pretrained model."""
+
+    model: str | None = Field(
+        None, description="Pretrained model: folder, or name on the Hugging Face hub."
+    )
+    preset: str = Field(
+        "grouping", description="Which masks are asked and kept: sam, sam2, langsplat or grouping."
+    )
+    points: int | None = Field(
+        None, description="Points prompted along each side, if not as many as the preset says."
+    )
+    level: str = Field(
+        "all", description="Which masks of a point: s (parts), m (objects), l (groups) or all."
+    )
+    batch: int = Field(16, description="Points prompted together: memory goes with it.")
+
+
+class SamTable(AutomaticTable):
+    """Those of the proposer ``sam``."""
+
+
+class Sam2Table(AutomaticTable):
+    """Those of the proposer ``sam2``."""
+
+
+class Sam2VideoTable(PartTable):
+    """Those of the tracker ``sam2-video``."""
+
+    model: str | None = Field(
+        None, description="Pretrained model: folder, or name on the Hugging Face hub."
+    )
+    batch: int = Field(16, description="Objects tracked together: memory goes with it.")
+
+
+class PrecomputedTable(PartTable):
+    """Those of the tracker ``precomputed``."""
+
+    folder: Path | None = Field(None, description="Folder of id maps made elsewhere, PNG or NPY.")
 
 
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
@@ -104,7 +146,7 @@ class Method(BaseModel):
         description="What makes Gaussians of photographs: planesweep, or mvsplat with its weights.",
     )
     proposer: str = Field("regions", description="What proposes object masks.")
-    tracker: str = Field("flow", description="What carries masks from view to view.")
+    tracker: str = Field("geometric", description="What carries masks from view to view.")
     encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
     codes: str = Field("grid", description="How ID codes are chosen.")
     lifting: str = Field("hard", description="How Gaussians get their ID codes.")
@@ -115,6 +157,10 @@ class Method(BaseModel):
     )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
     mvsplat: MVSplatTable = MVSplatTable()
+    sam: SamTable = SamTable()
+    sam2: Sam2Table = Sam2Table()
+    sam2_video: Sam2VideoTable = Sam2VideoTable()
+    precomputed: PrecomputedTable = PrecomputedTable()
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -122,7 +168,12 @@ class Method(BaseModel):
 
     def part_settings(self) -> dict[str, dict[str, Any]]:
         """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
-        return self.model_dump(include=TABLES.keys() & set(self.part_names().values()))
+        chosen = {part: _table_of(part) for part in self.part_names().values()}
+        return {
+            part: getattr(self, table).model_dump()
+            for part, table in chosen.items()
+            if table in TABLES
+        }
 
     def build_arguments(self) -> dict[str, Any]:
         """What :func:`slgaussian.build.build_field` takes besides the sample."""
@@ -147,6 +198,10 @@ TABLES: dict[str, type[PartTable]] = {
     if isinstance(field.annotation, type) and issubclass(field.annotation, PartTable)
 }
 """The settings that are the table of a part, by its name."""
+
+
+def _table_of(part: str) -> str:
+    return part.replace("-", "_")
 
 
 class SceneSettings(BaseModel):
@@ -235,7 +290,10 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     merged = {**values, **overrides}
     for name in TABLES:
         if isinstance(values.get(name), dict):
-            _anchor(values[name], ("checkpoint",), here)
+            _anchor(values[name], ("checkpoint", "folder"), here)
+            model = values[name].get("model")
+            if isinstance(model, str) and (here / model).is_dir():
+                values[name]["model"] = str(here / model)
             merged[name] = {**values[name], **overrides.get(name, {})}
     settings = _validated(merged, str(path))
     _refuse_idle(overrides, settings, "run")
@@ -243,8 +301,9 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
 
 
 def _refuse_idle(given: dict[str, Any], settings: Settings, source: str) -> None:
+    used = set(map(_table_of, settings.part_settings()))
     for name in TABLES:
-        if name in given and name not in settings.part_settings():
+        if name in given and name not in used:
             chosen = ", ".join(f"{part} {name!r}" for part, name in settings.part_names().items())
             raise InputError(
                 f"{source}: settings of {name!r} are given, but no part is {name!r} (found "

@@ -12,7 +12,9 @@ from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
+from slgaussian.masks.precomputed import folder_digest
 from slgaussian.predict import load_predictor
+from slgaussian.pretrained import model_digest
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
 from slgaussian.semantic import load_lifting
@@ -21,12 +23,15 @@ from slgaussian.store import sha256_of
 PartSettings = Mapping[str, Mapping[str, Any]]
 """Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
 
+DIGESTS = {"checkpoint": sha256_of, "model": model_digest, "folder": folder_digest}
+"""What stands for a setting of this name, a place, in artifacts and cache keys: its content."""
+
 
 def build_field(
     sample: Sample,
     predictor: str = "planesweep",
     proposer: str = "regions",
-    tracker: str = "flow",
+    tracker: str = "geometric",
     encoder: str = "lexicon",
     codes: str = "grid",
     lifting: str = "hard",
@@ -47,8 +52,8 @@ def build_field(
     seed : int
         Decides which ID codes are drawn; the same seed gives the same bytes.
     settings : mapping, optional
-        The predictor's own settings under its name (see its class):
-        ``{"mvsplat": {"checkpoint": "re10k.ckpt", "precision": "bfloat16"}}``.
+        Settings of the predictor, proposer and tracker, each under its name (see its class):
+        ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
 
     Returns
     -------
@@ -65,7 +70,7 @@ def build_field(
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
-    label_maps = label_views(sample, gaussians, proposer, tracker, replicas)
+    label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
     bank = remember(sample, label_maps, encoder, codes, seed)
     about = {
         "scene": sample.scene,
@@ -96,21 +101,21 @@ def check_parts(
     Raises
     ------
     InputError
-        If no part has one of these names, settings are not the predictor's, or its files do not
-        fit.
+        If no part has one of these names, settings are of another part than the predictor,
+        proposer or tracker, or files do not fit.
     """
+    takers = predictor, proposer, tracker
     for name in settings:
-        if name != predictor:
+        if name not in takers:
             raise InputError(
                 f"settings: found some of {name!r}, expected none but those of the predictor, "
-                f"which is {predictor!r}"
+                f"proposer and tracker, which are {', '.join(map(repr, takers))}"
             )
-    try:
-        load_predictor(predictor, **settings.get(predictor, {}))
-    except TypeError as error:
-        raise InputError(f"settings of {predictor!r}: {error}") from None
-    load_proposer(proposer)
-    load_tracker(tracker)
+    for name, load in zip(takers, (load_predictor, load_proposer, load_tracker), strict=True):
+        try:
+            load(name, **settings.get(name, {}))
+        except TypeError as error:
+            raise InputError(f"settings of {name!r}: {error}") from None
     load_encoder(encoder)
     load_codes(codes)
     load_lifting(lifting)
@@ -119,7 +124,8 @@ def check_parts(
 def described(settings: PartSettings) -> dict[str, dict[str, Any]]:
     """Settings of parts as artifacts and cache keys hold them: files by content, not by place.
 
-    That is, of a setting called ``checkpoint`` the SHA-256 of the file, hexadecimal.
+    That is, of a setting called ``checkpoint`` the SHA-256 of the file, hexadecimal; see
+    :data:`DIGESTS`.
 
     Raises
     ------
@@ -128,7 +134,7 @@ def described(settings: PartSettings) -> dict[str, dict[str, Any]]:
     """
     found = {
         part: {
-            name: sha256_of(value) if name == "checkpoint" else value for name, value in own.items()
+            name: DIGESTS[name](value) if name in DIGESTS else value for name, value in own.items()
         }
         for part, own in settings.items()
     }
@@ -140,12 +146,21 @@ def described(settings: PartSettings) -> dict[str, dict[str, Any]]:
 
 
 def label_views(
-    sample: Sample, gaussians: Gaussians, proposer: str, tracker: str, replicas: int
+    sample: Sample,
+    gaussians: Gaussians,
+    proposer: str,
+    tracker: str,
+    replicas: int,
+    settings: PartSettings,
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     return associate(
-        sample.context, load_proposer(proposer), load_tracker(tracker), replicas, depths
+        sample.context,
+        load_proposer(proposer, **settings.get(proposer, {})),
+        load_tracker(tracker, **settings.get(tracker, {})),
+        replicas,
+        depths,
     )
 
 

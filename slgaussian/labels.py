@@ -43,9 +43,17 @@ class LabelMaps:
         ids = np.unique(self.labels)
         return ids[ids > 0]
 
+    @property
+    def seen_once(self) -> np.ndarray:
+        """Sorted ids of the objects that only one view shows, int32."""
+        return self.ids[(self.areas() > 0).sum(1) == 1]
+
     def areas(self) -> np.ndarray:
         """Pixels of each object in each view, int64 [N, V], rows in the order of :attr:`ids`."""
         ids = self.ids
-        top = int(ids[-1]) + 1 if len(ids) else 1
-        counts = [np.bincount(view.ravel(), minlength=top)[ids] for view in self.labels]
+        # Ids made elsewhere may be in the millions, too many for a table of all below the largest.
+        counts = [
+            np.bincount(np.searchsorted(ids, view[view > 0]), minlength=len(ids))
+            for view in self.labels
+        ]
         return np.stack(counts, 1)

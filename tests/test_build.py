@@ -14,7 +14,7 @@ from slgaussian.gaussians import source_depths
 NAMES = {
     "predictor": "planesweep",
     "proposer": "regions",
-    "tracker": "flow",
+    "tracker": "geometric",
     "encoder": "lexicon",
     "codes": "grid",
     "lifting": "hard",

@@ -8,8 +8,17 @@ import numpy as np
 from slgaussian.registry import resolve
 from slgaussian.scene import View
 
-PROPOSERS = {"regions": "slgaussian.masks.regions:Regions"}
-TRACKERS = {"flow": "slgaussian.masks.flow:FlowTracker"}
+PROPOSERS = {
+    "regions": "slgaussian.masks.regions:Regions",
+    "sam": "slgaussian.masks.sam:Sam",
+    "sam2": "slgaussian.masks.sam2:Sam2",
+}
+TRACKERS = {
+    "geometric": "slgaussian.masks.geometric:GeometricTracker",
+    "flow": "slgaussian.masks.flow:FlowTracker",
+    "sam2-video": "slgaussian.masks.sam2_video:Sam2Video",
+    "precomputed": "slgaussian.masks.precomputed:Precomputed",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,10 +30,13 @@ class Proposals:
     masks : bool [M, H, W]
     scores : float32 [M]
         Higher is better; comparable within one image only.
+    levels : uint8 [M], optional
+        0, 1 or 2 for a part, an object or a group of them (s, m, l), from proposers that know.
     """
 
     masks: np.ndarray
     scores: np.ndarray
+    levels: np.ndarray | None = None
 
 
 class MaskProposer(Protocol):
@@ -41,12 +53,24 @@ class MaskProposer(Protocol):
 
 
 class MaskTracker(Protocol):
-    """Carries labels from remembered frames to a new one."""
+    """Carries labels from remembered frames to a new one.
 
-    def add(self, view: View, labels: np.ndarray) -> None:
+    ``depth`` (float32 [H, W], scene units, 0 unknown) is the *predicted* depth of the view, which
+    its camera belongs to; a tracker may need it.
+
+    Attributes
+    ----------
+    final : bool
+        Whether it brings the labels of whole views by itself: nothing is proposed, merged or voted
+        on then, and its ids stay as they are.
+    """
+
+    final: bool
+
+    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
         """Remember a frame and its labels, int32 [H, W], 0 = unassigned."""
 
-    def propagate(self, view: View) -> np.ndarray:
+    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
         """Labels int32 [H, W] for ``view`` from what is remembered; 0 where nothing matches."""
 
 
@@ -55,6 +79,6 @@ def load_proposer(name: str = "regions", **settings: Any) -> MaskProposer:
     return resolve("mask proposer", PROPOSERS, name)(**settings)
 
 
-def load_tracker(name: str = "flow", **settings: Any) -> MaskTracker:
+def load_tracker(name: str = "geometric", **settings: Any) -> MaskTracker:
     """Make a fresh, empty tracker called ``name``; raises InputError if there is none."""
     return resolve("mask tracker", TRACKERS, name)(**settings)

@@ -33,6 +33,7 @@ def associate(
     tracker: MaskTracker,
     replicas: int = 5,
     depths: Sequence[np.ndarray | None] | None = None,
+    back: MaskTracker | None = None,
 ) -> LabelMaps:
     """Label maps of a sequence of views with ids that mean the same object in every view.
 
@@ -43,9 +44,11 @@ def associate(
 
     Copies are asked of the tracker one after the other until one repeats its predecessor. From
     there on, image, memory and last answer are the same again, so every further copy would be the
-    same too; it is counted, not computed. A tracker that returns remembered labels for a remembered
-    image, like ``flow``, thus costs one look-up a view and its vote is unanimous; a tracker with a
-    working memory of its own is asked up to ``replicas - 1`` times and its noise is voted down.
+    same too; it is counted, not computed. Trackers that return remembered labels for a remembered
+    image, like ``geometric`` and ``flow``, thus cost one look-up a view and the vote is unanimous:
+    copies do nothing for them. One that segments a remembered image anew, like ``sam2-video``, is
+    asked twice, and its own answer has the majority over the detection from three copies on. One
+    with a working memory is asked up to ``replicas - 1`` times and its noise is voted down.
 
     Parameters
     ----------
@@ -57,13 +60,17 @@ def associate(
     replicas : int
         Copies of every view, at least 1; 1 is the detection alone.
     depths : sequence of V float32 [H, W] or None
-        Predicted depth of each view for the proposer, 0 where unknown.
+        Predicted depth of each view for proposer and tracker, 0 where unknown.
+    back : MaskTracker, optional
+        A second fresh tracker, for a reverse pass: see :func:`reconcile`.
 
     Returns
     -------
     LabelMaps
         Ids 1 .. N without gaps, in order of appearance: those of the first view by falling area.
-        An object seen in one view only is kept. 0 is left only where nothing was proposed.
+        Objects seen in one view only are kept (:attr:`LabelMaps.seen_once`). 0 is left only where
+        nothing was proposed. Of a ``final`` tracker, its ids as they are. The same input gives the
+        same ids.
 
     Raises
     ------
@@ -83,20 +90,28 @@ def associate(
         if view.image.shape != views[0].image.shape:
             raise InputError(
                 f"view {view.name!r}: image is {view.image.shape}, the first view's is "
-                f"{views[0].image.shape}; all views must have one size"
+                f"{views[0].image.shape}; label maps have one size, so bring all views to it"
             )
+    if tracker.final:
+        given = [tracker.propagate(v, depth) for v, depth in zip(views, depths, strict=True)]
+        return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32))
     winners, margins = [], []
     known = 0
     for index, (view, depth) in enumerate(zip(views, depths, strict=True)):
-        carried = tracker.propagate(view) if index else np.zeros(view.image.shape[:2], np.int32)
+        carried = (
+            tracker.propagate(view, depth) if index else np.zeros(view.image.shape[:2], np.int32)
+        )
         detected = _detect(view, proposer, depth, carried)
         first = without_crumbs(merge(carried, detected, known + 1))
         known = max(known, int(first.max()))
-        tracker.add(view, first)
-        labels, margin = vote(_copies(view, tracker, first, replicas))
+        tracker.add(view, first, depth)
+        labels, margin = vote(_copies(view, depth, tracker, first, replicas))
         winners.append(labels)
         margins.append(margin)
-    return LabelMaps(renumbered(np.stack(winners)), np.stack(margins))
+    labels = np.stack(winners)
+    if back is not None:
+        labels = reconcile(views, depths, labels, back)
+    return LabelMaps(renumbered(labels), np.stack(margins))
 
 
 def merge(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
@@ -143,6 +158,55 @@ def merge(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray
     return out
 
 
+def reconcile(
+    views: Sequence[View],
+    depths: Sequence[np.ndarray | None],
+    labels: np.ndarray,
+    tracker: MaskTracker,
+) -> np.ndarray:
+    """Find objects that the way forth took for new, on the way back.
+
+    The views are tracked from the last to the first. An object that is new in a later view and is
+    carried onto one that no later view has, with an IoU above 0.5, is that object: it takes its id.
+    The larger IoU goes first, then the lower ids.
+
+    Parameters
+    ----------
+    views, depths
+        As in :func:`associate`.
+    labels : int32 [V, H, W]
+    tracker : MaskTracker
+        Fresh, without memory.
+    """
+    labels = labels.copy()
+    tracker.add(views[-1], labels[-1], depths[-1])
+    for index in reversed(range(len(views) - 1)):
+        carried = tracker.propagate(views[index], depths[index])
+        new = np.setdiff1d(labels[index + 1 :], labels[: index + 1])
+        gone = np.setdiff1d(labels[: index + 1], labels[index + 1 :])
+        renamed: dict[int, int] = {}
+        for _, one, other in sorted(_overlaps(carried, labels[index], new, gone)):
+            if one not in renamed and other not in renamed.values():
+                renamed[one] = other
+        for one, other in renamed.items():
+            labels[labels == one] = other
+        tracker.add(views[index], labels[index], depths[index])
+    return labels
+
+
+def _overlaps(
+    a: np.ndarray, b: np.ndarray, ids_a: np.ndarray, ids_b: np.ndarray
+) -> list[tuple[float, int, int]]:
+    """(-IoU, id in a, id in b) of the given ids above 0 whose masks overlap by more than 0.5."""
+    columns = int(b.max(initial=0)) + 1
+    pairs, shared = np.unique(a.astype(np.int64) * columns + b, return_counts=True)
+    area_a, area_b = np.bincount(a.ravel()), np.bincount(b.ravel())
+    one, other = np.divmod(pairs, columns)
+    iou = shared / (area_a[one] + area_b[other] - shared)
+    keep = (iou > SAME_IOU) & np.isin(one, ids_a[ids_a > 0]) & np.isin(other, ids_b[ids_b > 0])
+    return list(zip((-iou[keep]).tolist(), one[keep].tolist(), other[keep].tolist(), strict=True))
+
+
 def _detect(
     view: View, proposer: MaskProposer, depth: np.ndarray | None, carried: np.ndarray
 ) -> np.ndarray:
@@ -155,11 +219,17 @@ def _detect(
     return detected
 
 
-def _copies(view: View, tracker: MaskTracker, first: np.ndarray, replicas: int) -> np.ndarray:
+def _copies(
+    view: View,
+    depth: np.ndarray | None,
+    tracker: MaskTracker,
+    first: np.ndarray,
+    replicas: int,
+) -> np.ndarray:
     """The labels of all copies of a view, int32 [replicas, H, W]; see :func:`associate`."""
     copies = [first]
     while len(copies) < replicas:
-        copies.append(tracker.propagate(view))
+        copies.append(tracker.propagate(view, depth))
         if np.array_equal(copies[-1], copies[-2]):
             copies += [copies[-1]] * (replicas - len(copies))
     return np.stack(copies)

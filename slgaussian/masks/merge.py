@@ -1,8 +1,9 @@
 """A binary merge tree over the leaves of an over-segmentation.
 
 Neighbouring regions are united cheapest first. The cost weighs the boundary between them, how
-differently they are coloured and textured and, where depth is known, how badly one plane explains
-both; it grows with the size of the smaller region, so that crumbs go early and things stay apart.
+differently they are coloured and textured, how badly the two fill a box and, where depth is known,
+how badly one plane explains both; it grows with the size of the smaller region, so that crumbs go
+early and things stay apart. How much each counts is a :class:`Cues`.
 """
 
 from __future__ import annotations
@@ -11,14 +12,36 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import find_objects
 
 from slgaussian.masks.boundaries import TEXTURE_CODES, lab_of, texture_codes
 
-SIZE_POWER = 0.25
 COLOR_STEP = 30.0
 """Distance of mean CIELAB colours that counts as one full unit of difference."""
 PLANE_STEP = 0.05
 """Relative error of inverse depth, under one joint plane, that counts as one full unit."""
+
+
+@dataclass(frozen=True)
+class Cues:
+    """What counts in a merge, and how much; the mean strength of the border between counts 1.
+
+    Attributes
+    ----------
+    color, texture, plane, fill : float
+        Weights of the distance of mean colours, the chi-squared distance of texture histograms, the
+        misfit of one joint plane (nothing where no depth is known), and the share of their joint
+        box that the two regions leave empty, which favours compact ones.
+    size_power : float
+        The cost is multiplied by this power of the harmonic size of the two regions, a share of the
+        image. High, regions grow evenly; low, small things with a strong border stay to the end.
+    """
+
+    color: float = 0.3
+    texture: float = 0.2
+    plane: float = 0.5
+    fill: float = 0.0
+    size_power: float = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +55,8 @@ class MergeTree:
     parent : int32 [M]
         Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents follow children.
     height : float64 [M]
-        Cost at which a node was made, 0 for leaves; never below that of its children.
+        Cost at which a node was made, 0 for leaves; never below that of its children. It is the
+        weighted sum of the cues, each 0 to about 1, times the size term of :class:`Cues`.
     """
 
     leaves: np.ndarray
@@ -60,14 +84,64 @@ class MergeTree:
             label[node] = label[node] or label[self.parent[node]]
         return label[self.leaves]
 
+    def members(self, nodes: np.ndarray) -> np.ndarray:
+        """Which leaves make up each of the ``nodes`` [K]: bool [K, N]."""
+        spans = np.zeros((len(self.parent) + 1, 3), np.int64)  # leaves below, first, next free
+        below, first, free = spans.T
+        count = int(self.leaves.max(initial=-1)) + 1
+        below[:count] = 1
+        for node, parent in enumerate(self.parent):
+            below[parent] += below[node]
+        # Leaves in an order in which every node holds a run of them; the last row is above roots.
+        for node in range(len(self.parent) - 1, -1, -1):
+            parent = self.parent[node]
+            first[node] = free[node] = free[parent]
+            free[parent] += below[node]
+        place, start = first[:count], first[nodes, None]
+        return (place >= start) & (place < start + below[nodes, None])
 
-def build_tree(
+
+@dataclass(frozen=True, eq=False)
+class LeafSums:
+    """All that merging knows about N leaves: sums, so that a union is an addition.
+
+    Attributes
+    ----------
+    leaves : int32 [H, W]
+        Leaf of every pixel, 0 .. N-1, or -1.
+    edges : int64 [E, 2]
+    length, strength : float64 [E]
+        Leaves that touch, the length of their border and its summed strength: :func:`adjacency`.
+    size : float64 [N]
+        Share of the image.
+    color : float64 [N, 3]
+        Mean CIELAB times size.
+    histogram : float64 [N, TEXTURE_CODES]
+        Texture histogram that sums to size.
+    planes : float64 [N, 10]
+        :func:`plane_sums`.
+    boxes : float64 [N, 4]
+        Left, top, right and bottom, with an image of area 1.
+    """
+
+    leaves: np.ndarray
+    edges: np.ndarray
+    length: np.ndarray
+    strength: np.ndarray
+    size: np.ndarray
+    color: np.ndarray
+    histogram: np.ndarray
+    planes: np.ndarray
+    boxes: np.ndarray
+
+
+def leaf_sums(
     image: np.ndarray,
     leaves: np.ndarray,
     boundary: np.ndarray,
     depth: np.ndarray | None = None,
-) -> MergeTree:
-    """Merge greedily until no two regions touch.
+) -> LeafSums:
+    """Sum up the pixels of every leaf.
 
     Parameters
     ----------
@@ -88,14 +162,33 @@ def build_tree(
     color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
     texture = texture_codes(lab[..., 0])[inside]
     histogram = np.bincount(index * TEXTURE_CODES + texture, minlength=n * TEXTURE_CODES)
-    parent, height = _merge(
+    return LeafSums(
+        leaves,
         *adjacency(leaves, boundary),
         size / leaves.size,
         color / leaves.size,
         histogram.reshape(n, TEXTURE_CODES) / leaves.size,
         plane_sums(leaves, depth, n),
+        _boxes(leaves, n),
     )
-    return MergeTree(leaves, parent, height)
+
+
+def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
+    """Merge greedily until no two regions touch; without ``cues`` by the default ones."""
+    cues = cues or Cues()
+    parent, height = _merge(
+        sums.edges.copy(),
+        sums.length.copy(),
+        sums.strength.copy(),
+        sums.size.copy(),
+        sums.color.copy(),
+        sums.histogram.copy(),
+        sums.planes.copy(),
+        sums.boxes.copy(),
+        np.array([1.0, cues.color, cues.texture, cues.plane, cues.fill]),
+        cues.size_power,
+    )
+    return MergeTree(sums.leaves, parent, height)
 
 
 def adjacency(leaves, boundary):
@@ -131,6 +224,14 @@ def plane_sums(leaves, depth, n):
     return sums
 
 
+def _boxes(leaves, n):
+    """Left, top, right, bottom of every leaf, float64 [n, 4], in units in which the area is 1."""
+    unit = np.sqrt(leaves.size)
+    slices = find_objects(leaves + 1, n)
+    corners = [(x.start, y.start, x.stop, y.stop) for y, x in slices]
+    return np.array(corners, np.float64).reshape(n, 4) / unit
+
+
 @njit(cache=True)
 def _plane_error(s):
     """Sum of squared residuals of the best plane, from the sums of :func:`plane_sums`."""
@@ -160,24 +261,29 @@ def plane_gap(a, b):
 
 
 @njit(cache=True)
-def _cost(a, b, length, strength, size, color, histogram, planes):
+def _cost(a, b, border, size, color, histogram, planes, boxes, weights, power):
+    """Cost of uniting regions a and b; weights are those of border, color, texture, plane, fill."""
+    cost = weights[0] * border
     color_gap = 0.0
     for c in range(3):
         step = color[a, c] / size[a] - color[b, c] / size[b]
         color_gap += step * step
-    color_gap = min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
+    cost += weights[1] * min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
     texture_gap = 0.0
     for k in range(histogram.shape[1]):
         p, q = histogram[a, k] / size[a], histogram[b, k] / size[b]
         if p + q > 0:
             texture_gap += (p - q) * (p - q) / (p + q)
-    cost = strength / length + 0.3 * color_gap + 0.2 * texture_gap
-    cost += 0.5 * min(plane_gap(planes[a], planes[b]) / PLANE_STEP, 1.0)
-    return cost * (size[a] * size[b] / (size[a] + size[b])) ** SIZE_POWER
+    cost += weights[2] * texture_gap
+    cost += weights[3] * min(plane_gap(planes[a], planes[b]) / PLANE_STEP, 1.0)
+    wide = max(boxes[a, 2], boxes[b, 2]) - min(boxes[a, 0], boxes[b, 0])
+    high = max(boxes[a, 3], boxes[b, 3]) - min(boxes[a, 1], boxes[b, 1])
+    cost += weights[4] * (1 - (size[a] + size[b]) / (wide * high))
+    return cost * (size[a] * size[b] / (size[a] + size[b])) ** power
 
 
 @njit(cache=True)
-def _merge(edges, length, strength, size, color, histogram, planes):
+def _merge(edges, length, strength, size, color, histogram, planes, boxes, weights, power):
     n = size.shape[0]
     parent = np.full(2 * n, -1, np.int32)
     height = np.zeros(2 * n)
@@ -185,9 +291,9 @@ def _merge(edges, length, strength, size, color, histogram, planes):
     live = edges.shape[0]
     cost = np.empty(live)
     for e in range(live):
-        cost[e] = _cost(
-            edges[e, 0], edges[e, 1], length[e], strength[e], size, color, histogram, planes
-        )
+        a, b = edges[e]
+        border = strength[e] / length[e]
+        cost[e] = _cost(a, b, border, size, color, histogram, planes, boxes, weights, power)
     edge_to = np.full(n, -1, np.int64)
     count = n
     while live > 0:
@@ -200,6 +306,8 @@ def _merge(edges, length, strength, size, color, histogram, planes):
         color[keep] += color[gone]
         histogram[keep] += histogram[gone]
         planes[keep] += planes[gone]
+        boxes[keep, :2] = np.minimum(boxes[keep, :2], boxes[gone, :2])
+        boxes[keep, 2:] = np.maximum(boxes[keep, 2:], boxes[gone, 2:])
         height[count] = max(cost[best], height[node[keep]], height[node[gone]])
         parent[node[keep]] = count
         parent[node[gone]] = count
@@ -229,5 +337,6 @@ def _merge(edges, length, strength, size, color, histogram, planes):
             a, b = edges[e]
             if a == keep or b == keep:
                 edge_to[b if a == keep else a] = -1
-                cost[e] = _cost(a, b, length[e], strength[e], size, color, histogram, planes)
+                border = strength[e] / length[e]
+                cost[e] = _cost(a, b, border, size, color, histogram, planes, boxes, weights, power)
     return parent[:count], height[:count]

@@ -1,0 +1,43 @@
+"""The tracker that knows where things are: labels reprojected through the predicted depth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
+from slgaussian.scene import View
+
+AGREE_PIXELS = 4.0
+"""How far there and back, through the two depth maps, may miss: what is hidden misses by far, what
+is a little off in one of them by little, and by less where depth moves a pixel less."""
+
+
+class GeometricTracker(MemoryTracker):
+    """Matches a remembered frame with a new one by their cameras and predicted depths.
+
+    A pixel of the new view is lifted by its own depth and projected into the old one. The pixel it
+    meets there must lead back, by that view's depth: surfaces that hide each other do not. The
+    cameras must be those that the depths fit (:func:`slgaussian.masks.placed.placed_cameras`). The
+    rest is :class:`slgaussian.masks.memory.MemoryTracker`.
+    """
+
+    def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
+        """Refuse a view without depth; see :class:`slgaussian.masks.memory.MemoryTracker`."""
+        if depth is None:
+            raise InputError(
+                f"tracker 'geometric': view {view.name!r} comes without predicted depth; give "
+                "depths, or choose the tracker 'flow', which needs none"
+            )
+        return super().describe(view, labels, depth)
+
+    def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
+        return both_ways(_seen_from(new, old), _seen_from(old, new), AGREE_PIXELS, 0)
+
+
+def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
+    """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
+    pixels, z = other.view.camera.project(frame.view.camera.unproject(frame.depth))
+    pixels[(frame.depth <= 0) | (z <= 0)] = np.nan
+    return pixels - 0.5

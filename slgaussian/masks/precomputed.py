@@ -1,0 +1,180 @@
+"""The tracker ``precomputed``: id maps made elsewhere, as by DEVA, Cutie or SAM 3, from files."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.errors import InputError
+from slgaussian.scene import View
+from slgaussian.store import sha256_of
+
+SUFFIXES = (".png", ".npy")
+
+MOST_STRETCH = 2.0
+"""Ratio of the shapes (width / height) of map and view from which they cannot be one picture: a
+crop from 16:9 to a square is 1.8, a quarter turn of 3:2 is 2.3."""
+
+TOP = 2**31 - 1
+
+
+@dataclass(eq=False)
+class Precomputed:
+    """Labels out of a folder that holds one id map a view, with ids that agree across views.
+
+    A map is called like its view: for ``images/0013.jpg`` it is ``images/0013.png``, or else
+    ``0013.png``, in the folder; or ``.npy``. Its pixels are ids above 0 of objects, and 0 where
+    there is none:
+
+    - PNG, grey with up to 16 bits, or a palette: the value is the id;
+    - PNG, colours with 8 bits: the id is red + 256 green + 65536 blue, as in COCO's panoptic
+      format (https://github.com/cocodataset/panopticapi), so black is 0;
+    - NPY, whole numbers [H, W]: the value is the id.
+
+    The map may have any size: as its photograph was, it is scaled to cover the view and cropped at
+    the centre; each pixel takes the id at its centre. Ids are kept as they are, whatever their gaps
+    and holes, and nothing is proposed, merged or voted on.
+
+    Attributes
+    ----------
+    folder : path or str
+        Has no default.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder. When a map is read: if it is missing, cannot be read, has
+        another type or shape, or is another view's too.
+    """
+
+    folder: Path | str | None = None
+    final: ClassVar[bool] = True
+    _views: dict[Path, str] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        if self.folder is None:
+            raise InputError(
+                "precomputed folder: none given; give the folder of the id maps, as in "
+                "--precomputed-folder FOLDER"
+            )
+        if not Path(self.folder).is_dir():
+            raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")
+
+    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
+        """Remember nothing: the files know better."""
+
+    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
+        """Ids int32 [H, W] of ``view``, from its file."""
+        file = self._find(view.name)
+        other = self._views.setdefault(file, view.name)
+        if other != view.name:
+            raise InputError(
+                f"{file}: is the id map of both {other!r} and {view.name!r}; put the maps into "
+                f"folders like those of the views, as in {Path(view.name).with_suffix('.png')}"
+            )
+        ids = read_ids(file)
+        height, width = view.image.shape[:2]
+        stretch = (ids.shape[1] / ids.shape[0]) / (width / height)
+        if max(stretch, 1 / stretch) > MOST_STRETCH:
+            raise InputError(
+                f"{file}: is {ids.shape[1]}x{ids.shape[0]}, but view {view.name!r} is "
+                f"{width}x{height}; expected the shape of its photograph, so check that it is not "
+                "turned and belongs to it"
+            )
+        return covering(ids, height, width)
+
+    def _find(self, name: str) -> Path:
+        folder, name = Path(self.folder), Path(name)
+        nested = folder / name.with_suffix("")
+        for base in dict.fromkeys((nested, folder / name.stem)):
+            found = [base.with_name(base.name + s) for s in SUFFIXES]
+            found = [file for file in found if file.is_file()]
+            if len(found) > 1:
+                raise InputError(f"{found[0]}: {found[1].name} is there too; remove one of them")
+            if found:
+                return found[0]
+        raise InputError(
+            f"{folder}: has no id map of view {str(name)!r}; expected {name.stem}.png or "
+            f"{name.stem}.npy"
+        )
+
+
+def folder_digest(folder: Path | str) -> str:
+    """What a folder of id maps is known by: SHA-256, hexadecimal, of their names and contents."""
+    folder = Path(folder)
+    digest = hashlib.sha256()
+    for file in sorted(file for file in folder.rglob("*") if file.suffix in SUFFIXES):
+        digest.update(f"{file.relative_to(folder).as_posix()} {sha256_of(file)}\n".encode())
+    return digest.hexdigest()
+
+
+def read_ids(file: Path) -> np.ndarray:
+    """The ids int32 [H, W] of one map; see :class:`Precomputed`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds anything but ids.
+    """
+    ids = _read_npy(file) if file.suffix == ".npy" else _read_png(file)
+    if ids.ndim != 2 or ids.size == 0:
+        raise InputError(f"{file}: found shape {ids.shape}, expected ids [H, W]")
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise InputError(f"{file}: found {ids.dtype}, expected whole numbers, as int32")
+    low, high = int(ids.min()), int(ids.max())
+    if low < 0 or high > TOP:
+        raise InputError(
+            f"{file}: found ids from {low} to {high}, expected 0 for no object and 1 to {TOP}"
+        )
+    return ids.astype(np.int32)
+
+
+def _read_npy(file: Path) -> np.ndarray:
+    try:
+        ids = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as problem:
+        raise InputError(f"{file}: cannot be read as NPY ({problem}); write it again") from None
+    return ids
+
+
+def _read_png(file: Path) -> np.ndarray:
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(26)
+        with Image.open(file, formats=["PNG"]) as image:
+            mode, pixels = image.mode, np.asarray(image)
+    except (OSError, ValueError, SyntaxError) as problem:
+        raise InputError(f"{file}: cannot be read as PNG ({problem}); write it again") from None
+    bits = head[24]
+    if mode == "1":
+        return pixels.astype(np.uint8)
+    if mode == "L":
+        # Pillow spreads values of 2 and 4 bits over 0 to 255.
+        return pixels // (255 // (2**bits - 1))
+    if mode == "RGB" and bits == 8:
+        return pixels @ np.array([1, 256, 65536], np.int32)
+    if mode == "P" or mode.startswith("I"):
+        return pixels
+    raise InputError(
+        f"{file}: is a PNG of {mode} with {bits} bits; expected grey, a palette, or RGB with 8 bits"
+    )
+
+
+def covering(ids: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The map [H, W] scaled to cover ``height`` x ``width`` and cropped at the centre.
+
+    That is what :meth:`slgaussian.scene.View.resized` does to the photograph. Of each new pixel,
+    the old one that its centre lies in is taken.
+    """
+    scale = max(height / ids.shape[0], width / ids.shape[1])
+    places = []
+    for old, new in zip(ids.shape, (height, width), strict=True):
+        full = max(new, round(old * scale))
+        centre = (full - new) // 2 + np.arange(new) + 0.5
+        places.append(np.minimum((centre * old / full).astype(np.int64), old - 1))
+    return ids[np.ix_(*places)]

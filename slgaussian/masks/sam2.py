@@ -1,0 +1,43 @@
+"""The proposer ``sam2``: SAM 2 on images (Ravi et al., ICLR 2025) out of ``transformers``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from slgaussian.masks.automatic import AutomaticProposer
+from slgaussian.masks.sam import SamImage, encoder_precision, normalised
+from slgaussian.pretrained import Family
+
+
+@dataclass(frozen=True, eq=False)
+class Sam2(AutomaticProposer):
+    """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``.
+
+    Models for video fit too: their image part is used. Settings and errors are those of
+    :class:`slgaussian.masks.automatic.AutomaticProposer`.
+    """
+
+    FAMILY: ClassVar[Family] = Family(
+        "sam2", "Sam2Model", ("sam2", "sam2_video"), "facebook/sam2.1-hiera-tiny"
+    )
+
+    def encode(self, image: np.ndarray) -> Sam2Image:
+        """Encode an image uint8 [H, W, 3], brought to the network's square whatever its shape."""
+        side = self.network.config.prompt_encoder_config.image_size
+        used = side, side
+        with encoder_precision(self.device):
+            levels = self.network.get_image_embeddings(normalised(image, used).to(self.device))
+        return Sam2Image(self.network, [e.float() for e in levels], image.shape[:2], used)
+
+
+class Sam2Image(SamImage):
+    """An encoded image; ``embedding`` is a list of three, from fine to coarse."""
+
+    def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
+        """At once to the size of the image."""
+        return F.interpolate(logits[:, None], self.size, mode="bilinear")[:, 0]

@@ -1,0 +1,170 @@
+"""SAM and SAM 2 by command and by flow, with small random weights made here: end to end."""
+
+import importlib.util
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flows import cli, pipeline
+from flows.settings import Sam2Table, SamTable, Settings, make_settings, read_toml
+from slgaussian import datasets, threads
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.masks.sam import Sam
+from slgaussian.masks.sam2 import Sam2
+from slgaussian.pretrained import model_digest
+from slgaussian.store import ArtifactStore
+from tasks import geometry, masks
+from tasks.artifacts import sample_to_arrays
+from tasks.stage import StageCall
+
+ROOM = {
+    "name": "room",
+    "format": "procedural",
+    "options": {"seed": 1, "objects": 4, "views": 3},
+    "context": ["view_00", "view_02"],
+    "targets": ["view_01"],
+}
+OWN = {"preset": "langsplat", "points": 3}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """At this size a thread more gains little, and on a busy machine it costs much."""
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    file = Path(__file__).parents[1] / "masks" / "small_models.py"
+    spec = importlib.util.spec_from_file_location("small_models", file)
+    small = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(small)
+    root = tmp_path_factory.mktemp("models")
+    return {"sam": small.save_sam(root / "sam"), "sam2": small.save_sam2(root / "sam2")}
+
+
+def run(monkeypatch, *words) -> int:
+    """Exit status of ``slgaussian WORDS``."""
+    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return left.value.code or 0
+
+
+def sample():
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
+    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
+
+
+def settings_for(folder: Path, out: Path, proposer: str = "sam", **own) -> Settings:
+    table = {"model": str(folder), **OWN, **own}
+    values = {"size": "64x64", "near": 0.8, "far": 12.0, "proposer": proposer, proposer: table}
+    return make_settings({**values, "scenes": [ROOM], "out": out}, "test")
+
+
+@pytest.mark.parametrize("name", ["sam", "sam2"])
+def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
+    own = {name: {"model": folders[name], **OWN}}
+    field = build_field(sample(), proposer=name, replicas=1, settings=own)
+    field.save(tmp_path / "field")
+    said = SemanticField.load(tmp_path / "field").settings
+    assert said["proposer"] == name
+    assert said[name] == {"model": model_digest(folders[name]), **OWN}
+    assert str(folders[name]) not in (tmp_path / "field" / "field.json").read_text()
+
+
+def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, capsys):
+    store = ArtifactStore(tmp_path / "store")
+    finished = pipeline.run(settings_for(folders["sam"], tmp_path / "out"), store)
+    assert [result.scene for result in finished.results] == ["room"]
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    digest = model_digest(folders["sam"])
+    assert f"<dt>settings.sam.model</dt><dd>{digest}</dd>" in page
+    assert capsys.readouterr().err.startswith("with planesweep, sam, ")
+
+    # The same model in another place: nothing is computed. Another setting: the masks are.
+    moved = shutil.copytree(folders["sam"], tmp_path / "moved")
+    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    assert "room  masks  cached" in capsys.readouterr().err
+    pipeline.run(settings_for(moved, tmp_path / "third", points=2), store)
+    said = capsys.readouterr().err
+    assert "room  geometry  cached" in said and "room  masks  cached" not in said
+    for file in Path(store.path).rglob("*"):
+        assert not file.is_file() or str(folders["sam"]).encode() not in file.read_bytes()
+
+
+def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path):
+    scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
+    settings = settings_for(folders["sam2"], tmp_path, "sam2")
+    steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+    own = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
+    assert steps["masks"].settings["sam2"] == own == steps["field"].settings["sam2"]
+    assert steps["masks"].where == {"sam2": str(folders["sam2"])}
+    assert "sam2" not in {**steps["geometry"].settings, **steps["supervision"].settings}
+    plain = {step.stage: step for step in pipeline.plan(Settings(), scene)}
+    assert plain["masks"].where == {} and "sam2" not in plain["masks"].settings
+    assert plain["geometry"] == steps["geometry"]
+
+
+def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
+    store = ArtifactStore(tmp_path / "store")
+    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
+    inputs = {**inputs, "gaussians": geometry.run(store, made)}
+    own = {"model": model_digest(folders["sam"]), **OWN}
+    settings = {"proposer": "sam", "tracker": "flow", "replicas": 1, "sam": own}
+    call = StageCall("tasks.masks", settings, inputs, {"sam": str(folders["sam"])})
+    assert masks.run(store, call).meta["objects"] >= 1
+    other = shutil.copytree(folders["sam"], tmp_path / "other")
+    config = json.loads((other / "config.json").read_text())
+    (other / "config.json").write_text(json.dumps({**config, "note": 1}))
+    with pytest.raises(InputError, match="was changed after the run had begun"):
+        masks.run(store, replace(call, where={"sam": str(other)}))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--proposer", "sam"], "sam model: none given; give a folder, or a name on the hub as"),
+        (["--proposer", "sam", "--sam-model", "no/such/folder"], "there is no such folder"),
+        (["--proposer", "sam2", "--sam2-model", "SAM"], "is of type 'sam', but sam2 needs"),
+        (["--proposer", "sam", "--sam-model", "SAM", "--sam-preset", "x"], "preset: found 'x'"),
+        (["--sam-points", "4"], "settings of 'sam' are given, but no part is 'sam'"),
+        (["--proposer", "sam", "--sam-points", "few"], "sam.points: found 'few'"),
+    ],
+)
+def test_a_run_that_cannot_be_does_not_begin(
+    folders, tmp_path, monkeypatch, capsys, words, sentence
+):
+    config = tmp_path / "run.toml"
+    config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    words = [folders["sam"] if word == "SAM" else word for word in words]
+    assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and said.count("\n") == 1
+    assert sentence in said
+    assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
+
+
+def test_a_folder_beside_the_configuration_is_found_and_a_name_is_left(tmp_path):
+    (tmp_path / "weights").mkdir()
+    config = tmp_path / "run.toml"
+    config.write_text('[sam]\nmodel = "weights"\n[sam2]\nmodel = "facebook/sam2.1-hiera-tiny"\n')
+    read = read_toml(config, {})
+    assert read.sam.model == str(tmp_path / "weights")
+    assert read.sam2.model == "facebook/sam2.1-hiera-tiny"
+
+
+@pytest.mark.parametrize(("table", "part"), [(SamTable(), Sam), (Sam2Table(), Sam2)])
+def test_defaults_are_those_of_the_proposer(table, part):
+    for name, value in table:
+        assert value == part.__dataclass_fields__[name].default

@@ -1,0 +1,115 @@
+"""Trackers with settings of their own, by command and by flow."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flows import cli, pipeline
+from flows.settings import PrecomputedTable, Sam2VideoTable, make_settings, read_toml
+from slgaussian import datasets
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.masks.precomputed import Precomputed, folder_digest
+from slgaussian.masks.sam2_video import Sam2Video
+from slgaussian.store import ArtifactStore
+from tasks import geometry, masks
+from tasks.artifacts import sample_to_arrays
+from tasks.stage import StageCall
+
+SCENE = {
+    "name": "room",
+    "format": "procedural",
+    "options": {"seed": 1, "objects": 4, "views": 3},
+    "context": ["view_00", "view_02"],
+}
+
+
+def sample():
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
+    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
+
+
+@pytest.fixture
+def ids(tmp_path):
+    """A folder of the true ids."""
+    folder = tmp_path / "ids"
+    folder.mkdir()
+    for view in sample().context:
+        np.save(folder / f"{view.name}.npy", view.instances)
+    return folder
+
+
+def test_a_field_has_the_given_objects_and_says_so(ids):
+    field = build_field(sample(), tracker="precomputed", settings={"precomputed": {"folder": ids}})
+    truth = np.unique([view.instances for view in sample().context])
+    np.testing.assert_array_equal(field.bank.ids, truth[truth > 0])
+    assert field.settings["tracker"] == "precomputed"
+    assert field.settings["precomputed"] == {"folder": folder_digest(ids)}
+
+
+def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_path):
+    values = {"scenes": [SCENE], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
+    settings = make_settings(values, "test")
+    steps = {step.stage: step for step in pipeline.plan(settings, settings.scenes[0])}
+    own = {"folder": folder_digest(ids)}
+    assert steps["masks"].settings["precomputed"] == own == steps["field"].settings["precomputed"]
+    assert steps["masks"].where == {"precomputed": str(ids)}
+    assert "precomputed" not in steps["geometry"].settings
+
+    store = ArtifactStore(tmp_path / "store")
+    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
+    inputs = {**inputs, "gaussians": geometry.run(store, made)}
+    chosen = {"proposer": "regions", "tracker": "precomputed", "replicas": 5, "precomputed": own}
+    call = StageCall("tasks.masks", chosen, inputs, {"precomputed": str(ids)})
+    labels = store.get(masks.run(store, call))["labels"]
+    np.testing.assert_array_equal(labels, [view.instances for view in sample().context])
+    np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
+    with pytest.raises(InputError, match="was changed after the run had begun"):
+        masks.run(store, call)
+    chosen["precomputed"] = {"folder": folder_digest(ids)}
+    assert masks.run(store, replace(call, settings=chosen)).meta["objects"] > 0
+
+
+def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
+    (tmp_path / "model").mkdir()
+    config = tmp_path / "run.toml"
+    config.write_text(
+        'tracker = "sam2-video"\n[sam2_video]\nmodel = "model"\nbatch = 4\n'
+        '[precomputed]\nfolder = "ids"\n'
+    )
+    read = read_toml(config, {})
+    assert read.part_settings() == {"sam2-video": {"model": str(tmp_path / "model"), "batch": 4}}
+    assert read.precomputed.folder == tmp_path / "ids"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--tracker", "sam2-video"], "sam2-video model: none given; give a folder, or a name"),
+        (["--tracker", "precomputed"], "precomputed folder: none given"),
+        (["--tracker", "precomputed", "--precomputed-folder", "no"], "there is no folder 'no'"),
+        (["--sam2-video-batch", "4"], "settings of 'sam2_video' are given, but no part"),
+    ],
+)
+def test_a_run_that_cannot_be_does_not_begin(tmp_path, monkeypatch, capsys, words, sentence):
+    config = tmp_path / "run.toml"
+    config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    command = ["slgaussian", "run", config, "--store", tmp_path / "store", *words]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in command])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    said = capsys.readouterr().err
+    assert left.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
+    assert sentence in said
+
+
+@pytest.mark.parametrize(
+    ("table", "part"), [(Sam2VideoTable(), Sam2Video), (PrecomputedTable(), Precomputed)]
+)
+def test_defaults_are_those_of_the_tracker(table, part):
+    for name, value in table:
+        assert value == part.__dataclass_fields__[name].default

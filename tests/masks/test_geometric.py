@@ -1,0 +1,191 @@
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from drawn_views import canvas, paste, view
+
+from slgaussian.datasets import procedural
+from slgaussian.errors import InputError
+from slgaussian.masks import load_tracker
+from slgaussian.masks.geometric import AGREE_PIXELS, GeometricTracker
+from slgaussian.scene import Camera, View
+
+SIZE = (96, 128)
+
+
+@cache
+def room(baseline=0.6, seed=3):
+    scene = procedural.read(seed=seed, height=208, width=288, views=2, baseline=baseline)
+    return [scene.read(name) for name in scene.cameras]
+
+
+def carried(old, new, depths):
+    tracker = load_tracker("geometric")
+    tracker.add(old, old.instances, depths[0])
+    return tracker.propagate(new, depths[1])
+
+
+@pytest.mark.parametrize("baseline", [0.6, 1.6])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_labels_land_on_the_same_objects_however_far_the_views(baseline, swapped):
+    old, new = room(baseline)[:: -1 if swapped else 1]
+    labels = carried(old, new, [old.depth, new.depth])
+    known = labels > 0
+    assert known.mean() > 0.9
+    assert (labels == new.instances)[known].mean() > 0.96
+    both = np.intersect1d(old.instances, new.instances)
+    right = [np.bincount(labels[new.instances == i]).argmax() == i for i in both]
+    # Some are of a dozen pixels here, or wear the colour of what is behind them.
+    assert len(both) >= 12 and np.mean(right) >= 0.75
+
+
+def test_depth_that_is_noisy_rough_and_full_of_holes_will_do():
+    old, new = room()
+    rng, depths = np.random.default_rng(0), []
+    for seen in (old, new):
+        depth = seen.depth * rng.normal(1, 0.01, seen.depth.shape)
+        depth = cv2.medianBlur(depth.astype(np.float32), 5)  # blunt corners
+        rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] // 16
+        holes = rng.random((rows.max() + 1, columns.max() + 1)) < 0.2
+        depths.append(np.where(holes[rows, columns], 0, depth).astype(np.float32))
+    labels = carried(old, new, depths)
+    known = labels > 0
+    assert known.mean() > 0.9
+    assert (labels == new.instances)[known].mean() > 0.94
+
+
+def test_a_pose_that_is_a_little_off_will_do():
+    old, new = room()
+    c2w = new.camera.c2w.copy()
+    c2w[:3, :3] = cv2.Rodrigues(np.radians([0.2, -0.2, 0.2]))[0] @ c2w[:3, :3]
+    new = replace(new, camera=replace(new.camera, c2w=c2w))
+    labels = carried(old, new, [old.depth, new.depth])
+    assert (labels == new.instances)[labels > 0].mean() > 0.94
+
+
+def cameras(shift):
+    K = np.array([[100, 0, SIZE[1] / 2], [0, 100, SIZE[0] / 2], [0, 0, 1.0]])
+    c2w = np.eye(4)
+    c2w[0, 3] = shift
+    return [Camera(K, pose, SIZE[1], SIZE[0]) for pose in (np.eye(4), c2w)]
+
+
+def screen_and_wall(shift=0.4):
+    """Two views of a wall at depth 4 and a screen before it at depth 2, and their depths."""
+    views, depths = [], []
+    for index, (camera, (left, wall)) in enumerate(
+        zip(
+            cameras(shift),
+            [(50, 0), (50 - round(100 * shift / 2), round(100 * shift / 4))],
+            strict=True,
+        )
+    ):
+        large = np.tile(canvas((120, 130, 140), seed=1), (1, 2, 1))
+        picture = large[: SIZE[0], wall : wall + SIZE[1]].copy()
+        paste(picture, (30, 70, left, left + 30), (200, 60, 40), 5)
+        depth = np.full(SIZE, 4, np.float32)
+        depth[30:70, left : left + 30] = 2
+        image = np.clip(picture, 0, 255).astype(np.uint8)
+        views.append(View(f"{index}", camera, image))
+        depths.append(depth)
+    return views, depths
+
+
+def test_what_one_view_hides_has_no_match_and_the_rest_has():
+    views, depths = screen_and_wall()
+    tracker = GeometricTracker()
+    frames = [
+        tracker.describe(v, np.ones(SIZE, np.int32), d) for v, d in zip(views, depths, strict=True)
+    ]
+    place, matched = tracker.match(frames[1], frames[0])
+    rows, columns = np.indices(SIZE)
+    # The camera went right by 0.4: the screen moved left by 20 pixels and the wall by 10.
+    screen = depths[1] == 2
+    expected = columns + np.where(screen, 20, 10)
+    hidden = ~screen & (depths[0][rows, np.minimum(expected, SIZE[1] - 1)] == 2)
+    assert hidden.sum() == 40 * 10
+    np.testing.assert_array_equal(matched, (expected < SIZE[1]) & ~hidden)
+    np.testing.assert_array_equal(place[matched], (rows * SIZE[1] + expected)[matched])
+
+
+def test_equals_the_plain_rule():
+    """Pixel by pixel: there by one depth, back by the other, and how far off."""
+    (a, b), depths = screen_and_wall(0.37)
+    rng = np.random.default_rng(0)
+    depths = [(d * rng.uniform(0.93, 1.07, d.shape)).astype(np.float32) for d in depths]
+    depths[0][5:9, 5:50] = depths[1][:20, 60:80] = 0
+    tracker = GeometricTracker()
+    place, matched = tracker.match(
+        *(
+            tracker.describe(v, np.ones(SIZE, np.int32), d)
+            for v, d in zip((b, a), depths[::-1], strict=True)
+        )
+    )
+
+    def moved(row, column, depth, here, there):
+        ray = np.linalg.inv(here.K) @ (column + 0.5, row + 0.5, 1)
+        point = there.w2c @ np.append(here.c2w[:3, :3] @ ray * float(depth) + here.center, 1)
+        pixel = there.K @ point[:3]
+        return pixel[:2] / pixel[2] - 0.5
+
+    checked = 0
+    for row, column in np.ndindex(SIZE):
+        found = None
+        if depths[1][row, column] > 0:
+            x, y = moved(row, column, depths[1][row, column], b.camera, a.camera)
+            i, j = round(y), round(x)
+            if 0 <= i < SIZE[0] and 0 <= j < SIZE[1] and depths[0][i, j] > 0:
+                back = moved(i, j, depths[0][i, j], a.camera, b.camera)
+                error = np.hypot(*(back - (column, row)))
+                if (
+                    abs(error - AGREE_PIXELS) < 1e-6
+                    or min(abs(x % 1 - 0.5), abs(y % 1 - 0.5)) < 1e-6
+                ):
+                    continue
+                found = i * SIZE[1] + j if error <= AGREE_PIXELS else None
+        assert matched[row, column] == (found is not None)
+        assert found is None or place[row, column] == found
+        checked += 1
+    assert checked > 0.99 * SIZE[0] * SIZE[1]
+    assert 0.3 < matched.mean() < 0.9
+
+
+def test_nothing_is_carried_where_no_depth_is_known():
+    (a, b), depths = screen_and_wall()
+    for empty in (0, 1):
+        given = [np.zeros_like(d) if i == empty else d for i, d in enumerate(depths)]
+        tracker = GeometricTracker()
+        tracker.add(a, np.ones(SIZE, np.int32), given[0])
+        assert not tracker.propagate(b, given[1]).any()
+
+
+def test_views_may_differ_in_size():
+    old, new = room()
+    small = new.resized(104, 144)
+    labels = carried(old, small, [old.depth, small.depth])
+    assert labels.shape == (104, 144)
+    assert (labels == small.instances)[labels > 0].mean() > 0.94
+
+
+def test_same_bytes_again_and_whatever_the_number_of_threads():
+    old, new = room()
+    threads, results = cv2.getNumThreads(), []
+    try:
+        for count in (1, 2, 2):
+            cv2.setNumThreads(count)
+            results.append(carried(old, new, [old.depth, new.depth]).tobytes())
+    finally:
+        cv2.setNumThreads(threads)
+    assert len(set(results)) == 1
+
+
+def test_a_view_without_depth_or_with_that_of_another_is_refused():
+    tracker = GeometricTracker()
+    picture = view(canvas())
+    labels = np.ones(picture.image.shape[:2], np.int32)
+    with pytest.raises(InputError, match="without predicted depth; give depths"):
+        tracker.add(picture, labels)
+    with pytest.raises(InputError, match=r"depth is \(3, 3\), expected \(120, 160\)"):
+        tracker.add(picture, labels, np.ones((3, 3), np.float32))

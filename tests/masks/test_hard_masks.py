@@ -1,0 +1,234 @@
+"""Hard cases of the mask stage, from proposals to label maps, by the trackers that need no weights.
+
+Views that differ in size, and id maps with holes, are also in the tests of each tracker.
+"""
+
+import numpy as np
+import pytest
+from drawn_views import SIZE, canvas, main_label, paste, view
+
+from slgaussian.errors import InputError
+from slgaussian.masks import Proposals, load_tracker
+from slgaussian.masks.associate import associate, merge, reconcile
+from slgaussian.masks.flatten import flatten
+from slgaussian.masks.vote import vote
+from slgaussian.scene import Camera, View
+
+WHOLE = (0, SIZE[0], 0, SIZE[1])
+
+
+class Drawn:
+    """Proposes for each image the boxes it was given for it, and nothing a second time."""
+
+    def __init__(self, *views_and_boxes):
+        self.boxes = {view.image.tobytes(): boxes for view, boxes in views_and_boxes}
+
+    def propose(self, image, where=None, depth=None):
+        boxes = [] if where is not None else self.boxes[image.tobytes()]
+        masks = np.zeros((len(boxes), *image.shape[:2]), bool)
+        for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
+            mask[max(top, 0) : bottom, max(left, 0) : right] = True
+        return Proposals(masks, np.ones(len(boxes), np.float32))
+
+
+def scene(things, moved, move=(0, 14)):
+    """Two views of a wall with boxes on it, and their proposals and depths.
+
+    ``things`` (box, colour, seed) hang in the first view, ``moved`` in the second; all lie at
+    depth 1, and the second camera went by ``move`` pixels (down, right) of their motion.
+    """
+    views, boxes = [], []
+    K = np.array([[100, 0, SIZE[1] / 2], [0, 100, SIZE[0] / 2], [0, 0, 1.0]])
+    large = np.tile(canvas((130, 130, 120), seed=3), (2, 2, 1))
+    for name, shown, (dy, dx) in (("a", things, (0, 0)), ("b", moved, move)):
+        picture = large[50 + dy : 50 + dy + SIZE[0], 70 + dx : 70 + dx + SIZE[1]].copy()
+        own = [WHOLE]
+        for (top, bottom, left, right), color, seed in shown:
+            box = (top - dy, bottom - dy, left - dx, right - dx)
+            paste(picture, box, color, seed)
+            if box[1] > 0 and box[3] > 0 and box[0] < SIZE[0] and box[2] < SIZE[1]:
+                own.append(box)
+        c2w = np.eye(4)
+        c2w[:2, 3] = dx / 100, dy / 100
+        image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+        views.append(View(name, Camera(K, c2w, SIZE[1], SIZE[0]), image))
+        boxes.append(own)
+    return views, Drawn(*zip(views, boxes, strict=True)), [np.ones(SIZE, np.float32)] * 2
+
+
+RED = ((30, 75, 30, 70), (200, 50, 40), 11)
+BLUE = ((55, 100, 85, 140), (50, 60, 200), 12)
+both = pytest.mark.parametrize("tracker", ["geometric", "flow"])
+
+
+def run(tracker, things, moved=None, swapped=False, **settings):
+    views, proposer, depths = scene(things, things if moved is None else moved)
+    order = -1 if swapped else 1
+    maps = associate(
+        views[::order], proposer, load_tracker(tracker), depths=depths[::order], **settings
+    )
+    return maps, maps.labels[::order]
+
+
+@both
+@pytest.mark.parametrize("swapped", [False, True])
+def test_swapped_views_find_the_same_objects(tracker, swapped):
+    maps, labels = run(tracker, [RED, BLUE], swapped=swapped)
+    assert maps.ids.tolist() == [1, 2, 3] and len(maps.seen_once) == 0
+    ids = [main_label(labels[0], box) for box in (WHOLE, RED[0], BLUE[0])]
+    for (top, bottom, left, right), number in zip((RED[0], BLUE[0]), ids[1:], strict=True):
+        assert (labels[0][top:bottom, left:right] == number).all()
+        assert (labels[1][top:bottom, left - 14 : right - 14] == number).all()
+    # Ids count by falling area in the first view of the sequence: the wall, blue, red.
+    assert ids == [1, 3, 2]
+
+
+@both
+@pytest.mark.parametrize("swapped", [False, True])
+def test_an_object_that_leaves_the_view_is_kept_and_marked(tracker, swapped):
+    leaver = ((20, 80, -12, 12), (40, 190, 60), 21)
+    maps, labels = run(tracker, [leaver, RED, BLUE], swapped=swapped)
+    gone = main_label(labels[0], leaver[0])
+    assert maps.seen_once.tolist() == [gone]
+    assert not (labels[1] == gone).any()
+    assert main_label(labels[0], RED[0]) == main_label(labels[1], (30, 75, 16, 56))
+
+
+@both
+def test_two_identical_objects_side_by_side_keep_their_own_ids(tracker):
+    twins = [((40, 80, left, left + 28), (200, 180, 40), 31) for left in (40, 72)]
+    maps, labels = run(tracker, twins)
+    ids = [main_label(labels[0], box) for box, *_ in twins]
+    assert len(set(ids)) == 2 and len(maps.ids) == 3
+    assert ids == [main_label(labels[1], (40, 80, left, left + 28)) for left in (26, 58)]
+
+
+@both
+def test_nested_masks_stay_apart(tracker):
+    inner = ((40, 60, 40, 60), (60, 60, 200), 13)
+    _, labels = run(tracker, [((25, 80, 25, 80), (200, 60, 50), 11), inner])
+    found = [main_label(labels[0], box) for box in (WHOLE, (25, 38, 25, 80), inner[0])]
+    assert len(set(found)) == 3
+    assert main_label(labels[1], (40, 60, 26, 46)) == found[2]
+
+
+@both
+def test_no_mask_in_one_view_or_in_none(tracker):
+    views, _, depths = scene([RED], [RED])
+    nothing = Drawn(*((v, []) for v in views))
+    maps = associate(views, nothing, load_tracker(tracker), depths=depths)
+    assert not maps.labels.any() and len(maps.ids) == len(maps.seen_once) == 0
+    assert maps.areas().shape == (0, 2)
+    first = Drawn((views[0], [WHOLE, RED[0]]), (views[1], []))
+    maps = associate(views, first, load_tracker(tracker), depths=depths)
+    # What was propagated stays, though nothing was detected.
+    assert main_label(maps.labels[1], (30, 75, 16, 56)) == main_label(maps.labels[0], RED[0]) > 0
+    last = Drawn((views[0], []), (views[1], [WHOLE]))
+    maps = associate(views, last, load_tracker(tracker), depths=depths)
+    assert maps.seen_once.tolist() == [1] and not maps.labels[0].any()
+
+
+def test_one_pixel_masks_come_through_every_step_unharmed():
+    pixels = np.zeros((3, *SIZE), bool)
+    pixels[0] = True
+    pixels[1, 5, 5] = pixels[2, 119, 159] = True
+    labels = flatten(Proposals(pixels, np.ones(3, np.float32)))
+    assert sorted(np.unique(labels, return_counts=True)[1]) == [1, 1, SIZE[0] * SIZE[1] - 2]
+    views, _, depths = scene([RED], [RED])
+    tracker = load_tracker("geometric")
+    tracker.add(views[0], labels, depths[0])
+    assert set(np.unique(tracker.propagate(views[1], depths[1]))) <= {0, 1, 2, 3}
+    assert merge(labels, labels, 9).tolist() == labels.tolist()
+    specks = Drawn(*((v, [WHOLE, (50, 51, 50, 51)]) for v in views))
+    maps = associate(views, specks, load_tracker("geometric"), depths=depths)
+    assert maps.ids.tolist() == [1]  # a crumb: see flatten
+
+
+@both
+def test_two_thousand_masks(tracker):
+    things = [((20, 100, 40, 120), (190, 60, 50), 7)]
+    views, _, depths = scene(things, things)
+    tiles = [(y, y + 2, x, x + 4) for y in range(0, 120, 2) for x in range(0, 136, 4)][:2000]
+    moved = [(top, bottom, left - 14, right - 14) for top, bottom, left, right in tiles]
+    seen = [box for box in moved if box[3] > 0]
+    proposer = Drawn((views[0], tiles), (views[1], seen))
+    maps = associate(views, proposer, load_tracker(tracker), depths=depths)
+    assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
+    assert 2000 <= len(maps.ids) <= 4000
+
+
+def test_ties_in_the_vote_go_to_the_earliest_copy_and_have_no_margin():
+    stack = np.array([[[7, 0]], [[3, 5]], [[3, 5]], [[7, 0]]], np.int32)
+    labels, margin = vote(stack)
+    assert labels.tolist() == [[7, 0]] and margin.tolist() == [[0, 0]]
+
+
+class Told:
+    """A tracker that carries what it is told, by view name."""
+
+    final = False
+
+    def __init__(self, **labels):
+        self.labels = labels
+
+    def add(self, view, labels, depth=None):
+        pass
+
+    def propagate(self, view, depth=None):
+        return self.labels[view.name]
+
+
+def halves(*ids):
+    return np.repeat(np.array([ids], np.int32), 4, 0).repeat(4, 1)
+
+
+def test_the_way_back_joins_what_the_way_forth_took_for_two():
+    views = [view(np.zeros((4, 16, 3)), name) for name in "ab"]
+    labels = np.stack([halves(1, 2, 3, 4), halves(1, 5, 6, 7)])
+    # 5 lands on 2; 6 on half of 3 and half of 4; 7 on 1, which is known to be another object.
+    back = Told(a=halves(7, 5, 6, 6))
+    joined = reconcile(views, [None, None], labels, back)
+    np.testing.assert_array_equal(joined[0], labels[0])
+    np.testing.assert_array_equal(joined[1], halves(1, 2, 6, 7))
+    np.testing.assert_array_equal(labels[1], halves(1, 5, 6, 7))
+
+
+def test_the_way_back_is_part_of_the_association():
+    views, proposer, depths = scene([RED, BLUE], [RED, BLUE])
+    blind = Told(b=np.zeros(SIZE, np.int32), a=np.zeros(SIZE, np.int32))
+    kinds = {"forth": None, "back": load_tracker("geometric")}
+    found = {
+        kind: associate(views, proposer, blind, replicas=1, depths=depths, back=back)
+        for kind, back in kinds.items()
+    }
+    assert len(found["forth"].ids) == len(found["forth"].seen_once) == 6
+    assert found["back"].ids.tolist() == [1, 2, 3] and len(found["back"].seen_once) == 0
+
+
+def test_an_id_map_with_holes_keeps_them(tmp_path):
+    ids = np.zeros(SIZE, np.uint16)
+    ids[10:50, 10:60], ids[20:30, 20:30], ids[60:100, 70:150] = 4, 0, 60_000
+    views = [view(canvas()), view(canvas(seed=1), "b")]
+    for name in "ab":
+        np.save(tmp_path / f"{name}.npy", ids)
+    maps = associate(views, None, load_tracker("precomputed", folder=tmp_path), replicas=5)
+    np.testing.assert_array_equal(maps.labels, [ids, ids])
+    assert maps.ids.tolist() == [4, 60_000]
+
+
+def test_views_of_different_size_are_one_clear_refusal():
+    views = [view(canvas()), view(canvas()[:100], "b")]
+    with pytest.raises(InputError, match=r"'b': image is \(100, 160, 3\).*bring all views to it"):
+        associate(views, Drawn(), load_tracker("flow"))
+
+
+def test_trackers_carry_between_views_of_different_size():
+    (a, b), proposer, depths = scene([RED, BLUE], [RED, BLUE])
+    labels = flatten(proposer.propose(a.image))
+    half = b.resized(90, 120)
+    for name in ("geometric", "flow"):
+        tracker = load_tracker(name)
+        tracker.add(a, labels, depths[0])
+        carried = tracker.propagate(half, np.ones((90, 120), np.float32))
+        assert carried.shape == (90, 120)
+        assert main_label(carried, (25, 55, 14, 40)) == main_label(labels, RED[0]), name

@@ -1,0 +1,178 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
+from slgaussian.masks.merge import (
+    COLOR_STEP,
+    PLANE_STEP,
+    Cues,
+    MergeTree,
+    _plane_error,
+    build_tree,
+    leaf_sums,
+    plane_gap,
+    plane_sums,
+)
+
+
+def drawn_tree(draw):
+    """Any merge tree, or forest, over a row of leaves of a few pixels each."""
+    count = draw(st.integers(1, 12))
+    sizes = draw(st.lists(st.integers(1, 5), min_size=count, max_size=count))
+    leaves = np.repeat(np.arange(count, dtype=np.int32), sizes)[None]
+    parent, height, live = [-1] * count, [0.0] * count, list(range(count))
+    for _ in range(draw(st.integers(0, count - 1))):
+        pair = [live.pop(draw(st.integers(0, len(live) - 1))) for _ in range(2)]
+        for node in pair:
+            parent[node] = len(parent)
+        live.append(len(parent))
+        parent.append(-1)
+        height.append(height[-1] + draw(st.sampled_from([0.0, 0.5, 1.0])))
+    return MergeTree(leaves, np.array(parent, np.int32), np.array(height))
+
+
+trees = st.composite(drawn_tree)()
+
+
+def members_by_walking(tree):
+    """The leaves below every node, found by walking up from each leaf."""
+    out = np.zeros((len(tree.parent), tree.leaves.max() + 1), bool)
+    for leaf in range(out.shape[1]):
+        node = leaf
+        while node >= 0:
+            out[node, leaf] = True
+            node = tree.parent[node]
+    return out
+
+
+@given(trees)
+def test_members_are_the_leaves_below(tree):
+    expected = members_by_walking(tree)
+    np.testing.assert_array_equal(tree.members(np.arange(len(tree.parent))), expected)
+    shared = expected[:, None] & expected
+    nested = (shared == expected[:, None]).all(2) | (shared == expected).all(2)
+    assert (nested | ~shared.any(2)).all()
+
+
+@given(trees, st.integers(0, 30), st.integers(0, 8))
+def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, most, least):
+    everything = members_by_walking(tree)
+    given_members = everything[tree.cut(0.6, 100)]
+    member, score = pick_nodes([tree, tree], given_members, least, most)
+    assert len(member) == len(score) <= most
+    area = np.bincount(tree.leaves.ravel())
+    assert (member @ area >= least).all() and (np.diff(score) <= 0).all()
+    nodes = {row.tobytes() for row in everything}
+    assert all(row.tobytes() in nodes for row in member)
+    together = np.concatenate([given_members, member])
+    assert len({row.tobytes() for row in together}) == len(together)
+    if most > len(everything):
+        # Whatever was left out is small or nearly equals something that was not.
+        for row in everything[everything @ area >= least]:
+            iou = (together & row) @ area / ((together | row) @ area)
+            assert iou.max() > 0.95
+    level = levels_of(member, given_members, area)
+    inside = (member[:, None] <= given_members).all(2).any(1)
+    np.testing.assert_array_equal(level, np.where(inside, 0, 2))
+
+
+def test_survival_ends_where_a_node_is_merged_on():
+    parent = np.array([3, 3, 4, 4, -1], np.int32)
+    tree = MergeTree(np.array([[0, 1, 2]], np.int32), parent, np.array([0, 0, 0, 1.0, 4.0]))
+    assert survival(tree).tolist() == [0.25, 0.25, 1, 1, 1]
+
+
+@pytest.fixture(scope="module")
+def noise():
+    """Six leaves of noise, some depth unknown: image, leaves, boundary, depth."""
+    rng = np.random.default_rng(4)
+    leaves = np.repeat(np.repeat(np.arange(6, dtype=np.int32).reshape(2, 3), 9, 0), 8, 1)
+    leaves[7:11] = np.roll(leaves[7:11], 2, 1)
+    image = rng.integers(0, 256, (*leaves.shape, 3)).astype(np.uint8)
+    image[leaves % 2 == 0] //= 3
+    boundary = rng.uniform(0, 1, leaves.shape).astype(np.float32)
+    depth = rng.uniform(2, 3, leaves.shape).astype(np.float32)
+    depth[:5, :12] = 0
+    return image, leaves, boundary, depth
+
+
+def plain_cost(a, b, sums, cues):
+    """Cost of uniting two lists of leaves, from their sums, one term at a time."""
+    between = [(u in a and v in b) or (u in b and v in a) for u, v in sums.edges]
+    if not any(between):
+        return np.inf
+    sizes = [sums.size[leaves].sum() for leaves in (a, b)]
+    color = [sums.color[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b)]
+    p, q = (sums.histogram[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b))
+    used = p + q > 0
+    gap = plane_gap(sums.planes[a].sum(0), sums.planes[b].sum(0))
+    extent = sums.boxes[a + b, 2:].max(0) - sums.boxes[a + b, :2].min(0)
+    terms = [
+        (1.0, sums.strength[between].sum() / sums.length[between].sum()),
+        (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOR_STEP, 1)),
+        (cues.texture, ((p - q)[used] ** 2 / (p + q)[used]).sum()),
+        (cues.plane, min(gap / PLANE_STEP, 1)),
+        (cues.fill, 1 - sum(sizes) / extent.prod()),
+    ]
+    return (
+        sum(weight * term for weight, term in terms)
+        * (sizes[0] * sizes[1] / sum(sizes)) ** cues.size_power
+    )
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+@pytest.mark.parametrize("cues", [Cues(), Cues(0.1, 0.4, 0.3, 0.5, 0.1)])
+def test_merging_equals_its_plain_reference(noise, cues, with_depth):
+    image, leaves, boundary, depth = noise
+    sums = leaf_sums(image, leaves, boundary, depth if with_depth else None)
+    tree = build_tree(sums, cues)
+    live = {node: [node] for node in range(6)}
+    sets, height = dict(live), [0.0] * 6
+    while len(live) > 1:
+        pairs = [(a, b) for a in live for b in live if a < b]
+        costs = [plain_cost(live[a], live[b], sums, cues) for a, b in pairs]
+        a, b = pairs[int(np.argmin(costs))]
+        height.append(max(min(costs), height[a], height[b]))
+        live[len(height) - 1] = sets[len(height) - 1] = live.pop(a) + live.pop(b)
+    np.testing.assert_allclose(tree.height, height, rtol=1e-9)  # the order of sums: 1e-15
+    members = tree.members(np.arange(len(height)))
+    found = [np.flatnonzero(row).tolist() for row in members]
+    assert found == [sorted(sets[node]) for node in range(len(height))]
+
+
+def test_plane_error_equals_least_squares():
+    rng = np.random.default_rng(5)
+    leaves = rng.integers(0, 3, (20, 30)).astype(np.int32)
+    depth = rng.uniform(1, 3, leaves.shape).astype(np.float32)
+    sums = plane_sums(leaves, depth, 3)
+    for leaf in range(3):
+        v, u = np.nonzero(leaves == leaf)
+        d = np.median(depth) / depth[leaves == leaf].astype(np.float64)
+        A = np.stack([np.ones(len(u)), u / 30, v / 30], 1)
+        residual = np.linalg.lstsq(A, d, rcond=None)[1][0]
+        assert _plane_error(sums[leaf]) == pytest.approx(residual, rel=1e-4)  # a ridge of 1e-6
+
+
+def test_tree_heights_rise_and_every_cut_is_a_partition(noise):
+    tree = build_tree(leaf_sums(*noise))
+    child = np.flatnonzero(tree.parent >= 0)
+    assert (tree.parent[child] > child).all()
+    assert (tree.height[tree.parent[child]] >= tree.height[child]).all()
+    counts = []
+    for height in (0.0, 0.4, 0.6, 1.0):
+        nodes = tree.cut(height, most=10_000)
+        labels = tree.labels(nodes)
+        assert labels.min() == 1 and len(np.unique(labels)) == len(nodes)
+        counts.append(len(nodes))
+    assert counts == sorted(counts, reverse=True)
+
+
+def test_the_cheapest_border_goes_first():
+    image = np.zeros((6, 9, 3), np.uint8)
+    image[:, :3], image[:, 3:6], image[:, 6:] = 200, 190, 20
+    leaves = np.repeat(np.arange(3, dtype=np.int32), 3)[None].repeat(6, 0)
+    tree = build_tree(leaf_sums(image, leaves, np.zeros((6, 9), np.float32)))
+    assert tree.parent.tolist() == [3, 3, 4, 4, -1]
+    assert 0 < tree.height[3] < tree.height[4]

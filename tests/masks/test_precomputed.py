@@ -1,0 +1,191 @@
+import numpy as np
+import pytest
+from drawn_views import SIZE, canvas, view
+from PIL import Image
+
+from slgaussian.errors import InputError
+from slgaussian.masks import load_tracker
+from slgaussian.masks.associate import associate
+from slgaussian.masks.precomputed import Precomputed, covering, folder_digest, read_ids
+from slgaussian.scene import Camera, View
+
+
+def ids_of(top, seed=0, size=SIZE):
+    """Blocks of ids up to ``top``, with holes."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(1, top + 1, (size[0] // 8, size[1] // 8))
+    coarse[rng.random(coarse.shape) < 0.2] = 0
+    coarse[0, 0] = top
+    return np.kron(coarse, np.ones((8, 8), np.int64))
+
+
+def write_grey(file, ids):
+    Image.fromarray(ids.astype(np.uint8)).save(file)
+
+
+def write_16_bits(file, ids):
+    Image.fromarray(ids.astype(np.uint16)).save(file)
+
+
+def write_palette(file, ids):
+    image = Image.fromarray(ids.astype(np.uint8), mode="P")
+    image.putpalette(np.random.default_rng(1).integers(0, 256, 768).astype(np.uint8).tobytes())
+    image.save(file)
+
+
+def write_colors(file, ids):
+    Image.fromarray(np.stack([ids % 256, ids // 256 % 256, ids >> 16], -1).astype(np.uint8)).save(
+        file
+    )
+
+
+def write_npy(file, ids):
+    np.save(file, ids)
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "top"),
+    [
+        (write_grey, "a.png", 255),
+        (write_16_bits, "a.png", 40_000),
+        (write_palette, "a.png", 200),
+        (write_colors, "a.png", 2**24 - 1),
+        (write_npy, "a.npy", 2**31 - 1),
+    ],
+)
+def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
+    ids = ids_of(top)
+    write(tmp_path / name, ids)
+    found = load_tracker("precomputed", folder=tmp_path).propagate(view(canvas()))
+    assert found.dtype == np.int32
+    np.testing.assert_array_equal(found, ids)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+def test_grey_of_few_bits(tmp_path, bits):
+    ids = np.arange(16).reshape(4, 4) % 2**bits
+    packed = np.packbits(
+        np.unpackbits(ids.astype(np.uint8)[..., None], axis=-1)[..., -bits:].reshape(4, -1), axis=-1
+    )
+    _write_png(tmp_path / "a.png", packed, 4, 4, bits)
+    np.testing.assert_array_equal(read_ids(tmp_path / "a.png"), ids)
+
+
+def _write_png(file, rows, width, height, bits, kind=0):
+    """A PNG by its specification, for what Pillow cannot write."""
+    import struct
+    import zlib
+
+    def chunk(name, data):
+        body = name + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+
+    head = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
+    data = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
+    file.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    )
+
+
+def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
+    class Never:
+        def propose(self, image, where=None, depth=None):
+            raise AssertionError
+
+    views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]
+    maps = [ids_of(700, seed) for seed in (0, 1)]
+    write_16_bits(tmp_path / "a.png", maps[0])
+    write_npy(tmp_path / "b.npy", maps[1].astype(np.uint16))
+    found = associate(views, Never(), Precomputed(tmp_path))
+    np.testing.assert_array_equal(found.labels, maps)
+    assert (found.margin == 1).all()
+    both = np.intersect1d(*maps)
+    assert not np.isin(found.seen_once, both).any()
+    assert set(found.seen_once) | set(both) - {0} == set(found.ids)
+    assert found.areas().sum() == (np.stack(maps) > 0).sum()
+
+
+def test_nested_names_go_before_bare_ones(tmp_path):
+    (tmp_path / "left").mkdir()
+    write_grey(tmp_path / "left" / "1.png", np.full(SIZE, 7))
+    write_grey(tmp_path / "1.png", np.full(SIZE, 9))
+    tracker = Precomputed(tmp_path)
+    assert (tracker.propagate(view(canvas(), "left/1.jpg")) == 7).all()
+    assert (tracker.propagate(view(canvas(), "right/1.jpg")) == 9).all()
+    with pytest.raises(InputError, match=r"both 'right/1.jpg' and 'up/1.jpg'"):
+        tracker.propagate(view(canvas(), "up/1.jpg"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [((40, 60), (80, 120)), ((81, 121), (40, 60)), ((60, 90), (40, 40)), ((7, 5), (9, 9))],
+)
+def test_a_map_of_another_size_lies_where_its_photograph_does(old, new):
+    ids = np.random.default_rng(0).integers(0, 200, old).astype(np.int32)
+    K = np.array([[50, 0, old[1] / 2], [0, 50, old[0] / 2], [0, 0, 1.0]])
+    photograph = View("a", Camera(K, np.eye(4), old[1], old[0]), np.zeros((*old, 3), np.uint8))
+    camera = photograph.resized(*new).camera
+    # The old pixel that the ray of each new one goes through.
+    column, row = (
+        (np.arange(size) + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis] * 50 + old[1 - axis] / 2
+        for axis, size in enumerate(new[::-1])
+    )
+    found = covering(ids, *new)
+    assert found.shape == new
+    # Rounding decides where a centre lies on the border of two old pixels.
+    clear_x, clear_y = (np.abs(x - np.rint(x)) > 1e-6 for x in (column, row))
+    plain = ids[np.ix_(row[clear_y].astype(int), column[clear_x].astype(int))]
+    assert plain.size
+    np.testing.assert_array_equal(found[np.ix_(clear_y, clear_x)], plain)
+
+
+def test_the_digest_follows_the_maps_and_nothing_else(tmp_path):
+    write_grey(tmp_path / "a.png", ids_of(9))
+    before = folder_digest(tmp_path)
+    (tmp_path / "notes.txt").write_text("made elsewhere")
+    assert folder_digest(tmp_path) == before
+    write_grey(tmp_path / "a.png", ids_of(9, seed=1))
+    assert folder_digest(tmp_path) != before
+
+
+def test_what_is_no_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match="none given"):
+        Precomputed()
+    with pytest.raises(InputError, match="there is no folder"):
+        Precomputed(tmp_path / "nowhere")
+
+
+def _rgb_16_bits(file):
+    _write_png(file, np.zeros((4, 24), np.uint8), 4, 4, 16, kind=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "says"),
+    [
+        (None, None, "has no id map of view 'a'; expected a.png or a.npy"),
+        ("a.png", lambda f: f.write_bytes(b"no picture"), "cannot be read as PNG"),
+        ("a.png", lambda f: f.write_bytes(b""), "cannot be read as PNG"),
+        ("a.npy", lambda f: f.write_bytes(b"no array"), "cannot be read as NPY"),
+        ("a.npy", lambda f: np.save(f, np.zeros(SIZE)), "found float64, expected whole numbers"),
+        ("a.npy", lambda f: np.save(f, np.full(SIZE, -1)), "found ids from -1"),
+        ("a.npy", lambda f: np.save(f, np.full(SIZE, 2**31)), "found ids from 2147483648"),
+        ("a.npy", lambda f: np.save(f, np.zeros((4, *SIZE), int)), r"expected ids \[H, W\]"),
+        ("a.npy", lambda f: np.save(f, np.zeros((0, 3), int)), r"expected ids \[H, W\]"),
+        ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]), "is 160x20, but view"),
+        ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
+        ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),
+    ],
+)
+def test_what_is_no_id_map_is_one_sentence(tmp_path, name, write, says):
+    if name:
+        write(tmp_path / name)
+    with pytest.raises(InputError, match=says) as error:
+        Precomputed(tmp_path).propagate(view(canvas()))
+    assert "\n" not in str(error.value)
+
+
+def test_two_maps_of_one_view_are_refused(tmp_path):
+    write_grey(tmp_path / "a.png", ids_of(9))
+    write_npy(tmp_path / "a.npy", ids_of(9))
+    with pytest.raises(InputError, match=r"a\.npy is there too"):
+        Precomputed(tmp_path).propagate(view(canvas()))

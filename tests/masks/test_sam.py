@@ -1,0 +1,355 @@
+"""SAM and SAM 2 with random weights: what goes in and out is right, what it shows is not.
+
+The models are made here and saved to a folder (``small_models``); nothing is downloaded.
+"""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+import torch
+import transformers
+from drawn_views import canvas, paste, view
+from safetensors.torch import load_file, save_file
+from small_models import SIDE, sam2_config, save_sam, save_sam2
+
+from slgaussian import pretrained, threads
+from slgaussian.errors import InputError
+from slgaussian.masks import load_proposer
+from slgaussian.masks.associate import associate
+from slgaussian.masks.automatic import Automatic
+from slgaussian.masks.flow import FlowTracker
+from slgaussian.masks.sam import normalised, pixel_values
+from slgaussian.pretrained import model_digest, model_folder
+
+SAVE = {"sam": save_sam, "sam2": save_sam2}
+LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return {name: save(tmp_path_factory.mktemp(name)) for name, save in SAVE.items()}
+
+
+def picture(size=(60, 80), seed=0):
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, (6, 8, 3), np.uint8)
+    return np.ascontiguousarray(coarse.repeat(-(-size[0] // 6), 0).repeat(-(-size[1] // 8), 1))[
+        : size[0], : size[1]
+    ].copy()
+
+
+SIZES = [(60, 80), (80, 60), (41, 97), (300, 200), (64, 64), (7, 500), (1, 1)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_sam_sees_what_the_processor_of_transformers_makes(size):
+    image = picture(size)
+    processor = transformers.models.sam.image_processing_pil_sam.SamImageProcessorPil(
+        size={"longest_edge": SIDE}, pad_size={"height": SIDE, "width": SIDE}
+    )
+    expected = processor(image, return_tensors="pt", input_data_format="channels_last")
+    found, used = pixel_values(image, SIDE)
+    assert used == tuple(expected["reshaped_input_sizes"][0].tolist())
+    # Both resize in Pillow's integers; the rest is float32 rounding of values up to 2.7.
+    torch.testing.assert_close(found, expected["pixel_values"], rtol=0, atol=1e-6)
+
+
+def test_a_very_thin_image_keeps_a_row():
+    assert pixel_values(picture((2, 500)), SIDE)[1] == (1, SIDE)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_sam2_sees_what_torch_resizes(size):
+    image = picture(size)
+    pixels = torch.from_numpy(image).permute(2, 0, 1)[None]
+    resized = torch.nn.functional.interpolate(
+        pixels.float(), (SIDE, SIDE), mode="bilinear", antialias=True
+    )
+    mean, std = (
+        torch.tensor(v).view(3, 1, 1) for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
+    )
+    expected = (resized / 255 - mean) / std
+    # A grey level (1 / 255 / 0.224 = 0.0175): Pillow rounds after each of its two passes.
+    torch.testing.assert_close(normalised(image, (SIDE, SIDE)), expected, rtol=0, atol=0.0176)
+
+
+def test_sam_answers_what_transformers_answers(folders):
+    image, points = picture((48, 80)), [[10, 12], [70, 40], [33, 5]]
+    proposer = load_proposer("sam", model=folders["sam"])
+    processor = transformers.SamProcessor(
+        transformers.models.sam.image_processing_pil_sam.SamImageProcessorPil(
+            size={"longest_edge": SIDE}, pad_size={"height": SIDE, "width": SIDE}
+        )
+    )
+    inputs = processor(image, input_points=[[[p] for p in points]], return_tensors="pt")
+    sizes = inputs.pop("original_sizes"), inputs.pop("reshaped_input_sizes")
+    network = transformers.SamModel.from_pretrained(folders["sam"])
+    with torch.no_grad():
+        expected = network(**{k: v.to(torch.float32) for k, v in inputs.items()})
+        prompted = proposer.encode(image)
+        logits, predicted = prompted.segment(np.array(points, float))
+        large = prompted.enlarge(logits.flatten(0, 1))
+    # The same layers on the same numbers, but points scaled in another order: 1e-6 of the logits,
+    # which reach 300 here.
+    torch.testing.assert_close(logits, expected.pred_masks[0], rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(predicted, expected.iou_scores[0], rtol=1e-4, atol=1e-5)
+    masks = processor.image_processor.post_process_masks(
+        expected.pred_masks, *sizes, binarize=False, pad_size={"height": SIDE, "width": SIDE}
+    )
+    torch.testing.assert_close(large, masks[0].flatten(0, 1), rtol=1e-4, atol=1e-3)
+
+
+def test_sam2_answers_what_transformers_answers(folders):
+    image, points = picture((48, 80)), np.array([[10.0, 12], [70, 40], [33, 5]])
+    proposer = load_proposer("sam2", model=folders["sam2"])
+    network = transformers.Sam2Model.from_pretrained(folders["sam2"])
+    scaled = torch.from_numpy(points * [SIDE / 80, SIDE / 48]).float()
+    with torch.no_grad():
+        expected = network(
+            pixel_values=normalised(image, (SIDE, SIDE)), input_points=scaled[None, :, None]
+        )
+        prompted = proposer.encode(image)
+        logits, predicted = prompted.segment(points)
+        assert prompted.enlarge(logits.flatten(0, 1)).shape == (9, 48, 80)
+    torch.testing.assert_close(logits, expected.pred_masks[0], rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(predicted, expected.iou_scores[0], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SAVE)
+def test_same_bytes_again_and_with_two_threads(folders, name):
+    results = []
+    for count in (1, 1, 2):
+        torch.set_num_threads(count)
+        found = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture())
+        results.append((found.masks.tobytes(), found.scores.tobytes(), found.levels.tobytes()))
+    assert len(found.masks) >= 1
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize("name", SAVE)
+def test_the_whole_path_to_label_maps(folders, name):
+    first, second = canvas(), canvas(seed=0)
+    for drawn in (first, second):
+        paste(drawn, (20, 60, 20, 70), (200, 40, 40), 1)
+        paste(drawn, (60, 100, 90, 140), (40, 60, 200), 2)
+    proposer = load_proposer(name, model=folders[name], preset=LENIENT)
+    views = [view(first), view(second, "b")]
+    maps = associate(views, proposer, FlowTracker())
+    assert maps.labels.shape == (2, 120, 160) and len(maps.ids) >= 1
+    assert (maps.labels[0] == maps.labels[1]).mean() > 0.98
+
+
+@pytest.mark.parametrize("name", SAVE)
+def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
+    proposer = load_proposer(name, model=folders[name], preset=LENIENT)
+    seen = []
+    encode = proposer.network.get_image_embeddings
+    monkeypatch.setattr(
+        proposer.network, "get_image_embeddings", lambda pixels: seen.append(1) or encode(pixels)
+    )
+    where = np.zeros((60, 80), bool)
+    where[:30] = True
+    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture(), where)
+    for image in (picture(), picture(seed=1), picture()):
+        proposer.propose(image)
+        again = proposer.propose(image, where)
+    assert len(seen) == 3
+    assert again.masks.tobytes() == fresh.masks.tobytes()
+
+
+@pytest.mark.parametrize("name", SAVE)
+def test_settings_of_the_proposer(folders, name):
+    def propose(where=None, **settings):
+        return load_proposer(name, model=folders[name], **settings).propose(picture(), where)
+
+    assert set(propose(preset=LENIENT, level="s").levels) == {0}
+    crops = Automatic(points=2, crops=1, predicted_iou=0.2, stability=0.5)
+    assert propose(preset=crops).masks.shape[1:] == (60, 80)
+    assert len(propose(np.zeros((60, 80), bool)).masks) == 0
+    assert len(propose(points=1).masks) <= 3
+    for preset in ("sam", "sam2", "langsplat", "grouping"):
+        found = propose(preset=preset, points=2)
+        assert found.masks.dtype == bool and found.masks.any((1, 2)).all()
+
+
+def test_a_video_model_serves_as_sam2(folders, tmp_path):
+    image_model = load_proposer("sam2", model=folders["sam2"], preset=LENIENT)
+    config = transformers.Sam2VideoConfig(
+        **sam2_config(),
+        image_size=SIDE,
+        memory_attention_hidden_size=32,
+        memory_attention_num_layers=1,
+        memory_attention_feed_forward_hidden_size=32,
+        memory_attention_rope_feat_sizes=[4, 4],
+        memory_encoder_hidden_size=32,
+        memory_encoder_output_channels=16,
+        mask_downsampler_embed_dim=32,
+        memory_fuser_embed_dim=32,
+        memory_fuser_intermediate_dim=32,
+        memory_fuser_num_layers=1,
+    )
+    model = transformers.Sam2VideoModel(config)
+    model.load_state_dict(image_model.network.state_dict(), strict=False)
+    model.save_pretrained(tmp_path)
+    proposer = load_proposer("sam2", model=tmp_path, preset=LENIENT)
+    expected, found = (p.propose(picture()).masks for p in (image_model, proposer))
+    assert found.tobytes() == expected.tobytes()
+
+
+def broken(folder, target, how):
+    """A copy of a model's folder in which something is wrong."""
+    shutil.copytree(folder, target, dirs_exist_ok=True)
+    weights = target / "model.safetensors"
+    if how == "no weights":
+        weights.unlink()
+    elif how == "no config":
+        (target / "config.json").unlink()
+    elif how == "config":
+        (target / "config.json").write_text("<html>")
+    elif how == "cut":
+        weights.write_bytes(weights.read_bytes()[:-100])
+    elif how in ("lacks", "shape"):
+        tensors = load_file(weights)
+        name = "mask_decoder.iou_token.weight"
+        tensors[name] = tensors[name][:, :-1].contiguous()
+        if how == "lacks":
+            del tensors[name]
+        save_file(tensors, weights, {"format": "pt"})
+    return target
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("no weights", "has no model.safetensors; expected a folder as save_pretrained"),
+        ("no config", "has no config.json"),
+        ("config", "cannot be read as JSON"),
+        ("cut", "cannot be loaded as SamModel"),
+        ("lacks", "lacks 1 of the tensors of SamModel, such as mask_decoder.iou_token.weight"),
+        ("shape", "cannot be loaded as SamModel"),
+    ],
+)
+def test_a_damaged_folder_is_one_sentence(folders, tmp_path, capfd, how, says):
+    with pytest.raises(InputError, match=says) as error:
+        load_proposer("sam", model=broken(folders["sam"], tmp_path / "model", how))
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "says"),
+    [
+        ("sam", {}, "sam model: none given; .* --sam-model facebook/sam-vit-base"),
+        ("sam", {"model": "sam2"}, "is of type 'sam2', but sam needs 'sam', such as facebook"),
+        ("sam2", {"model": "sam"}, "is of type 'sam', but sam2 needs 'sam2' or 'sam2_video'"),
+        ("sam", {"model": "no/such/folder"}, "there is no such folder; expected one with config"),
+        ("sam", {"model": "nowhere"}, "there is no such folder"),
+        ("sam", {"model": __file__}, "is a file; expected a folder"),
+        ("sam", {"model": "sam", "preset": "dino"}, "found 'dino', expected one of sam, sam2, lan"),
+        ("sam2", {"model": "sam2", "level": "xl"}, "sam2 level: found 'xl', expected s, m, l or"),
+        ("sam", {"model": "sam", "points": 0}, "sam points: found 0, expected at least 1"),
+        ("sam", {"model": "sam", "batch": 0}, "sam batch: found 0, expected at least 1"),
+        ("sam", {"model": "sam", "device": "tpu"}, "sam device 'tpu': cannot be used"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
+    settings = {k: folders.get(v, v) if k == "model" else v for k, v in settings.items()}
+    with pytest.raises(InputError, match=says) as error:
+        load_proposer(name, **settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("image", "where", "says"),
+    [
+        (np.zeros((9, 9), np.uint8), None, "expected uint8"),
+        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 8), bool), "where: found bool"),
+        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), "where: found float64"),
+    ],
+)
+def test_an_image_that_cannot_be_is_refused(folders, image, where, says):
+    with pytest.raises(InputError, match=says):
+        load_proposer("sam", model=folders["sam"]).propose(image, where)
+
+
+def test_without_transformers_the_extra_is_named(folders, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(InputError, match=r"needs the package transformers.*slgaussian\[models\]"):
+        load_proposer("sam", model=folders["sam"])
+
+
+@pytest.fixture
+def offline(tmp_path, monkeypatch):
+    """An empty cache of the hub, and no way to the hub."""
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    return tmp_path / "hub"
+
+
+def test_a_name_that_is_not_cached_is_one_sentence_offline(offline):
+    with pytest.raises(
+        InputError, match=r"could not be downloaded \(\w+: .*give the folder"
+    ) as error:
+        load_proposer("sam", model="facebook/sam-vit-base")
+    assert "\n" not in str(error.value)
+
+
+def test_a_name_is_found_in_the_cache(folders, offline):
+    place = offline / "models--someone--small-sam"
+    (place / "refs").mkdir(parents=True)
+    (place / "refs" / "main").write_text("0" * 40)
+    shutil.copytree(folders["sam"], place / "snapshots" / ("0" * 40))
+    by_name = load_proposer("sam", model="someone/small-sam", preset=LENIENT).propose(picture())
+    by_path = load_proposer("sam", model=folders["sam"], preset=LENIENT).propose(picture())
+    assert by_name.masks.tobytes() == by_path.masks.tobytes()
+    assert model_digest("someone/small-sam") == model_digest(folders["sam"])
+    # A cache that holds a part of the model is no model.
+    (place / "snapshots" / ("0" * 40) / "model.safetensors").unlink()
+    with pytest.raises(InputError, match=r"could not be downloaded|has no model\.safetensors"):
+        model_folder("someone/small-sam")
+
+
+def test_a_model_is_known_by_its_weights_and_config(folders, tmp_path):
+    digest = model_digest(folders["sam"])
+    copy = tmp_path / "copy"
+    shutil.copytree(folders["sam"], copy)
+    (copy / "README.md").write_text("about")
+    assert model_digest(copy) == digest != model_digest(folders["sam2"])
+    config = json.loads((copy / "config.json").read_text())
+    (copy / "config.json").write_text(json.dumps({**config, "note": 1}))
+    assert model_digest(copy) != digest
+
+
+def test_a_model_in_parts_is_whole(folders, tmp_path):
+    network = transformers.SamModel.from_pretrained(folders["sam"])
+    network.save_pretrained(tmp_path, max_shard_size="60KB")
+    assert len(list(tmp_path.glob("model-*.safetensors"))) > 1
+    found, expected = (
+        load_proposer("sam", model=f, preset=LENIENT).propose(picture())
+        for f in (tmp_path, folders["sam"])
+    )
+    assert found.masks.tobytes() == expected.masks.tobytes()
+    next(tmp_path.glob("model-*.safetensors")).unlink()
+    with pytest.raises(InputError, match="has no model-0"):
+        model_digest(tmp_path)
+
+
+def test_loading_leaves_the_voice_of_transformers_as_it_was(folders):
+    from transformers.utils import logging
+
+    before = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    load_proposer("sam", model=folders["sam"])
+    assert (logging.get_verbosity(), logging.is_progress_bar_enabled()) == before
+    assert pretrained.chosen_device("cpu") == "cpu"

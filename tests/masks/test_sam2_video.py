@@ -1,0 +1,166 @@
+"""The tracker ``sam2-video`` on networks with random weights: they run, and track nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import transformers
+from drawn_views import SIZE, canvas, paste, view
+from small_models import SIDE, sam2_config, save_sam2
+
+from slgaussian.errors import InputError
+from slgaussian.masks import load_tracker
+from slgaussian.masks.associate import associate
+from slgaussian.masks.regions import Regions
+from slgaussian.masks.sam2_video import Sam2Video
+
+
+def save_sam2_video(folder: Path) -> Path:
+    torch.manual_seed(0)
+    parts = sam2_config()
+    # Its memory has 64 channels, whatever the configuration says, and must be narrower than this.
+    parts["vision_config"]["fpn_hidden_size"] = 128
+    parts["prompt_encoder_config"]["hidden_size"] = 128
+    parts["mask_decoder_config"]["hidden_size"] = 128
+    config = transformers.Sam2VideoConfig(
+        **parts,
+        image_size=SIDE,
+        memory_attention_hidden_size=128,
+        memory_attention_num_layers=1,
+        memory_attention_feed_forward_hidden_size=32,
+        memory_attention_rope_feat_sizes=[SIDE // 16, SIDE // 16],
+        memory_encoder_hidden_size=128,
+        memory_encoder_output_channels=64,
+        mask_downsampler_embed_dim=128,
+        memory_fuser_num_layers=1,
+        memory_fuser_embed_dim=128,
+        memory_fuser_intermediate_dim=32,
+    )
+    model = transformers.Sam2VideoModel(config)
+    state = torch.Generator().manual_seed(1)
+    for name, tensor in sorted(model.named_parameters()):
+        if tensor.ndim > 1:
+            spread = tensor[0].numel() ** -0.5
+            tensor.data.copy_(torch.randn(tensor.shape, generator=state) * spread)
+        if "pred_obj_score_head.proj_out.bias" in name:
+            tensor.data.fill_(3.0)  # objects are there, or all masks would be empty
+    model.save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return save_sam2_video(tmp_path_factory.mktemp("models") / "sam2-video")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    """Layers this small take a hundred times longer where threads wait for each other."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def labels():
+    """Objects, some with ids beyond 8 and 16 bits, one of one pixel."""
+    drawn = np.zeros(SIZE, np.int32)
+    drawn[20:60, 20:70] = 5
+    drawn[60:100, 90:140] = 300
+    drawn[0:15] = 70_000
+    drawn[110, 10] = 9
+    return drawn
+
+
+def test_it_carries_known_ids_only_whatever_the_batches(folder):
+    answers = []
+    for batch in (1, 3, 16):
+        tracker = load_tracker("sam2-video", model=folder, batch=batch, device="cpu")
+        tracker.add(view(canvas()), labels())
+        answers.append(tracker.propagate(view(canvas(seed=2))))
+    assert answers[0].dtype == np.int32 and answers[0].shape == SIZE
+    found = set(np.unique(answers[0]))
+    assert found <= {0, *np.unique(labels())} and len(found) >= 3
+    np.testing.assert_array_equal(answers[0], answers[1])
+    np.testing.assert_array_equal(answers[0], answers[2])
+
+
+def test_three_hundred_objects(folder):
+    many = np.arange(1, 301, dtype=np.int32).reshape(15, 20).repeat(8, 0).repeat(8, 1)
+    assert many.shape == SIZE
+    tracker = Sam2Video(folder, batch=64, device="cpu")
+    tracker.add(view(canvas()), many)
+    assert len(tracker._groups()[0,]) == 300
+    assert tracker.propagate(view(canvas(seed=2))).max() > 255
+
+
+def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
+    tracker = Sam2Video(folder, device="cpu")
+    tracker.add(view(canvas()), labels())
+    first = tracker.propagate(view(canvas(seed=2)))
+    np.testing.assert_array_equal(tracker.propagate(view(canvas(seed=2))), first)
+    later = np.where(labels() == 5, 0, labels())
+    later[70:90, 10:40] = 71_000
+    tracker.add(view(canvas(seed=2)), later)
+    # 5 was in the first frame only, 71000 in the second, the others in both.
+    assert tracker._groups() == {(0, 1): [9, 300, 70_000], (0,): [5], (1,): [71_000]}
+    carried = tracker.propagate(view(canvas(seed=3)))
+    assert set(np.unique(carried)) <= {0, *np.unique(labels()), 71_000}
+    assert len(tracker._encoded) == 3
+
+
+def test_memory_is_a_copy_and_nothing_in_it_gives_nothing(folder):
+    tracker = Sam2Video(folder, device="cpu")
+    assert not tracker.propagate(view(canvas())).any()
+    tracker.add(view(canvas()), np.zeros(SIZE, np.int32))
+    assert not tracker.propagate(view(canvas())).any()
+    drawn = labels()
+    tracker.add(view(canvas(seed=1)), drawn)
+    expected = tracker.propagate(view(canvas(seed=2)))
+    drawn[:] = 0
+    np.testing.assert_array_equal(tracker.propagate(view(canvas(seed=2))), expected)
+
+
+def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):
+    class Told(Sam2Video):
+        def _tracked(self, features):
+            grid = torch.full((4, 4), -1.0)
+            high, low = grid.clone(), grid.clone()
+            high[:2], low[:2, :2] = 2.0, 1.0
+            return {70_000: high, 8: low, 3: torch.zeros(4, 4), 400: high.clone()}
+
+    found = Told(folder, device="cpu").propagate(view(canvas()))
+    assert (found[:50] == 400).all() and not found[75:].any()
+
+
+def test_the_whole_association_with_copies(folder):
+    picture = canvas((140, 140, 140))
+    paste(picture, (20, 60, 20, 70), (200, 40, 40), 1)
+    views = [view(picture), view(picture + 3, "b")]
+    asked = []
+
+    class Counted(Sam2Video):
+        def propagate(self, view, depth=None):
+            asked.append(view.name)
+            return super().propagate(view)
+
+    maps = associate(views, Regions(), Counted(folder, device="cpu"), replicas=5)
+    # Two copies of each view say that the others would be the same; the second comes carried too.
+    assert asked == ["a", "a", "b", "b", "b"]
+    assert maps.labels.shape == (2, *SIZE) and (maps.margin >= 0.6 - 1e-6).all()
+
+
+def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
+    images = save_sam2(tmp_path / "sam2")
+    for given, says in [
+        ({"model": folder, "batch": 0}, "sam2-video batch: found 0"),
+        ({}, "sam2-video model: none given"),
+        ({"model": tmp_path / "nowhere"}, "there is no such folder"),
+        ({"model": images}, "is of type 'sam2', but sam2-video needs 'sam2_video'"),
+    ]:
+        with pytest.raises(InputError, match=says) as error:
+            Sam2Video(**given)
+        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="expected int32"):
+        Sam2Video(folder, device="cpu").add(view(canvas()), np.zeros(SIZE))
