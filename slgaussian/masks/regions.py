@@ -32,10 +32,6 @@ CUES = (
 """One tree each, as different as they are good: objects; even growth that is blind to colour, so
 that a thing of many colours is one; compact pieces, with small ones standing long."""
 
-DEPTH_ADDS = 0.05
-"""Where depth is known, every border is a little higher, false ones by errors of the depth too, and
-so is the cut for objects."""
-
 LEVELS = ("s", "m", "l")
 
 
@@ -44,7 +40,7 @@ class Regions:
     """Object-like regions of an image: watershed leaves, merged into trees.
 
     Level ``m``, objects, is the first tree cut at one height: disjoint masks that cover all of
-    ``where``, 15 to 40 in an indoor photograph, one in a blank image. The other levels are nodes of
+    ``where``, 15 to 60 in an indoor photograph, one in a blank image. The other levels are nodes of
     all trees, chosen by how long they stand: ``s``, parts, smaller than the object in which they
     lie; ``l``, groups. They overlap. One partition cannot fit every object, so that the best of all
     masks fits a thing far better than the best object does; only label maps need a partition.
@@ -54,7 +50,7 @@ class Regions:
     level : "s", "m", "l" or "all"
     height : float
         Objects stop growing here: contrast in units of a full border (0 to about 2), times the
-        fourth root of the area share of the smaller region. With depth, :data:`DEPTH_ADDS` to it.
+        fourth root of the area share of the smaller region.
     most_objects : int
         Upper bound on the number of objects; the weakest borders go first.
     most : int
@@ -98,8 +94,7 @@ class Regions:
         if depth is not None and not np.isfinite(depth).all():
             raise InputError("propose depth: holds NaN or infinity; use 0 where depth is unknown")
         trees = grow_trees(image, where, depth, CUES[:1] if self.level == "m" else CUES)
-        known = depth is not None and (depth > 0).any()
-        nodes = trees[0].cut(self.height + DEPTH_ADDS * known, self.most_objects)
+        nodes = trees[0].cut(self.height, self.most_objects)
         member = trees[0].members(nodes)
         scores = survival(trees[0])[nodes].astype(np.float32)
         levels = np.ones(len(nodes), np.uint8)

@@ -89,7 +89,7 @@ def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypat
     given = ["--predictor", "mvsplat", "--mvsplat-checkpoint", checkpoint]
     given += ["--mvsplat-depth-candidates", "auto", "-o", tmp_path / "field"]
     assert run(monkeypatch, *field_words(photos, *given)) == 0
-    assert "with mvsplat, regions, flow" in capsys.readouterr().err
+    assert "with mvsplat, regions, geometric" in capsys.readouterr().err
     field = SemanticField.load(tmp_path / "field")
     assert field.settings["predictor"] == "mvsplat"
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
@@ -227,7 +227,7 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
     assert "<dt>settings.mvsplat.depth_candidates</dt><dd>auto</dd>" in page
     said = capsys.readouterr().err
-    assert said.startswith("with mvsplat, regions, flow, lexicon, grid, hard\n")
+    assert said.startswith("with mvsplat, regions, geometric, lexicon, grid, hard\n")
 
     # The same weights in another place: nothing is computed. Another setting: the geometry is.
     moved = tmp_path / "moved.ckpt"
