@@ -22,9 +22,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from pairs import load_samples
-from skimage.metrics import structural_similarity
 
 import slgaussian.threads
+from slgaussian.benchmark.metrics import psnr, ssim_with_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import Render, rasterize
@@ -85,19 +85,13 @@ def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
 
 
 def scores(image: np.ndarray, truth: np.ndarray, known: np.ndarray) -> list[float]:
-    square = ((image.astype(np.float64) - truth) ** 2).mean(-1)
-    mean, similarity = structural_similarity(
-        image.astype(np.float64),
-        truth.astype(np.float64),
-        data_range=255.0,
-        channel_axis=2,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        full=True,
-    )
-    decibels = [10 * np.log10(255.0**2 / error) for error in (square.mean(), square[known].mean())]
-    return [decibels[0], mean, decibels[1], similarity[known].mean()]
+    similarity, similarities = ssim_with_map(image, truth)
+    return [
+        psnr(image, truth),
+        similarity,
+        psnr(image[known], truth[known]),
+        similarities[known].mean(),
+    ]
 
 
 def main() -> None:

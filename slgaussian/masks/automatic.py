@@ -98,7 +98,8 @@ PRESETS = {
     ),
     "grouping": Automatic(points=64, predicted_iou=0.7, visible=0.8),
 }
-"""By name: the programs of SAM and SAM 2; LangSplat; Gaussian Grouping, and so the paper."""
+"""By name: the programs of SAM and SAM 2; LangSplat; Gaussian Grouping, and so the paper. What a
+program is not known to change is SAM's."""
 
 
 class PromptedImage(Protocol):

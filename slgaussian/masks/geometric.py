@@ -19,10 +19,8 @@ class GeometricTracker(MemoryTracker):
 
     A pixel of the new view is lifted by its own depth and projected into the old one. The pixel it
     meets there must lead back, by that view's depth: surfaces that hide each other do not. Given
-    poses will do where a predictor used better ones: its depths then land a little off (0.1 to 1.9
-    pixels on average in 8 hand-held pairs), which tolerance and leaves forgive. With cameras fitted
-    to the Gaussians the results were the same to one object of 48, and in 8 drawn pairs turned by a
-    degree to none. The rest is :class:`slgaussian.masks.memory.MemoryTracker`.
+    poses will do where a predictor used better ones: its depths then land a little off, which
+    tolerance and leaves forgive. The rest is :class:`slgaussian.masks.memory.MemoryTracker`.
     """
 
     def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:

@@ -121,7 +121,8 @@ class PlaneSweep:
         ------
         InputError
             If no depth range is given and too few matches are found to estimate it, if near is not
-            below far, or if two views see nothing in common within the range.
+            below far, if two views see nothing in common within the range, or if matches say that
+            they were taken from one place or that their poses are exchanged.
         """
         views = sample.context
         links = link_views(views)
