@@ -146,8 +146,8 @@ scenes, where it would take hours, the cpu backend with `alpha_min` 2^-20 stands
 
 **What limits the speed.** {limits(rows["stages"][0])}
 
-The Gaussians are those that the plane sweep predicts from two photographs, about one a pixel, drawn from
-a third camera. All tables but the first two are of the scene {scene}.
+The Gaussians are those that the plane sweep predicts from two photographs, about one a pixel, drawn
+from a third camera. All tables but the first two are of the scene {scene}.
 
 {tables}"""
 
