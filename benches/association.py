@@ -1,29 +1,26 @@
-"""Do objects keep their ids? ``python benches/association.py [--pairs N] [--data DIR] [-o PNG]``
+"""Do objects keep their ids from one view to the other? Rows for ``benches/masks.py``.
 
-Procedural pairs of five baselines have exact ids and get the plane sweep's depth, as in a run. DATA
-is a folder with the camera file ``transforms.json``, ``pairs.json`` (scene -> context and target
-views), sensor depth, and LERF-OVS labels of the targets in ``labels/``: the sensor tells where each
-labelled pixel of a target lies in both context views. PNG shows one pair by every tracker.
+Procedural pairs of several baselines have exact ids and get the plane sweep's depth, as in a run.
+Of photographs with labels (``labels/`` in LERF-OVS JSON, of the target views of ``pairs.json``) the
+sensor's depth tells where each labelled pixel of a target lies in both context views.
 
-Columns: ``matched`` is the share of objects, seen by both views in 100 common pixels and more,
-whose main id is one and the same in both; ``things`` the same without walls and ceiling; ``alone``
-also asks that no other object has that id for its main one; ``IoU`` is that of an object in the
-second view with the id it has in the first; ``pieces`` counts ids with 5 % of an object or more;
-``pixels`` is the share of pixels seen by both views whose ids agree. Seconds are those of the
-processor, of a pair: ``track`` without proposals, ``whole`` with them.
+Of each object that both views see in 100 common pixels and more: ``matched`` is whether its main id
+is one and the same in both views; ``alone`` also asks that no other object has that id for its main
+one; ``iou`` is that of the object in the second view with the id it has in the first; ``pieces``
+counts ids with 5 % of it or more; ``pixels`` is the share of its pixels seen by both views whose
+ids agree. CPU seconds are of a pair: ``track`` without proposals, ``whole`` with them.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image
+from pairs import SIZE, read_pairs
 
 from slgaussian.benchmark.labels import read_labels
 from slgaussian.datasets import nerfstudio, procedural
@@ -36,16 +33,43 @@ from slgaussian.predict import load_predictor
 from slgaussian.predict.pose import GATE, Relative, refine, sift_matches
 from slgaussian.scene import Sample, View
 
-SIZE = (416, 576)
 BASELINES = (0.3, 0.6, 0.9, 1.2, 1.6)
+"""In metres; the cameras stand about 3.3 m away from what they look at."""
+OVERLAPS = (0, 0.6, 0.7, 0.8, 1)
+"""Bounds of the shares of the first view that the second sees too, by which pairs are grouped."""
+COPIES = (1, 3, 5, 7)
 COMMON = 100
 """Fewest pixels that both views must see of an object."""
 AGREE = 0.02
 SENSOR_AGREE = 0.05
 """Relative depth within which two views see one point, by true depth and by a sensor's."""
-PICTURED = 4
-"""Seed of the pair in the picture: of the widest baseline."""
-Columns = dict[str, float]
+LOST = 0.2
+"""Share of the tiles that a noisy tracker loses at every look."""
+PICTURED = (0, 4)
+"""Seeds of the pairs in the picture: of the narrowest and of the widest baseline."""
+
+
+@dataclass
+class Cell:
+    """What is averaged into one row: columns of objects, and seconds of pairs."""
+
+    objects: list[dict[str, float]] = field(default_factory=list)
+    seconds: list[tuple[float, float]] = field(default_factory=list)
+
+    def row(self) -> dict[str, float]:
+        means = {
+            key: float(np.mean([columns[key] for columns in self.objects]))
+            for key in self.objects[0]
+            if key != "wall"
+        }
+        if "wall" in self.objects[0]:
+            things = [columns["matched"] for columns in self.objects if not columns["wall"]]
+            means["things"] = float(np.mean(things))
+        track, whole = np.mean(self.seconds, 0)
+        return {"objects": len(self.objects), **means, "track": track, "whole": whole}
+
+
+Cells = dict[tuple, Cell]
 
 
 class Once:
@@ -118,7 +142,7 @@ def main_ids(labels: np.ndarray, truth: np.ndarray, objects: list[int]) -> list[
     return [int(np.bincount(labels[truth == number]).argmax()) for number in objects]
 
 
-def judge(sample: Sample, maps: LabelMaps) -> dict[int, Columns]:
+def judge(sample: Sample, maps: LabelMaps) -> list[dict[str, float]]:
     """The columns of each object that both views see."""
     a, b = sample.context
     first, second = maps.labels
@@ -126,7 +150,7 @@ def judge(sample: Sample, maps: LabelMaps) -> dict[int, Columns]:
     common = np.bincount(a.instances[seen])
     objects = [i for i in np.flatnonzero(common >= COMMON).tolist() if i]
     mains = [main_ids(first, a.instances, objects), main_ids(second, b.instances, objects)]
-    rows = {}
+    rows = []
     for number, here, there in zip(objects, *mains, strict=True):
         one, other = second == here, b.instances == number
         shares = [
@@ -134,29 +158,16 @@ def judge(sample: Sample, maps: LabelMaps) -> dict[int, Columns]:
             for m, t in ((first, a.instances == number), (second, other))
         ]
         matched = here == there > 0
-        rows[number] = {
+        columns = {
             "matched": matched,
             "alone": matched and all(main.count(here) == 1 for main in mains),
-            "IoU": (one & other).sum() / (one | other).sum() if here else 0.0,
+            "iou": (one & other).sum() / (one | other).sum() if here else 0.0,
             "pieces": float(np.mean([(share[1:] >= 0.05).sum() for share in shares])),
             "pixels": (first == second[row, column])[seen].mean(),
             "wall": any(word in sample.phrases[number] for word in ("wall", "ceiling")),
         }
+        rows.append(columns)
     return rows
-
-
-def table(title: str, rows: dict[str, list[Columns]]) -> None:
-    print(f"\n{title}")
-    names = [name for name in next(iter(rows.values()))[0] if name != "wall"]
-    wide = max(map(len, rows))
-    print(
-        " " * wide, *(f"{name:>8}" for name in names), *(["  things"] if "matched" in names else [])
-    )
-    for label, found in rows.items():
-        means = [np.mean([columns[name] for columns in found]) for name in names]
-        things = [columns["matched"] for columns in found if not columns.get("wall")]
-        means += [np.mean(things)] if "matched" in names else []
-        print(f"{label:>{wide}}", *(f"{mean:8.3f}" for mean in means), flush=True)
 
 
 def run(
@@ -166,51 +177,58 @@ def run(
     tracker: MaskTracker,
     replicas: int = 5,
     back: MaskTracker | None = None,
-) -> tuple[LabelMaps, Columns]:
-    """Label maps, and the seconds that they took."""
+) -> tuple[LabelMaps, tuple[float, float]]:
+    """Label maps, and the seconds that they took, without proposals and with them."""
     start, before = time.process_time(), proposer.seconds
     maps = associate(sample.context, proposer, tracker, replicas, depths, back)
     track = time.process_time() - start - (proposer.seconds - before)
-    return maps, {"track": track, "whole": track + proposer.seconds}
+    return maps, (track, track + proposer.seconds)
 
 
-def procedural_tables(pairs: int, picture: Path | None) -> None:
-    trackers: dict[str, list[Columns]] = {}
-    baselines: dict[str, list[Columns]] = {}
-    copies: dict[str, list[Columns]] = {}
+def procedural_cells(pairs: int) -> Iterator[tuple[dict[str, Cells], dict[int, dict]]]:
+    """After every pair, the cells by table so far, and the label maps to be pictured by seed."""
+    tables = {key: {} for key in ("trackers", "baselines", "overlaps", "copies")}
+    pictured = {}
     for seed in range(pairs):
         sample, baseline = read_pair(seed)
         depths = predicted_depths(sample)
         regions, truth = Once(Regions().propose), Once(true_masks(sample.context))
-        shown = {}
+        overlap = landing(*sample.context)[2].mean()
+        bound = int(np.searchsorted(OVERLAPS, overlap, "right"))
+        between = f"{OVERLAPS[bound - 1]} to {OVERLAPS[bound]}"
 
-        def add(rows, label, proposer, tracker, sample=sample, depths=depths, **settings):
+        def measure(proposer, tracker, *places, sample=sample, depths=depths, **settings):
             maps, seconds = run(sample, depths, proposer, tracker, **settings)
-            columns = [{**c, **seconds} for c in judge(sample, maps).values()]
-            rows.setdefault(label, []).extend(columns)
-            return maps, columns
+            columns = judge(sample, maps)
+            for table, key in places:
+                cell = tables[table].setdefault(key, Cell())
+                cell.objects += columns
+                cell.seconds.append(seconds)
+            return maps
 
+        shown = {}
         for name in ("geometric", "flow"):
-            add(trackers, f"{name}, truth", truth, load_tracker(name))
-            shown[name], columns = add(trackers, f"{name}, regions", regions, load_tracker(name))
-            baselines.setdefault(f"{name}, {baseline} m", []).extend(columns)
-            both = load_tracker(name), load_tracker(name)
-            add(trackers, f"{name}, regions, and back", regions, both[0], back=both[1])
+            shown[name] = measure(
+                regions,
+                load_tracker(name),
+                ("trackers", (name, "regions", "forth")),
+                ("baselines", (name, baseline)),
+                ("overlaps", (name, between)),
+            )
+            measure(truth, load_tracker(name), ("trackers", (name, "true masks", "forth")))
+            back = load_tracker(name)
+            place = "trackers", (name, "regions", "forth and back")
+            measure(regions, load_tracker(name), place, back=back)
         if seed < max(1, pairs // 5):
-            for replicas in (1, 3, 5, 7):
-                noisy = Noisy(load_tracker("geometric"), 0.2)
-                for name, tracker in (
-                    ("geometric", load_tracker("geometric")),
-                    ("flow", load_tracker("flow")),
-                    ("noisy", noisy),
-                ):
-                    label = f"{name}, {replicas} copies"
-                    add(copies, label, regions, tracker, replicas=replicas)
-        if picture and seed == PICTURED:
-            draw(sample, shown, picture)
-    table(f"{pairs} procedural pairs: tracker, proposals", trackers)
-    table("by baseline (cameras stand 3.3 m away), regions", dict(sorted(baselines.items())))
-    table(f"by copies, {max(1, pairs // 5)} pairs, regions", dict(sorted(copies.items())))
+            for replicas in COPIES:
+                for name in ("geometric", "flow", "noisy"):
+                    noisy = name == "noisy"
+                    tracker = load_tracker("geometric" if noisy else name)
+                    tracker = Noisy(tracker, LOST) if noisy else tracker
+                    measure(regions, tracker, ("copies", (name, replicas)), replicas=replicas)
+        if seed in PICTURED:
+            pictured[seed] = sample, shown
+        yield tables, pictured
 
 
 def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
@@ -240,47 +258,26 @@ def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.nda
     }
 
 
-def labelled_table(folder: Path) -> None:
+def labelled_cells(folder: Path) -> tuple[Cells, dict[str, dict]]:
+    """Cells by tracker, and the label maps by scene to be pictured."""
     scene = nerfstudio.read(folder)
-    rows: dict[str, list[Columns]] = {}
-    for pair in json.loads((folder / "pairs.json").read_text()).values():
-        sample = scene.sample(pair["context"], pair["target"], size=SIZE)
+    cells, pictured = {}, {}
+    for scene_name, (context, target) in read_pairs(folder / "pairs.json").items():
+        sample = scene.sample(context, target, size=SIZE)
         depths, once = predicted_depths(sample), Once(Regions().propose)
         places = labelled_points(sample, folder / "labels")
+        shown = {}
         for name in ("geometric", "flow"):
-            maps, seconds = run(sample, depths, once, load_tracker(name))
+            shown[name], seconds = run(sample, depths, once, load_tracker(name))
+            cell = cells.setdefault((name,), Cell())
+            cell.seconds.append(seconds)
             for a, b in places.values():
-                here, there = maps.labels[0][a], maps.labels[1][b]
+                here, there = shown[name].labels[0][a], shown[name].labels[1][b]
                 mains = [np.bincount(ids).argmax() for ids in (here, there)]
                 columns = {
                     "matched": mains[0] == mains[1] > 0,
                     "pixels": ((here == there) & (here > 0)).mean(),
-                    **seconds,
                 }
-                rows.setdefault(name, []).append(columns)
-    table(f"labelled pairs: {len(rows['flow'])} categories seen by both views", rows)
-
-
-def draw(sample: Sample, found: dict[str, LabelMaps], file: Path) -> None:
-    """Photographs, true ids, and the ids by each tracker, one colour an id, a view a row."""
-    colors = np.random.default_rng(5).integers(50, 256, (4096, 3)).astype(np.uint8)
-    colors[0] = 0
-    columns = [np.concatenate([view.image for view in sample.context])]
-    columns.append(np.concatenate([colors[view.instances] for view in sample.context]))
-    columns += [
-        np.concatenate([colors[labels] for labels in maps.labels]) for maps in found.values()
-    ]
-    Image.fromarray(np.concatenate(columns, 1)).reduce(2).save(file)
-    print(f"{file}: photographs, true ids, {', '.join(found)}", flush=True)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pairs", type=int, default=50)
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--picture", type=Path)
-    given = parser.parse_args()
-    if given.pairs:
-        procedural_tables(given.pairs, given.picture)
-    if given.data:
-        labelled_table(given.data)
+                cell.objects.append(columns)
+        pictured[scene_name] = sample, shown
+    return cells, pictured

@@ -1,4 +1,4 @@
-"""Seconds and memory of the suppression of overlapping masks: ``python benches/masks_nms.py``.
+"""Seconds and memory of the suppression of overlapping masks: rows for ``benches/masks.py``.
 
 For each set of masks, 300 of 720x960 unless it says otherwise: the least wall and CPU seconds of
 three calls, the memory beyond that of the masks (the process's peak less what it had), and the same
@@ -14,7 +14,6 @@ import time
 import cv2
 import numpy as np
 import torch
-from machine import machine
 
 from slgaussian import threads
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_intersections, mask_nms, mostly_visible
@@ -78,12 +77,10 @@ def measure(name, call, answer):
     extra = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     if call == "plain product" and not np.array_equal(found, mask_intersections(masks)):
         raise SystemExit(f"{name}: intersections differ")
-    answer.put((*np.min(times, 0), extra / 1024, len(found)))
+    answer.put((*np.min(times, 0).tolist(), extra / 1024))
 
 
-def main():
-    print(machine())
-    print(f"{'masks':22}{'call':18}{'wall s':>8}{'CPU s':>8}{'extra MiB':>11}{'kept':>6}")
+def rows():
     context = multiprocessing.get_context("spawn")
     for name in SETS:
         for call in CALLS:
@@ -93,10 +90,5 @@ def main():
             process.join()
             if process.exitcode:
                 raise SystemExit(process.exitcode)
-            wall, cpu, extra, kept = answer.get()
-            shown = "" if call == "plain product" else kept
-            print(f"{name:22}{call:18}{wall:8.2f}{cpu:8.2f}{extra:11.0f}{shown:>6}", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            wall, cpu, extra = answer.get()
+            yield {"masks": name, "call": call, "wall": wall, "cpu": cpu, "extra": extra}

@@ -45,6 +45,10 @@ def hundredths(value: float) -> str:
     return f"{value:.2f}"
 
 
+def thousandths(value: float) -> str:
+    return f"{value:.3f}"
+
+
 def ms(seconds: float) -> str:
     """Milliseconds to three digits, or all before the point."""
     value = 1e3 * seconds

@@ -49,6 +49,8 @@ class Family:
 def load_pretrained(model: str | Path | None, family: Family, device: str = "auto") -> Any:
     """The model in float32, ready to infer, without gradients.
 
+    The same content on the same device is loaded once and shared: do not change it.
+
     Parameters
     ----------
     model : path or str
@@ -66,7 +68,7 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
     """
     part = family.part
     try:
-        import transformers
+        import transformers  # noqa: F401
     except ImportError as problem:
         raise InputError(
             f"{part}: needs the package transformers ({problem}); "
@@ -79,6 +81,14 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
         )
     folder = model_folder(model)
     _check_type(folder, family)
+    return _loaded(folder, model_digest(folder), family, chosen_device(device))
+
+
+@lru_cache(maxsize=2)
+def _loaded(folder: Path, digest: str, family: Family, device: str) -> Any:
+    """The model of :func:`load_pretrained`; two are kept, as a run uses for all its scenes."""
+    import transformers
+
     try:
         with _quiet():
             loaded, report = getattr(transformers, family.class_name).from_pretrained(
@@ -101,10 +111,10 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             f"{missing[0]}; get it again, or give another one, such as {family.example}"
         )
     try:
-        return loaded.eval().requires_grad_(False).to(chosen_device(device))
+        return loaded.eval().requires_grad_(False).to(device)
     except (RuntimeError, AssertionError) as problem:
         reason = str(problem).splitlines()[0]
-        raise InputError(f"{part} device {device!r}: cannot be used ({reason})") from None
+        raise InputError(f"{family.part} device {device!r}: cannot be used ({reason})") from None
 
 
 def chosen_device(device: str) -> str:

@@ -103,12 +103,17 @@ def using(store: ArtifactStore) -> Iterator[None]:
 
 
 def run_stage(call: StageCall) -> ArtifactRef:
-    """Do the work of ``call`` in the active store; ``meta["seconds"]`` says how long it took."""
+    """Do the work of ``call`` in the active store.
+
+    ``meta["seconds"]`` says how long it took, and ``meta["settings"]`` what made the artifact, with
+    models and other files by their digests.
+    """
     threads.share(call.workers)
     stage = import_module(call.module)
     start = time.perf_counter()
     ref = stage.run(_active_store.get(), call)
-    return replace(ref, meta={**ref.meta, "seconds": time.perf_counter() - start})
+    seconds = time.perf_counter() - start
+    return replace(ref, meta={**ref.meta, "settings": dict(call.settings), "seconds": seconds})
 
 
 def stage_task(store: ArtifactStore) -> Task:

@@ -89,6 +89,12 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
     digest = model_digest(folders["sam"])
     assert f"<dt>settings.sam.model</dt><dd>{digest}</dd>" in page
     assert capsys.readouterr().err.startswith("with planesweep, sam, ")
+    records = [
+        json.loads(json.loads(file.read_text())["result"])
+        for file in (Path(store.path) / "cache" / "masks").rglob("*")
+        if file.is_file()
+    ]
+    assert [r["meta"]["settings"]["sam"]["model"] for r in records] == [digest]
 
     # The same model in another place: nothing is computed. Another setting: the masks are.
     moved = shutil.copytree(folders["sam"], tmp_path / "moved")

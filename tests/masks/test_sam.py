@@ -150,16 +150,26 @@ def test_the_whole_path_to_label_maps(folders, name):
 
 
 @pytest.mark.parametrize("name", SAVE)
+def test_a_model_is_loaded_once(folders, name, tmp_path):
+    one, other = (load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2"))
+    assert one.network is other.network
+    changed = shutil.copytree(folders[name], tmp_path / "changed")
+    weights = load_file(changed / "model.safetensors")
+    save_file({key: value + 1 for key, value in weights.items()}, changed / "model.safetensors")
+    assert load_proposer(name, model=changed).network is not one.network
+
+
+@pytest.mark.parametrize("name", SAVE)
 def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
+    where = np.zeros((60, 80), bool)
+    where[:30] = True
+    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture(), where)
     seen = []
     encode = proposer.network.get_image_embeddings
     monkeypatch.setattr(
         proposer.network, "get_image_embeddings", lambda pixels: seen.append(1) or encode(pixels)
     )
-    where = np.zeros((60, 80), bool)
-    where[:30] = True
-    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture(), where)
     for image in (picture(), picture(seed=1), picture()):
         proposer.propose(image)
         again = proposer.propose(image, where)
