@@ -9,6 +9,7 @@ from slgaussian.scene import Scene
 
 READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
+    "re10k": "slgaussian.datasets.re10k:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural:read",
 }
@@ -17,7 +18,8 @@ READERS = {
 def load(format: str, *args: Any, **settings: Any) -> Scene:
     """Read a scene with the reader of that format; arguments are the reader's own.
 
-    ``load("nerfstudio", "photos/")``, ``load("stereo")``, ``load("procedural", seed=3)``.
+    ``load("nerfstudio", "photos/")``, ``load("re10k", "re10k/test", "5aca87f95a9412c6")``,
+    ``load("procedural", seed=3)``.
 
     Raises
     ------

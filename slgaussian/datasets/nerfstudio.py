@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 
@@ -207,7 +208,7 @@ class _Frame:
         try:
             with Image.open(self.image_path) as image:
                 image.load()
-                pixels = _rgb(image)
+                pixels = rgb(image)
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
             raise _unreadable(self.image_path, bad) from None
         if pixels.shape[:2] != (camera.height, camera.width):
@@ -259,19 +260,6 @@ def _load(file: Path) -> dict[str, Any]:
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     return meta
-
-
-def _rgb(image: Image.Image) -> np.ndarray:
-    """Pixels of an opened image as RGB uint8, transparent ones over black."""
-    if image.mode.startswith("I"):  # 16 bits of grey
-        grey = np.clip(np.asarray(image, np.float64) / 257, 0, 255)
-        return np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=-1)
-    if image.mode == "F":
-        raise ValueError("floating-point pixels")
-    if "A" in image.getbands() or "transparency" in image.info:
-        pixels = np.asarray(image.convert("RGBA"), np.float64)
-        return np.round(pixels[..., :3] * pixels[..., 3:] / 255).astype(np.uint8)
-    return np.ascontiguousarray(np.asarray(image.convert("RGB")))
 
 
 def _unreadable(path: Path, bad: Exception) -> InputError:

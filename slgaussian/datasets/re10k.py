@@ -1,0 +1,390 @@
+"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks, camera files and indices.
+
+A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``key``, ``url``,
+``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
+tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
+row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
+axes; the intrinsics are shares of width and height. The raw camera files of
+https://google.github.io/realestate10k/ have the clip's address in their first line, then a row a
+frame: the timestamp and the same 18 numbers.
+
+Chunks are read with PyTorch's restricted unpickler, so a chunk from anywhere cannot run code.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import numpy as np
+import torch
+from PIL import Image
+
+from slgaussian.datasets.photographs import rgb
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+from slgaussian.store import write_atomic
+
+INDEX = "index.json"
+CHUNK_BYTES = 100_000_000
+"""Chunks are begun anew when the images of one reach this, as the published ones are."""
+JPEG_QUALITY = 95
+ROW = 18
+FRAME_TIME = 33_333
+"""Microseconds between the frames of a scene that has no timestamps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One clip as stored: nothing is decoded and nothing checked but types and counts.
+
+    Attributes
+    ----------
+    key : str
+    url : str
+    timestamps : int64 [N]
+        Microseconds.
+    cameras : float32 [N, 18]
+        See the module.
+    images : tuple of N bytes
+        Encoded JPEGs.
+    """
+
+    key: str
+    url: str
+    timestamps: np.ndarray
+    cameras: np.ndarray
+    images: tuple[bytes, ...]
+
+    def scene(self) -> Scene:
+        """The clip as a scene named by its key, with views "0" to "N - 1", decoded when read.
+
+        Raises
+        ------
+        InputError
+            If it has no frame, no image can be decoded, or a camera is none. A single damaged image
+            is an error of its own view only.
+        """
+        if not self.images:
+            raise InputError(f"clip {self.key!r}: has no frame")
+        sizes = [_size(data) for data in self.images]
+        usual = next((size for size in sizes if size is not None), None)
+        if usual is None:
+            raise InputError(f"clip {self.key!r}: none of its {len(sizes)} images can be decoded")
+        cameras = {}
+        for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True)):
+            try:
+                cameras[str(number)] = camera_of(row, *(size or usual))
+            except InputError as error:
+                raise InputError(f"clip {self.key!r}, frame {number}: {error}") from None
+        return Scene(self.key, cameras, _Frames(self, cameras).read)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    clip: Clip
+    cameras: Mapping[str, Camera]
+
+    def read(self, name: str) -> View:
+        """Decode one image."""
+        if name not in self.cameras:
+            raise InputError(f"clip {self.clip.key!r}: has no frame {name!r}")
+        camera = self.cameras[name]
+        try:
+            with Image.open(io.BytesIO(self.clip.images[int(name)])) as image:
+                image.load()
+                pixels = rgb(image)
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise InputError(
+                f"clip {self.clip.key!r}, frame {name}: its JPEG cannot be decoded ({error})"
+            ) from None
+        return View(name, camera, pixels)
+
+
+def read(path: str | Path, key: str) -> Scene:
+    """One clip of a split as a scene; see :meth:`Clip.scene`.
+
+    Parameters
+    ----------
+    path : path or fsspec URL
+        The folder of a split, with ``index.json`` and its chunks.
+    key : str
+
+    Raises
+    ------
+    InputError
+        If the index or the chunk cannot be read, there is no such clip, or it cannot be used.
+    """
+    index = read_index(path)
+    if key not in index:
+        few = ", ".join(list(index)[:3])
+        raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {few}")
+    for clip in read_chunk(f"{path}/{index[key]}"):
+        if clip.key == key:
+            return clip.scene()
+    raise InputError(f"{path}/{index[key]}: has no clip {key!r}, though {INDEX} says so")
+
+
+def read_index(path: str | Path) -> dict[str, str]:
+    """The chunk file of every clip of a split, by key, from its ``index.json``."""
+    file = f"{path}/{INDEX}"
+    index = _json(file)
+    if not all(isinstance(name, str) and name == os.path.basename(name) for name in index.values()):
+        raise InputError(f"{file}: expected the name of a chunk for every key")
+    return index
+
+
+def chunk_names(path: str | Path) -> list[str]:
+    """File names of the chunks of a split, in order, whether its index knows them or not."""
+    fs, folder = fsspec.core.url_to_fs(os.fspath(path))
+    try:
+        found = fs.ls(folder, detail=False)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be listed ({error}); expected a folder of chunks"
+        ) from None
+    return sorted(os.path.basename(file) for file in found if file.endswith(".torch"))
+
+
+def read_chunk(file: str | Path) -> list[Clip]:
+    """All clips of a chunk, still encoded.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is cut short, or holds something else.
+    """
+    try:
+        with fsspec.open(os.fspath(file), "rb") as stream:
+            found = torch.load(io.BytesIO(stream.read()), map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises what its parts raise, of any kind
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"{file}: cannot be read as a chunk ({reason}); it is damaged or cut short, get it "
+            "again"
+        ) from None
+    if not isinstance(found, list):
+        raise InputError(f"{file}: found a {type(found).__name__}, expected a list of clips")
+    return [_clip(file, number, entry) for number, entry in enumerate(found)]
+
+
+def _clip(file: str | Path, number: int, entry: Any) -> Clip:
+    def wrong(what: str) -> InputError:
+        return InputError(f"{file}: clip {number}: {what}")
+
+    if not isinstance(entry, dict):
+        raise wrong(f"found a {type(entry).__name__}, expected a dict")
+    kinds = {"key": str, "url": str, "timestamps": torch.Tensor, "cameras": torch.Tensor}
+    for name, kind in {**kinds, "images": list}.items():
+        if not isinstance(entry.get(name), kind):
+            raise wrong(f"{name} is {type(entry.get(name)).__name__}, expected {kind.__name__}")
+    images, cameras = entry["images"], entry["cameras"]
+    if tuple(cameras.shape) != (len(images), ROW) or len(entry["timestamps"]) != len(images):
+        raise wrong(
+            f"found {len(images)} images, cameras {tuple(cameras.shape)} and "
+            f"{len(entry['timestamps'])} timestamps, expected as many rows of {ROW}"
+        )
+    if not all(isinstance(i, torch.Tensor) and i.dtype == torch.uint8 for i in images):
+        raise wrong("images are not all uint8 tensors of JPEG bytes")
+    return Clip(
+        entry["key"],
+        entry["url"],
+        entry["timestamps"].numpy().astype(np.int64),
+        cameras.numpy().astype(np.float32),
+        tuple(image.numpy().tobytes() for image in images),
+    )
+
+
+def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
+    """The camera of a row of 18 numbers; InputError if it is none, as for a pose no rotation."""
+    row = np.asarray(row, np.float64)
+    if row.shape != (ROW,) or not np.isfinite(row).all():
+        raise InputError(f"camera row: found {row.tolist()}, expected {ROW} finite numbers")
+    fx, fy, cx, cy = row[:4] * (width, height, width, height)
+    w2c = np.eye(4)
+    w2c[:3] = row[6:].reshape(3, 4)
+    rotation = w2c[:3, :3]
+    c2w = np.eye(4)
+    c2w[:3, :3] = rotation.T
+    c2w[:3, 3] = -rotation.T @ w2c[:3, 3]
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), c2w, width, height)
+
+
+def row_of(camera: Camera) -> np.ndarray:
+    """Inverse of :func:`camera_of`, float32 [18]; a skew of K is not kept."""
+    K, size = camera.K, (camera.width, camera.height)
+    shares = [K[0, 0] / size[0], K[1, 1] / size[1], K[0, 2] / size[0], K[1, 2] / size[1]]
+    return np.array([*shares, 0, 0, *camera.w2c[:3].ravel()], np.float32)
+
+
+def clip_of(scene: Scene) -> Clip:
+    """All views of a scene as a clip, in their order; truths are not kept."""
+    images = []
+    for name in scene.cameras:
+        buffer = io.BytesIO()
+        Image.fromarray(scene.read(name).image).save(
+            buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0
+        )
+        images.append(buffer.getvalue())
+    rows = np.stack([row_of(camera) for camera in scene.cameras.values()])
+    return Clip(scene.name, "", np.arange(len(images)) * FRAME_TIME, rows, tuple(images))
+
+
+def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
+    """Add clips to the folder of a split, one chunk in memory at a time.
+
+    New chunks get the next numbers; ``index.json`` is written after each of them, so that a reader
+    never sees a chunk that is not whole.
+
+    Returns
+    -------
+    list of str
+        Names of the new chunks.
+
+    Raises
+    ------
+    InputError
+        If a clip's key is there already, or the folder cannot be written.
+    """
+    path = Path(path)
+    names: list[str] = []
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        index = _json(path / INDEX) if (path / INDEX).exists() else {}
+        for batch in _batches(clips, chunk_bytes):
+            taken = next((clip.key for clip in batch if clip.key in index), None)
+            if taken is not None:
+                raise InputError(
+                    f"{path}: has a clip {taken!r} already; give the new one its own key"
+                )
+            number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
+            name = f"{number:06d}.torch"
+            write_atomic(path / name, _encoded(batch))
+            index |= {clip.key: name for clip in batch}
+            write_atomic(path / INDEX, json.dumps(index, indent=1).encode())
+            names.append(name)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return names
+
+
+def _batches(clips: Iterable[Clip], chunk_bytes: int) -> Iterator[list[Clip]]:
+    batch: list[Clip] = []
+    size = 0
+    for clip in clips:
+        batch.append(clip)
+        size += sum(map(len, clip.images))
+        if size >= chunk_bytes:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def _encoded(clips: list[Clip]) -> bytes:
+    buffer = io.BytesIO()
+    entries = [
+        {
+            "url": clip.url,
+            "timestamps": torch.from_numpy(clip.timestamps),
+            "cameras": torch.from_numpy(clip.cameras),
+            "images": [torch.frombuffer(bytearray(i), dtype=torch.uint8) for i in clip.images],
+            "key": clip.key,
+        }
+        for clip in clips
+    ]
+    torch.save(entries, buffer)
+    return buffer.getvalue()
+
+
+def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
+    """A raw camera file: the clip's address, timestamps int64 [N] and rows float32 [N, 18].
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a line is no camera; the message names the line.
+    """
+    try:
+        address, *lines = Path(file).read_text("utf-8").splitlines() or [""]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read ({error})") from None
+    times, rows = [], []
+    for number, line in enumerate(lines, 2):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words[1:]]
+            times.append(int(words[0]))
+        except ValueError:
+            values = []
+        if len(values) != ROW or not all(map(math.isfinite, values)):
+            raise InputError(
+                f"{file}, line {number}: found {line[:60]!r}, expected a time and {ROW} numbers"
+            )
+        rows.append(values)
+    if not rows:
+        raise InputError(f"{file}: holds no camera; expected an address, then a line a frame")
+    return address, np.array(times, np.int64), np.array(rows, np.float32)
+
+
+def write_cameras(file: str | Path, clip: Clip) -> None:
+    """Write the raw camera file of a clip."""
+    rows = zip(clip.timestamps, clip.cameras, strict=True)
+    lines = [f"{time} {' '.join(f'{value:.9f}' for value in row)}" for time, row in rows]
+    write_atomic(file, "\n".join([clip.url, *lines, ""]).encode())
+
+
+def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
+    """The published evaluation index: context and target views by key, clips without any left out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or an entry is neither null nor lists of frame numbers.
+    """
+    found = {}
+    for key, entry in _json(file).items():
+        if entry is None:
+            continue
+        lists = [
+            entry.get(name) if isinstance(entry, dict) else None for name in ("context", "target")
+        ]
+        if not all(
+            isinstance(frames, list) and frames and all(type(f) is int and f >= 0 for f in frames)
+            for frames in lists
+        ):
+            raise InputError(
+                f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
+                '{"context": [0, 40], "target": [10, 20, 30]}, or null'
+            )
+        found[key] = tuple([str(frame) for frame in frames] for frames in lists)
+    return found
+
+
+def _json(file: str | Path) -> dict[str, Any]:
+    try:
+        with fsspec.open(os.fspath(file), "rb") as stream:
+            content = json.loads(stream.read().decode("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: found a {type(content).__name__}, expected an object by key")
+    return content
+
+
+def _size(data: bytes) -> tuple[int, int] | None:
+    """Width and height of an encoded image, None if not even that can be read."""
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            return image.size
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        return None

@@ -1,0 +1,194 @@
+"""RealEstate10K: what is written comes back, and what is damaged costs itself alone."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from slgaussian import datasets
+from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+ROW = "0.482334223 0.857483078 0.5 0.5 0 0 0.999946535 0.001759072 -0.010192509 -0.024142185 "
+ROW += "-0.001751103 0.999998152 0.000790767 0.009485262 0.010193882 -0.000772876 0.999947727 "
+ROW += "-0.347580573"
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    return [
+        replace(
+            datasets.load("procedural", seed=seed, objects=3, views=3, height=36, width=64),
+            name=f"room{seed}",
+        )
+        for seed in range(3)
+    ]
+
+
+@pytest.fixture(scope="module")
+def split(rooms, tmp_path_factory):
+    """Three clips in two chunks."""
+    folder = tmp_path_factory.mktemp("re10k") / "train"
+    clips = [re10k.clip_of(room) for room in rooms]
+    size = sum(map(len, clips[0].images)) + 1
+    assert re10k.write(folder, iter(clips), chunk_bytes=size) == ["000000.torch", "000001.torch"]
+    return folder
+
+
+def test_a_scene_comes_back_as_written(rooms, split):
+    back = datasets.load("re10k", split, "room1")
+    assert back.name == "room1" and list(back.cameras) == ["0", "1", "2"]
+    for mine, theirs in zip(rooms[1].cameras, back.cameras, strict=True):
+        one, other = rooms[1].read(mine), back.read(theirs)
+        np.testing.assert_allclose(other.camera.K, one.camera.K, rtol=1e-6)
+        np.testing.assert_allclose(other.camera.c2w, one.camera.c2w, atol=2e-6)
+        assert np.abs(other.image.astype(int) - one.image).mean() < 3  # of 255: JPEG of noise
+    sample = back.sample(["0", "2"], ["1"])
+    assert sample.context[0].image.shape == (36, 64, 3)
+
+
+def test_the_format_is_the_published_one(split):
+    index = json.loads((split / "index.json").read_text())
+    assert index == {"room0": "000000.torch", "room1": "000000.torch", "room2": "000001.torch"}
+    (entry,) = torch.load(split / "000001.torch", weights_only=True)
+    assert set(entry) == {"url", "timestamps", "cameras", "images", "key"}
+    assert entry["cameras"].dtype == torch.float32 and entry["cameras"].shape == (3, 18)
+    assert entry["timestamps"].dtype == torch.int64
+    assert all(image.dtype == torch.uint8 and image.ndim == 1 for image in entry["images"])
+    assert bytes(entry["images"][0][:2].tolist()) == b"\xff\xd8"
+    fx, fy, cx, cy = entry["cameras"][0, :4].tolist()
+    assert fx == pytest.approx(0.9, abs=1e-6) and fy == pytest.approx(0.9 * 64 / 36, abs=1e-6)
+    assert (cx, cy) == (0.5, 0.5)
+
+
+def test_more_clips_are_new_chunks_and_the_same_clips_the_same_bytes(rooms, split, tmp_path):
+    clips = [re10k.clip_of(room) for room in rooms]
+    assert re10k.write(tmp_path, clips[:2]) == ["000000.torch"]
+    assert (tmp_path / "000000.torch").read_bytes() == (split / "000000.torch").read_bytes()
+    assert re10k.write(tmp_path, clips[2:]) == ["000001.torch"]
+    assert sorted(re10k.read_index(tmp_path)) == ["room0", "room1", "room2"]
+    with pytest.raises(InputError, match="has a clip 'room2' already"):
+        re10k.write(tmp_path, clips[2:])
+    assert re10k.chunk_names(tmp_path) == ["000000.torch", "000001.torch"]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    st.tuples(*[st.floats(-10, 10)] * 3),
+    st.floats(0.3, 3),
+    st.floats(0.2, 0.8),
+)
+def test_cameras_survive_the_row(turn, place, focal, middle):
+    c2w = np.eye(4)
+    c2w[:3, :3] = Rotation.from_quat(turn).as_matrix()
+    c2w[:3, 3] = place
+    K = np.array([[focal * 640, 0, middle * 640], [0, focal * 700, 170], [0, 0, 1]])
+    back = re10k.camera_of(re10k.row_of(Camera(K, c2w, 640, 360)), 640, 360)
+    np.testing.assert_allclose(back.K, K, rtol=1e-6)
+    np.testing.assert_allclose(back.c2w, c2w, atol=1e-5)  # float32 of places up to 10
+
+
+def test_a_raw_camera_file(tmp_path, split):
+    file = tmp_path / "000c3ab189999a83.txt"
+    file.write_text(f"https://example.org/watch?v=1\n45979267 {ROW}\n46012633 {ROW}\n")
+    address, times, rows = re10k.read_cameras(file)
+    assert address == "https://example.org/watch?v=1" and times.tolist() == [45979267, 46012633]
+    camera = re10k.camera_of(rows[0], 640, 360)
+    assert camera.K[0, 0] == pytest.approx(0.482334223 * 640)
+    assert camera.w2c[2, 3] == pytest.approx(-0.347580573)
+    clip = re10k.read_chunk(split / "000001.torch")[0]
+    re10k.write_cameras(file, clip)
+    _, times, rows = re10k.read_cameras(file)
+    np.testing.assert_array_equal(times, clip.timestamps)
+    np.testing.assert_allclose(rows, clip.cameras, atol=1e-9)
+
+
+def test_an_evaluation_index(tmp_path):
+    file = tmp_path / "index.json"
+    file.write_text('{"a": {"context": [58, 133], "target": [84, 102, 129]}, "b": null}')
+    assert re10k.read_evaluation(file) == {"a": (["58", "133"], ["84", "102", "129"])}
+    for wrong in (
+        '{"a": {"context": [1]}}',
+        '{"a": [1]}',
+        '{"a": {"context": [-1], "target": [2]}}',
+    ):
+        file.write_text(wrong)
+        with pytest.raises(InputError, match="clip 'a': found"):
+            re10k.read_evaluation(file)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_chunk_that_is_cut_short_is_one_sentence(split, tmp_path, share):
+    data = (split / "000000.torch").read_bytes()
+    file = tmp_path / "cut.torch"
+    file.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"cut\.torch: cannot be read as a chunk") as error:
+        re10k.read_chunk(file)
+    assert "\n" not in str(error.value)
+
+
+def test_a_chunk_cannot_run_code(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (tmp_path.joinpath("ran").touch, ())
+
+    for name, save in (("a", torch.save), ("b", lambda x, f: f.write_bytes(pickle.dumps(x)))):
+        save([{"key": Evil()}], tmp_path / name)
+        with pytest.raises(InputError, match="cannot be read as a chunk"):
+            re10k.read_chunk(tmp_path / name)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_what_is_wrong_in_a_chunk_is_named(split, tmp_path):
+    (entry,) = torch.load(split / "000001.torch", weights_only=True)
+    for change, says in (
+        ({"key": 3}, "key is int, expected str"),
+        ({"cameras": entry["cameras"][:2]}, r"3 images, cameras \(2, 18\)"),
+        ({"images": [b"x"] * 3}, "images are not all uint8"),
+    ):
+        torch.save([{**entry, **change}], tmp_path / "x.torch")
+        with pytest.raises(InputError, match=rf"x\.torch: clip 0: .*{says}"):
+            re10k.read_chunk(tmp_path / "x.torch")
+    torch.save({"a": 1}, tmp_path / "x.torch")
+    with pytest.raises(InputError, match="found a dict, expected a list of clips"):
+        re10k.read_chunk(tmp_path / "x.torch")
+
+
+def test_a_damaged_image_costs_its_own_view(split):
+    clip = re10k.read_chunk(split / "000001.torch")[0]
+    images = (clip.images[0][: len(clip.images[0]) // 2], b"no image", clip.images[2])
+    scene = replace(clip, images=images).scene()
+    assert scene.cameras["1"].width == 64
+    assert scene.read("2").image.shape == (36, 64, 3)
+    for name in ("0", "1"):
+        with pytest.raises(InputError, match=rf"clip 'room2', frame {name}: its JPEG cannot"):
+            scene.read(name)
+    with pytest.raises(InputError, match="none of its 3 images"):
+        replace(clip, images=(b"x",) * 3).scene()
+
+
+@pytest.mark.parametrize(("at", "value"), [(6, 3.0), (9, np.nan), (0, -1.0)])
+def test_a_camera_that_is_none_is_named(split, at, value):
+    clip = re10k.read_chunk(split / "000001.torch")[0]
+    cameras = clip.cameras.copy()
+    cameras[1, at] = value
+    with pytest.raises(InputError, match="clip 'room2', frame 1: "):
+        replace(clip, cameras=cameras).scene()
+
+
+def test_what_is_not_there_is_named(split, tmp_path):
+    with pytest.raises(InputError, match="no clip 'room9' among its 3"):
+        re10k.read(split, "room9")
+    with pytest.raises(InputError, match=r"index\.json: cannot be read"):
+        re10k.read(tmp_path, "room0")
+    (tmp_path / "index.json").write_text('{"room0": "../../etc/x.torch"}')
+    with pytest.raises(InputError, match="expected the name of a chunk"):
+        re10k.read(tmp_path, "room0")
