@@ -168,7 +168,11 @@ def stages_row(subject: Subject) -> dict:
     splats, boxes = project_checked(subject.gaussians, subject.values, eye)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(DEFAULT.alpha_max), np.float32(DEFAULT.pass_min)
-    scene = splats, boxes, subject.values.numpy(), bins, eye.width, eye.height, *limits, False
+    no_labels = np.empty(0, np.int32)
+    scene = (
+        splats, boxes, subject.values.numpy(), bins, eye.width, eye.height, *limits, False,
+        no_labels, -1,
+    )  # fmt: skip
     spent = race(
         {
             "project": lambda: project_checked(subject.gaussians, subject.values, eye),

@@ -5,16 +5,28 @@ from typing import Annotated, Any
 
 import typer
 
+from flows.corpus_settings import CorpusSettings
 from flows.options import with_options
-from slgaussian.errors import SLGaussianError
+from slgaussian.errors import InputError, SLGaussianError
 
 METHOD = (
     "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
-    "replicas", "temperature", "threshold", "seed", "mvsplat", "sam", "sam2", "sam2_video",
-    "precomputed",
+    "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent", "seed",
+    "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip", "named", "grid",
+    "separated",
 )  # fmt: skip
-BUILD = tuple(name for name in METHOD if name not in ("temperature", "threshold"))
+RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
+PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
+BUILD = tuple(name for name in METHOD if name not in RULES)
 RUN = (*METHOD, "store", "workers", "method")
+INGEST = (
+    "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
+    "most", "store", "workers",
+)  # fmt: skip
+SUPERVISE = (
+    "size", "near", "far", "predictor", "proposer", "tracker", "replicas",
+    "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
+)  # fmt: skip
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -30,6 +42,10 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results."
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
 ViewName = Annotated[
     str, typer.Option("--view", help="Context view by name, or its number from 0.")
+]
+
+Chunks = Annotated[
+    str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
 ]
 
 
@@ -123,29 +139,59 @@ def field(
 
 
 @app.command()
+@with_options(*RULES, *PLACES)
 def query(
+    settings: dict,
     field: Folder,
-    text: Annotated[str, typer.Argument(help='What to look for, such as "red basket".')],
-    view: ViewName = "0",
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Picture of the answer.")] = None,
-    temperature: Annotated[float, typer.Option(help="Of the relevancy.")] = 10.0,
-    threshold: Annotated[
-        float | None, typer.Option(help="Relevancy above which objects are selected.")
+    texts: Annotated[
+        list[str], typer.Argument(metavar="TEXT...", help='What to look for, as "red basket".')
+    ],
+    view: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--view",
+            help="Context view by name, or its number from 0; may be repeated. [default: 0]",
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
+    listing: Annotated[
+        bool, typer.Option("--list", help="Every object of the scene, with the best of the texts.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Picture of the answer.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print each answer as a line of JSON.")
+    ] = False,
 ) -> None:
-    """Ask a field for words, seen from one of its context cameras.
+    """Ask a field for words, seen from its context cameras, or list what is in the scene.
+
+    Without a threshold all objects are taken that fit about as well as the best one, and none if
+    no object fits better than the canonical phrases ("object", "things" ...) do. A field built with
+    clip or named is asked with the same files: say where they are if they were moved.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
-    slgaussian query field/ "blue carpet" --view 1 --json
+    slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
+    slgaussian query field/ "red basket" --threshold 0.6
+    slgaussian query field/ "red basket" --protocol langsplat
+    slgaussian query field/ --list wall floor "red basket" "plant" -o objects.png
     """
     import json
 
-    from flows.fields import ask
+    from flows.fields import ask, inventory
 
-    answer = ask(field, text, view, out, temperature, threshold)
-    typer.echo(json.dumps(answer) if as_json else _spoken(answer))
+    if listing:
+        idle = [f"--{name}" for name in ("protocol", "threshold", "share") if name in settings]
+        idle += ["--view"] if view else []
+        if idle:
+            raise InputError(
+                f"{idle[0]}: a list has every object of the scene and selects none; leave it out, "
+                "or leave out --list"
+            )
+        answers, spoken = inventory(field, texts, out, settings), _listed
+    else:
+        answers, spoken = ask(field, texts, view or ["0"], out, settings), _spoken
+    typer.echo("\n".join(map(json.dumps, answers)) if as_json else spoken(answers))
+    if out is not None and not as_json:
+        typer.echo(f"picture  {out}")
 
 
 @app.command()
@@ -198,7 +244,8 @@ def export(
     """Write a field as a standard 3DGS .ply that viewers open.
 
     Beside what viewers read, each Gaussian has its code times its weight and that weight (f_sem_0
-    to f_sem_3), the pixel that it came from (source) and its object (label, 0 for none).
+    and on; without codes the number of its object's row), the pixel that it came from (source) and
+    its object (label, 0 for none).
 
     \b
     slgaussian export field/ -o scene.ply
@@ -208,6 +255,37 @@ def export(
 
     to_ply(field, out)
     typer.echo(out)
+
+
+@app.command()
+@with_options(*INGEST, of=CorpusSettings)
+def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
+    """Look at every view of a corpus of RealEstate10K chunks and choose samples to learn from.
+
+    Leaves views.parquet (camera, blur, exposure, distance of each view), samples.parquet (two
+    context views and three targets each) and failures.parquet (what could not be used, and why).
+    What is unchanged comes from the store: after new chunks were added, only those are read.
+
+    \b
+    slgaussian ingest chunks/train -o corpus
+    slgaussian ingest s3://bucket/re10k/train -o corpus --min-overlap 0.5 --most 2
+    """
+    _prepare("ingest", {**settings, "chunks": chunks, "out": out}, verbose)
+
+
+@app.command()
+@with_options(*SUPERVISE, of=CorpusSettings)
+def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
+    """Predict Gaussians and label all views of every sample of a corpus: lessons for training.
+
+    Leaves what `ingest` does, lessons.parquet and, under sheets/, a picture a chunk of photographs
+    with their labels: look at some. Gaussians are kept apart: other masks do not predict them anew.
+
+    \b
+    slgaussian supervise chunks/train -o corpus
+    slgaussian supervise chunks/train -o corpus --proposer sam --sam-model facebook/sam-vit-base
+    """
+    _prepare("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
 
 
 @app.command()
@@ -262,14 +340,61 @@ def _run(settings: Any, verbose: bool) -> None:
         raise typer.Exit(1)
 
 
-def _spoken(answer: dict) -> str:
-    lines = [f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)"]
-    point = answer["point"]
-    lines.append("point  " + ("none" if point is None else f"x {point[0]}, y {point[1]}"))
-    found = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
-    lines.append(f"objects  {found or 'none'}")
-    if answer["unknown"]:
-        lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
-    if answer["picture"]:
-        lines.append(f"picture  {answer['picture']}")
+def _prepare(command: str, values: dict[str, Any], verbose: bool) -> None:
+    from flows.corpus_settings import make_corpus_settings
+    from flows.environment import orchestration
+    from slgaussian.store import ArtifactStore
+
+    settings = make_corpus_settings(values, command)
+    store = ArtifactStore(settings.store)
+    with orchestration(store) as ready:
+        from flows import corpus
+
+        ready()
+        try:
+            made = getattr(corpus, command)(settings, store, verbose)
+        except KeyboardInterrupt:
+            typer.echo("\nstopped; the same command goes on from here", err=True)
+            raise
+    for stage, count in made.rows.items():
+        file = settings.out / corpus.FILES[stage]
+        typer.echo(f"{count} {file.stem}  {file}")
+    if made.failures:
+        first = made.failures[0]
+        typer.echo(
+            f"left out: {len(made.failures)}, the first at {first.stage}: {first.reason}; all are "
+            f"in {settings.out / 'failures.parquet'}",
+            err=True,
+        )
+        raise typer.Exit(1)
+
+
+def _spoken(answers: list[dict]) -> str:
+    blocks = []
+    for answer in answers:
+        lines = [f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)"]
+        if len(answers) > 1:
+            lines.insert(0, f"{answer['text']!r} in {answer['view']}")
+        point = answer["point"]
+        lines.append("point  " + ("none" if point is None else f"x {point[0]}, y {point[1]}"))
+        found = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
+        lines.append(f"objects  {found or 'none'}")
+        if answer["unknown"]:
+            lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
+        for word, (other, likeness) in answer["taken_for"].items():
+            lines.append(f"not known and taken for {other}: {word} (similarity {likeness:.2f})")
+        blocks.append("\n".join(lines))
+    return "\n\n".join(blocks)
+
+
+def _listed(objects: list[dict]) -> str:
+    # What is in brackets fits no better than "object" does.
+    best = [o["text"] if o["relevancy"] > 0.5 else f"({o['text']})" for o in objects]
+    wide = max(map(len, ["best text", *best]))
+    lines = [f"object  {'best text':<{wide}}  relevancy  seen in"]
+    for o, text in zip(objects, best, strict=True):
+        seen = ", ".join(o["views"])
+        lines.append(f"{o['id']:>6}  {text:<{wide}}  {o['relevancy']:>9.3f}  {seen}")
+    if any(o["relevancy"] <= 0.5 for o in objects):
+        lines.append("(in brackets: no text fits better than the canonical phrases do)")
     return "\n".join(lines)

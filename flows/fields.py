@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flows.settings import make_settings
+from flows.settings import TABLES, make_settings
 from slgaussian import datasets, harmonics
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField, check_target
+from slgaussian.language.query import QueryResult, Rules
 from slgaussian.ply import load_ply, save_ply
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Scene
@@ -55,40 +57,81 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
 
 def ask(
     folder: Path,
-    text: str,
-    view: str,
+    texts: Sequence[str],
+    views: Sequence[str],
     out: Path | None,
-    temperature: float,
-    threshold: float | None,
-) -> dict[str, Any]:
-    """Ask the field in ``folder`` and draw the answer to ``out``, if given.
+    settings: Mapping[str, Any],
+) -> list[dict[str, Any]]:
+    """Ask the field in ``folder`` and draw the answers to ``out``, if given.
+
+    ``settings`` are those of :class:`slgaussian.language.query.Rules`, and by the name of the
+    field's encoder a table that says where its files are now.
 
     Returns
     -------
-    dict
-        ``text``, ``view``, ``score``, ``point`` [x, y] or None, ``objects`` (``id``,
-        ``relevancy``), ``pixels`` in the mask, ``unknown`` words, ``picture`` path or None.
+    list of dict
+        One a view and text: ``text``, ``view``, ``score``, ``point`` [x, y] or None, ``objects``
+        (``id``, ``relevancy``), ``pixels`` in the mask, ``unknown`` words, those ``taken_for``
+        others (word: [other, similarity]), ``picture`` path or None.
     """
-    name, seen = _look(folder, view)
-    hit = seen.query(text, threshold=threshold, temperature=temperature)
+    rules, field = _opened(folder, settings)
+    names = [_choose(_scene_of(folder, field), view) for view in views]
+    answers, panels = [], []
+    for name in names:
+        seen = field.render(field.cameras[name])
+        for hit in seen.query_all(texts, **rules):
+            answers.append(
+                {
+                    "text": hit.text,
+                    "view": name,
+                    "score": hit.score,
+                    "point": None if hit.point is None else list(hit.point),
+                    "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
+                    "pixels": int(hit.mask.sum()),
+                    "unknown": list(hit.unknown),
+                    "taken_for": {word: list(other) for word, other in hit.taken_for.items()},
+                    "picture": None if out is None else str(out),
+                }
+            )
+            if out is not None:
+                panels.append(_hit_panels(name, seen, hit))
     if out is not None:
-        where = pictures.draw_outline(seen.rgb, hit.mask, pictures.PREDICTED)
-        panels = [
-            (name, seen.rgb),
-            (f"relevancy of {text!r}", pictures.paint_relevancy(hit.relevancy, seen.rgb)),
-            (f"score {hit.score:.3f}", pictures.draw_point(where, hit.point)),
-        ]
-        _write_png(out, pictures.side_by_side(panels))
-    return {
-        "text": text,
-        "view": name,
-        "score": hit.score,
-        "point": None if hit.point is None else list(hit.point),
-        "objects": [{"id": id_, "relevancy": relevancy} for id_, relevancy in hit.objects],
-        "pixels": int(hit.mask.sum()),
-        "unknown": list(hit.unknown),
-        "picture": None if out is None else str(out),
-    }
+        _write_png(out, np.concatenate([pictures.side_by_side(row) for row in panels]))
+    return answers
+
+
+def inventory(
+    folder: Path, texts: Sequence[str], out: Path | None, settings: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Every object of a field with the best of the texts; what they look like in ``out``, if given.
+
+    ``settings`` as in :func:`ask`.
+
+    Returns
+    -------
+    list of dict
+        One an object: ``id``, ``text``, ``relevancy``, ``views`` that hold it by name.
+    """
+    rules, field = _opened(folder, settings)
+    found = field.describe(texts, **rules)
+    names = list(field.cameras)
+    if out is not None:
+        if field.bank.boxes is None:
+            raise InputError(
+                f"{folder}: its memory bank does not know where the objects are, so they cannot be "
+                "drawn; leave out -o, or build the field again"
+            )
+        seen = [field.render(camera) for camera in field.cameras.values()]
+        cuts = pictures.cut_out(
+            [view.rgb for view in seen],
+            [view.ids for view in seen],
+            field.bank.ids,
+            field.bank.boxes,
+        )
+        captions = [f"{one.id} {one.text}" if one.relevancy > 0.5 else str(one.id) for one in found]
+        tiles = list(zip(captions, cuts, strict=True))
+        _write_png(out, pictures.contact_sheet(tiles, side=112, columns=8))
+    return [{**vars(one), "views": [names[view] for view in one.views]} for one in found]
 
 
 def picture(source: Path, cameras: Path | None, view: str, out: Path) -> None:
@@ -157,15 +200,44 @@ def _view_of(scene: Scene, photo: str, folder: Path) -> str:
     return scene.find(photo)
 
 
+def _opened(folder: Path, settings: Mapping[str, Any]) -> tuple[dict[str, Any], SemanticField]:
+    """The rules among the settings, and the field, with its encoder ready to be asked."""
+    rules = {name: value for name, value in settings.items() if name not in TABLES}
+    Rules(**rules)
+    field = SemanticField.load(folder)
+    used = field.settings["encoder"]
+    where = {part: table for part, table in settings.items() if part in TABLES}
+    for part in where:
+        if part != used:
+            raise InputError(
+                f"{folder}: settings of {part!r} are given, but the field's encoder is {used!r}; "
+                "leave them out"
+            )
+    field = replace(field, places={**field.places, **where.get(used, {})})
+    field.encoder  # noqa: B018  (what is missing is said before anything is drawn)
+    return rules, field
+
+
 def _look(folder: Path, view: str, cameras: Path | None = None) -> tuple[str, FieldView]:
     field = SemanticField.load(folder)
-    if cameras is None:
-        # A scene without photographs: only to find names the one way that names are found.
-        scene = Scene(str(folder), field.cameras, read=_unreadable)
-    else:
-        scene = datasets.load("nerfstudio", cameras)
+    known = cameras is None
+    scene = _scene_of(folder, field) if known else datasets.load("nerfstudio", cameras)
     name = _choose(scene, view)
     return name, field.render(scene.cameras[name])
+
+
+def _scene_of(folder: Path, field: SemanticField) -> Scene:
+    """A scene without photographs: only to find names the one way that names are found."""
+    return Scene(str(folder), field.cameras, read=_unreadable)
+
+
+def _hit_panels(name: str, seen: FieldView, hit: QueryResult) -> list[tuple[str, np.ndarray]]:
+    where = pictures.draw_outline(seen.rgb, hit.mask, pictures.PREDICTED)
+    return [
+        (name, seen.rgb),
+        (f"relevancy of {hit.text!r}", pictures.paint_relevancy(hit.relevancy, seen.rgb)),
+        (f"score {hit.score:.3f}", pictures.draw_point(where, hit.point)),
+    ]
 
 
 def _choose(scene: Scene, view: str) -> str:

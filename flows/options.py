@@ -5,16 +5,21 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import typer
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from flows.settings import TABLES, Settings
 
 
-def with_options(*names: str) -> Callable[[Callable], Callable]:
+def with_options(*names: str, of: type[BaseModel] = Settings) -> Callable[[Callable], Callable]:
     """Give a command an option for each named setting, and for each key of one that is a table.
+
+    The settings are those of the model ``of``. A name such as ``clip.model`` stands for one key of
+    a table, whose default is not said.
 
     Those that the user set arrive as one dict in the parameter ``settings``, as a configuration
     file would have them; the others are left out of it, so that defaults and such files have their
@@ -25,8 +30,12 @@ def with_options(*names: str) -> Callable[[Callable], Callable]:
         if name in TABLES:
             for key, field in TABLES[name].model_fields.items():
                 fields[name, key] = field
+        elif "." in name:
+            table, key = name.split(".")
+            fields[table, key] = copy(TABLES[table].model_fields[key])
+            fields[table, key].default = None
         else:
-            fields[name,] = Settings.model_fields[name]
+            fields[name,] = of.model_fields[name]
 
     def decorate(command: Callable) -> Callable:
         own = inspect.signature(command)

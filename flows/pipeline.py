@@ -19,8 +19,10 @@ from slgaussian import __version__
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import read_pairs
 from slgaussian.benchmark.report import with_times, write_predictions, write_samples
-from slgaussian.build import DIGESTS, check_parts
+from slgaussian.build import check_parts
 from slgaussian.errors import InputError
+from slgaussian.language.query import Rules
+from slgaussian.parts import places
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
 from tasks.artifacts import result_from_arrays
 from tasks.ingest import file_hashes
@@ -52,6 +54,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     scenes = scenes_of(settings)
     parts = settings.part_names()
     check_parts(**parts, settings=settings.part_settings())
+    Rules(**settings.rules())
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
@@ -131,17 +134,16 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     )
     parts = method.identity
     own = method.part_settings()
-    weights = own.get(method.predictor, {}).get("checkpoint")
-    places = {
-        part: str(own[part][key])
+    where = {part: places(table) for part, table in own.items()}
+    of_encoder = where.get(method.encoder, {})
+    of_masks = {
+        part: place
         for part in (method.proposer, method.tracker)
-        for key in DIGESTS
-        if own.get(part, {}).get(key) is not None
+        for place in where.get(part, {}).values()
     }
     base = {"sample": "ingest", "gaussians": "geometry"}
     known = {"sample": "ingest", "labels": "masks"}
-    asked = {"method": name, "queries": scene.queries}
-    asked |= {"temperature": method.temperature, "threshold": method.threshold}
+    asked = {"method": name, "queries": scene.queries, "rules": method.rules()}
     return [
         ingest,
         truth,
@@ -149,17 +151,22 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             "geometry",
             _only(parts, "predictor"),
             {"sample": "ingest"},
-            where={} if weights is None else {"checkpoint": str(weights)},
+            where=where.get(method.predictor, {}),
         ),
         Step(
             "masks",
             _only(parts, "proposer", "tracker", "replicas"),
             base,
-            where=places,
+            where=of_masks,
         ),
-        Step("supervision", _only(parts, "encoder", "codes", "seed"), known),
+        Step(
+            "supervision",
+            _only(parts, "encoder", "codes", "seed"),
+            {**base, **known},
+            where=of_encoder,
+        ),
         Step("field", parts, {**base, **known, "bank": "supervision"}),
-        Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}),
+        Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}, where=of_encoder),
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -62,8 +62,9 @@ class PartTable(BaseModel):
 
     For settings of another part, make a subclass of this, and in :class:`Method` a field with the
     part's name, hyphens as underscores. Types are checked here, values by the part itself. A
-    ``checkpoint`` is a file, a ``model`` a folder or a name on the Hugging Face hub, a ``folder``
-    one of data: in cache keys and artifacts a SHA-256 of the content stands for them.
+    ``checkpoint`` or ``table`` is a file, a ``model`` or ``tokenizer`` a folder, a file or a name
+    on the Hugging Face hub, a ``folder`` one of data: in cache keys and artifacts a SHA-256 of the
+    content stands for them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -121,8 +122,67 @@ class PrecomputedTable(PartTable):
     folder: Path | None = Field(None, description="Folder of id maps made elsewhere, PNG or NPY.")
 
 
+class LexiconTable(PartTable):
+    """Those of the encoder ``lexicon``."""
+
+    synonyms: str | None = Field(
+        None,
+        description="Model that finds known words for unknown ones, such as all-MiniLM-L6-v2: "
+        "folder, or name on the Hugging Face hub.",
+    )
+
+
+class ClipTable(PartTable):
+    """Those of the encoder ``clip``."""
+
+    model: str = Field(
+        "laion/CLIP-ViT-B-16-laion2B-s34B-b88K",
+        description="CLIP: folder, name on the Hugging Face hub, or open_clip's file or folder.",
+    )
+    tokenizer: str | None = Field(
+        None, description="CLIP's tokenizer if not beside its model: folder, or name on the hub."
+    )
+    crops: str = Field(
+        "masked",
+        description="What CLIP sees of a region: masked, itself on black, or context, also what is "
+        "around it.",
+    )
+    batch: int = Field(4, description="Regions encoded together: memory goes with it.")
+    precision: str = Field(
+        "float32", description="Of CLIP's image tower on a CPU: float32 or bfloat16."
+    )
+
+
+class NamedTable(PartTable):
+    """Those of the encoder ``named``."""
+
+    table: Path | None = Field(None, description="Names and vectors, .npz.")
+
+
+class GridTable(PartTable):
+    """Those of the codes ``grid``."""
+
+    dimension: int = Field(3, description="Numbers a code, 1 to 3.")
+
+
+class SeparatedTable(PartTable):
+    """Those of the codes ``separated``."""
+
+    dimension: Count = Field(
+        3, description="Numbers a code, 1 to 3, or 'auto': as few as the scene needs."
+    )
+    error: float = Field(
+        0.01, description="With 'auto': mixtures of neighbours that may read as a third object."
+    )
+
+
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
 """The settings that name a part of the method."""
+
+RULES = {"protocol", "threshold", "share", "temperature", "canonical", "absent"}
+"""The settings of a query."""
 
 
 class Method(BaseModel):
@@ -148,12 +208,35 @@ class Method(BaseModel):
     proposer: str = Field("regions", description="What proposes object masks.")
     tracker: str = Field("geometric", description="What carries masks from view to view.")
     encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
-    codes: str = Field("grid", description="How ID codes are chosen.")
+    codes: str = Field(
+        "separated",
+        description="How ID codes are chosen: grid, as in the paper, separated, or exact for none.",
+    )
     lifting: str = Field("hard", description="How Gaussians get their ID codes.")
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
-    temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
+    protocol: str = Field(
+        "slgaussian",
+        description="How masks and points are made: slgaussian, of whole objects, or langsplat, of "
+        "the smoothed relevancy.",
+    )
     threshold: float | None = Field(
         None, gt=0, lt=1, description="Relevancy above which objects are selected."
+    )
+    share: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Without a threshold: objects are selected from this share of the best one's "
+        "lead over the canonical phrases.",
+    )
+    temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
+    canonical: str | None = Field(
+        None,
+        description="Phrases that a query competes with, commas between, or lerf; the encoder's "
+        "own if left out.",
+    )
+    absent: str = Field(
+        "skip", description="What a view says of an object it does not hold: skip, or zero."
     )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
     mvsplat: MVSplatTable = MVSplatTable()
@@ -161,6 +244,11 @@ class Method(BaseModel):
     sam2: Sam2Table = Sam2Table()
     sam2_video: Sam2VideoTable = Sam2VideoTable()
     precomputed: PrecomputedTable = PrecomputedTable()
+    lexicon: LexiconTable = LexiconTable()
+    clip: ClipTable = ClipTable()
+    named: NamedTable = NamedTable()
+    grid: GridTable = GridTable()
+    separated: SeparatedTable = SeparatedTable()
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -175,6 +263,10 @@ class Method(BaseModel):
             if table in TABLES
         }
 
+    def rules(self) -> dict[str, Any]:
+        """How queries are answered, as :class:`slgaussian.language.query.Rules` takes it."""
+        return self.model_dump(include=RULES)
+
     def build_arguments(self) -> dict[str, Any]:
         """What :func:`slgaussian.build.build_field` takes besides the sample."""
         named = self.model_dump(include=PARTS | {"replicas", "seed"})
@@ -186,7 +278,7 @@ class Method(BaseModel):
 
         The chosen parts, their settings with files by content, replicas and seed.
         """
-        from slgaussian.build import described
+        from slgaussian.parts import described
 
         named = self.model_dump(include=PARTS | {"replicas", "seed"})
         return {**named, **described(self.part_settings())}
@@ -247,15 +339,20 @@ def make_settings(values: dict[str, Any], source: str) -> Settings:
     All of them must have an effect: none may be of a part that is not chosen.
     """
     settings = _validated(values, source)
-    _refuse_idle(values, settings, source)
+    refuse_idle(values, settings, source)
     return settings
 
 
-def _validated(values: dict[str, Any], source: str) -> Settings:
+def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
+    """``model(**values)``, or InputError in one sentence, naming ``source``, the key and why."""
     try:
-        settings = Settings(**values)
+        return model(**values)
     except ValidationError as error:
-        raise InputError(f"{source}: {_sentence(error)}") from error
+        raise InputError(f"{source}: {_sentence(error, model)}") from error
+
+
+def _validated(values: dict[str, Any], source: str) -> Settings:
+    settings = checked(Settings, values, source)
     names = [scene.name for scene in settings.scenes]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -290,17 +387,19 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     merged = {**values, **overrides}
     for name in TABLES:
         if isinstance(values.get(name), dict):
-            _anchor(values[name], ("checkpoint", "folder"), here)
-            model = values[name].get("model")
-            if isinstance(model, str) and (here / model).is_dir():
-                values[name]["model"] = str(here / model)
+            _anchor(values[name], ("checkpoint", "folder", "table"), here)
+            for key in ("model", "tokenizer", "synonyms"):
+                place = values[name].get(key)
+                if isinstance(place, str) and (here / place).exists():
+                    values[name][key] = str(here / place)
             merged[name] = {**values[name], **overrides.get(name, {})}
     settings = _validated(merged, str(path))
-    _refuse_idle(overrides, settings, "run")
+    refuse_idle(overrides, settings, "run")
     return settings
 
 
-def _refuse_idle(given: dict[str, Any], settings: Settings, source: str) -> None:
+def refuse_idle(given: dict[str, Any], settings: Method, source: str) -> None:
+    """InputError if ``given`` has the table of a part that the settings do not choose."""
     used = set(map(_table_of, settings.part_settings()))
     for name in TABLES:
         if name in given and name not in used:
@@ -326,13 +425,13 @@ SAID = {
 """What Pydantic says in its own terms, said in those of a configuration, by its error type."""
 
 
-def _sentence(error: ValidationError) -> str:
+def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
     # A misspelt key leaves another one missing; it is the cause, so it goes first.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
-        model = {"scenes": SceneSettings, **TABLES}.get(place[0], Settings)
+        model = {"scenes": SceneSettings, **TABLES}.get(place[0], whole)
         return f"unknown key {key!r}; the keys are {', '.join(model.model_fields)}"
     if first["type"] == "missing":
         return f"{key} is missing"

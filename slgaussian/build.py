@@ -1,6 +1,5 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,23 +7,18 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
-from slgaussian.language import load_codes, load_encoder
+from slgaussian.language import ENCODERS, load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
+from slgaussian.language.named import true_names
+from slgaussian.language.room import find_room
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
-from slgaussian.masks.precomputed import folder_digest
+from slgaussian.parts import PartSettings, described, places
 from slgaussian.predict import load_predictor
-from slgaussian.pretrained import model_digest
+from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
 from slgaussian.semantic import load_lifting
-from slgaussian.store import sha256_of
-
-PartSettings = Mapping[str, Mapping[str, Any]]
-"""Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
-
-DIGESTS = {"checkpoint": sha256_of, "model": model_digest, "folder": folder_digest}
-"""What stands for a setting of this name, a place, in artifacts and cache keys: its content."""
 
 
 def build_field(
@@ -33,7 +27,7 @@ def build_field(
     proposer: str = "regions",
     tracker: str = "geometric",
     encoder: str = "lexicon",
-    codes: str = "grid",
+    codes: str = "separated",
     lifting: str = "hard",
     replicas: int = 5,
     seed: int = 0,
@@ -44,7 +38,7 @@ def build_field(
     Parameters
     ----------
     sample : Sample
-        Its targets and truths are not looked at.
+        Its targets are not looked at, nor its truths, but by the encoder ``named``.
     predictor, proposer, tracker, encoder, codes, lifting : str
         The method of each part, by its name in the registry of its package.
     replicas : int
@@ -52,13 +46,14 @@ def build_field(
     seed : int
         Decides which ID codes are drawn; the same seed gives the same bytes.
     settings : mapping, optional
-        Settings of the predictor, proposer and tracker, each under its name (see its class):
+        Settings of the predictor, proposer, tracker, encoder and codes, each under its name (see
+        its class):
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
 
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this; see :func:`described`.
+        Its own ``settings`` say all this; see :func:`slgaussian.parts.described`.
 
     Raises
     ------
@@ -66,12 +61,12 @@ def build_field(
         If a name or a setting is unknown, a checkpoint does not fit, or the views cannot be used;
         the message says which and why.
     """
-    settings = settings or {}
+    settings = _with_default_model(encoder, settings or {})
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
-    bank = remember(sample, label_maps, encoder, codes, seed)
+    bank = remember(sample, gaussians, label_maps, encoder, codes, seed, settings)
     about = {
         "scene": sample.scene,
         "predictor": predictor,
@@ -84,7 +79,8 @@ def build_field(
         "seed": seed,
         **made_by,
     }
-    return lift_field(sample, gaussians, label_maps, bank, lifting, about)
+    where = places(settings.get(encoder, {}))
+    return lift_field(sample, gaussians, label_maps, bank, lifting, about, where)
 
 
 def check_parts(
@@ -102,47 +98,22 @@ def check_parts(
     ------
     InputError
         If no part has one of these names, settings are of another part than the predictor,
-        proposer or tracker, or files do not fit.
+        proposer, tracker, encoder or codes, or files do not fit.
     """
-    takers = predictor, proposer, tracker
+    takers = predictor, proposer, tracker, encoder, codes
     for name in settings:
         if name not in takers:
             raise InputError(
                 f"settings: found some of {name!r}, expected none but those of the predictor, "
-                f"proposer and tracker, which are {', '.join(map(repr, takers))}"
+                f"proposer, tracker, encoder and codes, which are {', '.join(map(repr, takers))}"
             )
-    for name, load in zip(takers, (load_predictor, load_proposer, load_tracker), strict=True):
+    loads = load_predictor, load_proposer, load_tracker, load_encoder, load_codes
+    for name, load in zip(takers, loads, strict=True):
         try:
             load(name, **settings.get(name, {}))
         except TypeError as error:
             raise InputError(f"settings of {name!r}: {error}") from None
-    load_encoder(encoder)
-    load_codes(codes)
     load_lifting(lifting)
-
-
-def described(settings: PartSettings) -> dict[str, dict[str, Any]]:
-    """Settings of parts as artifacts and cache keys hold them: files by content, not by place.
-
-    That is, of a setting called ``checkpoint`` the SHA-256 of the file, hexadecimal; see
-    :data:`DIGESTS`.
-
-    Raises
-    ------
-    InputError
-        If a value cannot be written down.
-    """
-    found = {
-        part: {
-            name: DIGESTS[name](value) if name in DIGESTS else value for name, value in own.items()
-        }
-        for part, own in settings.items()
-    }
-    try:
-        json.dumps(found)
-    except TypeError as error:
-        raise InputError(f"settings: {error}; give plain numbers and text") from None
-    return found
 
 
 def label_views(
@@ -165,11 +136,28 @@ def label_views(
 
 
 def remember(
-    sample: Sample, label_maps: LabelMaps, encoder: str, codes: str, seed: int
+    sample: Sample,
+    gaussians: Gaussians,
+    label_maps: LabelMaps,
+    encoder: str,
+    codes: str,
+    seed: int,
+    settings: PartSettings | None = None,
 ) -> MemoryBank:
-    """Draw an ID code for every object and encode what each view shows of it (section 3.2)."""
-    drawn = load_codes(codes)(len(label_maps.ids), rng_for(seed, sample.scene, "codes"))
-    return build_bank(sample.context, label_maps, load_encoder(encoder), drawn)
+    """Draw an ID code for every object and encode what each view shows of it (section 3.2).
+
+    With the encoder ``named`` objects get the vectors of their true names instead.
+    """
+    settings = settings or {}
+    strategy = load_codes(codes, **settings.get(codes, {}))
+    drawn = strategy(label_maps, rng_for(seed, sample.scene, "codes"))
+    loaded = load_encoder(encoder, **settings.get(encoder, {}))
+    names = true_names(sample, label_maps) if encoder == "named" else None
+    cameras = [view.camera for view in sample.context]
+    depths = source_depths(gaussians, cameras)
+    room = find_room(cameras, depths)
+    around = [room.place(camera, depth) for camera, depth in zip(cameras, depths, strict=True)]
+    return build_bank(sample.context, label_maps, loaded, drawn, names, around)
 
 
 def lift_field(
@@ -179,8 +167,20 @@ def lift_field(
     bank: MemoryBank,
     lifting: str,
     settings: Mapping[str, Any],
+    where: Mapping[str, str] | None = None,
 ) -> SemanticField:
-    """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters)."""
+    """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
+
+    ``where`` says where the encoder's files are; see :class:`slgaussian.field.SemanticField`.
+    """
     cameras = {view.name: view.camera for view in sample.context}
     lifted = load_lifting(lifting)(gaussians, label_maps, bank)
-    return SemanticField(lifted, bank, cameras, settings)
+    return SemanticField(lifted, bank, cameras, settings, where or {})
+
+
+def _with_default_model(encoder: str, settings: PartSettings) -> PartSettings:
+    """The model of an encoder is written down even where it is the one that it has by default."""
+    default = getattr(resolve("encoder", ENCODERS, encoder), "model", None)
+    if default is None:
+        return settings
+    return {**settings, encoder: {"model": default, **settings.get(encoder, {})}}

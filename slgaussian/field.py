@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,21 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import Encoder, load_encoder
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.codes import nearest_code
-from slgaussian.language.query import QueryResult, find, segment
+from slgaussian.language.nearest import nearest_code
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import (
+    BankReader,
+    Description,
+    QueryResult,
+    Rules,
+    ask,
+    describe,
+    segment,
+)
+from slgaussian.parts import placed, places
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
-from slgaussian.semantic.decode import VISIBLE, object_ids
+from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
 from slgaussian.store import decode, encode_arrays, encode_table
 
 
@@ -40,6 +50,9 @@ class FieldView:
         Mean colour of what is there; it fades to black where ``alpha`` is below :data:`VISIBLE`.
     ids : int32 [H, W]
         Object ids, 0 where there is none.
+    confidence : float32 [H, W]
+        In [0, 1], about the share of the pixel's light by which its object leads the next one; 0
+        where there is none. See :class:`slgaussian.semantic.decode.Decoder`.
     alpha : float32 [H, W]
         Accumulated opacity in [0, 1].
     depth : float32 [H, W]
@@ -48,22 +61,35 @@ class FieldView:
 
     rgb: np.ndarray
     ids: np.ndarray
+    confidence: np.ndarray
     alpha: np.ndarray
     depth: np.ndarray
-    bank: MemoryBank
-    encoder: Encoder
+    field: SemanticField
 
-    def query(
-        self, text: str, *, threshold: float | None = None, temperature: float = 10.0
-    ) -> QueryResult:
-        """Where ``text`` is in this view; see :func:`slgaussian.language.query.find`."""
-        return find(
-            text, self.ids, self.bank, self.encoder, temperature=temperature, threshold=threshold
-        )
+    @property
+    def reader(self) -> BankReader:
+        """What turns texts into scores; the encoder is loaded when it is first asked."""
+        return self.field.reader
 
-    def segment(self, texts: Sequence[str]) -> np.ndarray:
+    @cached_property
+    def _objects(self) -> ObjectMap:
+        return ObjectMap(self.ids, self.field.bank.ids)
+
+    def query(self, text: str, **rules: Any) -> QueryResult:
+        """Where ``text`` is in this view.
+
+        ``rules``, such as ``threshold`` or ``protocol``, are those of
+        :class:`slgaussian.language.query.Rules`.
+        """
+        return self.query_all([text], **rules)[0]
+
+    def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
+        """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
+        return ask(texts, self._objects, self.reader, Rules(**rules))
+
+    def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
         """Which text fits each pixel best: int32 [H, W], 0 = no object, k + 1 = ``texts[k]``."""
-        return segment(texts, self.ids, self.bank, self.encoder)
+        return segment(texts, self._objects, self.reader, Rules(**rules))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,43 +99,98 @@ class SemanticField:
     Attributes
     ----------
     gaussians : Gaussians
-        With ``features`` [N, 4]; see :class:`slgaussian.semantic.Lifting`.
+        With ``features``; see :class:`slgaussian.semantic.Lifting`.
     bank : MemoryBank
     cameras : mapping str -> Camera
         The context cameras by view name.
     settings : mapping
-        Names and settings of every part that made the field, written into each artifact.
+        Names and settings of every part that made the field, written into each artifact. Files are
+        known by content there.
+    places : {setting: path or name on the hub}
+        Where the files of the encoder are, such as its ``model``. They are not part of the field.
     """
 
     gaussians: Gaussians
     bank: MemoryBank
     cameras: Mapping[str, Camera]
     settings: Mapping[str, Any]
+    places: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def encoder(self) -> Encoder:
-        """The text encoder that belongs to the bank."""
-        return load_encoder(self.settings["encoder"])
+        """The text encoder that belongs to the bank, loaded when it is first asked for.
+
+        Raises
+        ------
+        InputError
+            If a file that it needs is not where ``places`` says, or is another one.
+        SpecError
+            If its vectors have another width than those of the bank.
+        """
+        name = self.settings["encoder"]
+        own = self.settings.get(name, {})
+        _check_places(name, own, self.places)
+        other = "is not what the field was built with; give that one, or build the field with it"
+        try:
+            encoder = load_encoder(name, **placed(own, self.places, other))
+        except TypeError as error:
+            raise InputError(f"settings of {name!r}: {error}") from None
+        if self.bank.features.shape[2] != encoder.encode_text(encoder.canonical).shape[1]:
+            raise SpecError(
+                f"memory bank: made by another version of the encoder {name!r}; build the field "
+                "again"
+            )
+        return encoder
+
+    @cached_property
+    def reader(self) -> BankReader:
+        """Bank and encoder together: what turns texts into scores of objects."""
+        return BankReader(self.bank, self.encoder)
+
+    def query(
+        self, texts: Sequence[str], cameras: Sequence[Camera], **rules: Any
+    ) -> list[list[QueryResult]]:
+        """Where each text is in each view: a list a camera, of a result a text.
+
+        ``rules`` as in :meth:`FieldView.query`.
+        """
+        return [self.render(camera).query_all(texts, **rules) for camera in cameras]
+
+    def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
+        """What is in the scene: every object with the best of ``texts``, whatever the view."""
+        return describe(texts, self.reader, Rules(**rules))
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""
-        rgb = harmonics.colors(self.gaussians, camera)
-        values = torch.cat([rgb, self.gaussians.features], 1)
-        image = rasterize(self.gaussians, values, camera, backend=backend)
+        values, rows = harmonics.colors(self.gaussians, camera), None
+        if self.bank.dimension:
+            values = torch.cat([values, self.gaussians.features], 1)
+        else:
+            rows = self.gaussians.features[:, 0].int()
+        image = rasterize(self.gaussians, values, camera, backend=backend, labels=rows)
         drawn = image.values.float().numpy()
-        ids = object_ids(drawn[..., 3:], self.bank)
+        if self.bank.dimension:
+            ids, confidence = self._decoder(drawn[..., 3:])
+        else:
+            ids, confidence = elected_ids(image, self.bank.ids)
         alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()
         colour = drawn[..., :3] / np.maximum(alpha, VISIBLE)[..., None]
         rgb = np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
-        return FieldView(rgb, ids, alpha, depth, self.bank, self.encoder)
+        return FieldView(rgb, ids, confidence, alpha, depth, self)
+
+    @cached_property
+    def _decoder(self) -> Decoder:
+        return Decoder(self.bank)
 
     def labels(self) -> np.ndarray:
         """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""
         features = self.gaussians.features.numpy()
-        labelled = features[:, 3] >= VISIBLE
+        if not self.bank.dimension:
+            return np.append(np.int32(0), self.bank.ids)[features[:, 0].astype(np.int64)]
+        labelled = features[:, -1] >= VISIBLE
         ids = np.zeros(len(features), np.int32)
         if labelled.any():
-            rows = nearest_code(features[labelled, :3] / features[labelled, 3:], self.bank.codes)
+            rows = nearest_code(features[labelled, :-1] / features[labelled, -1:], self.bank.codes)
             ids[labelled] = self.bank.ids[rows]
         return ids
 
@@ -120,7 +201,9 @@ class SemanticField:
         counts = np.bincount(rows, minlength=len(self.bank.ids))
         columns = {"id": self.bank.ids.astype(np.int64)}
         for channel, letter in enumerate("rgb"):
-            columns[f"code_{letter}"] = self.bank.codes[:, channel].astype(np.float64)
+            known = channel < self.bank.dimension
+            column = self.bank.codes[:, channel].astype(np.float64) if known else None
+            columns[f"code_{letter}"] = pa.nulls(len(self.bank)) if column is None else column
         columns["gaussians"] = counts.astype(np.int64)
         return pa.table(columns, schema=load_spec("objects").schema)
 
@@ -158,8 +241,15 @@ class SemanticField:
             raise
 
     @staticmethod
-    def load(path: str | Path) -> SemanticField:
+    def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
         """Read a field folder.
+
+        Parameters
+        ----------
+        path : path or str
+        encoder : {setting: path or name on the hub}, optional
+            Where the files of its encoder are now, if not where they were when it was built, as in
+            ``{"model": "models/clip"}``. They are looked at when the field is first asked.
 
         Raises
         ------
@@ -181,19 +271,21 @@ class SemanticField:
                 for name, c in about["cameras"].items()
             }
             settings = dict(about["settings"])
-            encoder = load_encoder(settings["encoder"])
+            own = places(settings.get(settings["encoder"], {}))
+            given = {key: str(place) for key, place in (encoder or {}).items()}
+            where = {**about.get("places", {}), **given}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise SpecError(f"{about_file}: damaged ({error}); build the field again") from error
         gaussians = Gaussians.from_arrays(_read(path / "gaussians.npz"))
-        if gaussians.features is None or gaussians.features.shape[1] != 4:
-            raise SpecError(f"{path / 'gaussians.npz'}: no features [N, 4]; build the field again")
         bank = MemoryBank.from_arrays(_read(path / "bank.npz"))
-        if bank.features.shape[2] != encoder.encode_text(encoder.canonical).shape[1]:
-            raise SpecError(
-                f"{path / 'bank.npz'}: made by another version of the encoder {encoder.name!r}; "
-                "build the field again"
-            )
-        return SemanticField(gaussians, bank, cameras, settings)
+        _check_features(path / "gaussians.npz", gaussians, bank)
+        loaded = SemanticField(gaussians, bank, cameras, settings, where)
+        if not own:
+            try:
+                loaded.encoder  # noqa: B018  (what needs no files is checked at once)
+            except (InputError, SpecError) as error:
+                raise SpecError(f"{path}: {error}") from error
+        return loaded
 
     def _arrays(self) -> dict[str, dict[str, np.ndarray]]:
         return {"gaussians": self.gaussians.to_arrays(), "bank": self.bank.to_arrays()}
@@ -210,7 +302,24 @@ class SemanticField:
             }
             for name, camera in self.cameras.items()
         }
-        return {"settings": dict(self.settings), "cameras": cameras}
+        return {
+            "settings": dict(self.settings),
+            "cameras": cameras,
+            "places": {key: str(place) for key, place in self.places.items()},
+        }
+
+
+def _check_places(encoder: str, own: Mapping[str, Any], where: Mapping[str, str]) -> None:
+    """InputError if a file of the encoder has no place, or is no longer there."""
+    for key in {**places(own), **where}:
+        place = where.get(key)
+        if place is None or (os.path.isabs(place) and not os.path.exists(place)):
+            gone = "" if place is None else f" and is no longer at {place}"
+            raise InputError(
+                f"the field's encoder {encoder!r} needs its {key}, which is not stored with a "
+                f"field{gone}; say where it is, as in --{encoder}-{key} PLACE or "
+                f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
+            )
 
 
 def check_target(path: Path) -> None:
@@ -248,6 +357,19 @@ def _read(file: Path) -> dict[str, np.ndarray]:
     arrays = decode(data, rules, str(file), repair="build the field again")
     rules.check_arrays(arrays, str(file))
     return arrays
+
+
+def _check_features(file: Path, gaussians: Gaussians, bank: MemoryBank) -> None:
+    wide = bank.dimension + 1
+    if gaussians.features is None or gaussians.features.shape[1] != wide:
+        raise SpecError(f"{file}: no features [N, {wide}]; build the field again")
+    if bank.dimension == 0:
+        rows = gaussians.features[:, 0]
+        if not ((rows >= 0) & (rows <= len(bank)) & (rows == rows.round())).all():
+            raise SpecError(
+                f"{file}: features are no rows of a bank of {len(bank)} objects; build the field "
+                "again"
+            )
 
 
 def _is_empty_folder(path: Path) -> bool:

@@ -38,8 +38,8 @@ class Gaussians:
     source : int32 [N]
         Flat index ``(view * H + row) * W + column`` of the context pixel each Gaussian came from.
     features : float32 [N, D] or None
-        Semantic features. In a field D = 4: the ID code (3 numbers in the paper) times its weight,
-        and the weight; see :class:`slgaussian.semantic.Lifting`.
+        Semantic features. In a field: the ID code (3 numbers in the paper) times its weight, and
+        the weight; see :class:`slgaussian.semantic.Lifting`.
 
     Raises
     ------

@@ -14,7 +14,8 @@ import os
 import uuid
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -108,7 +109,7 @@ class ArtifactStore:
             rules.check_arrays(arrays, label)
             digest, data = arrays_digest(arrays), encode_arrays(arrays, rules.compress)
         uri = f"{spec}/{digest[:2]}/{digest}{rules.suffix}"
-        self._write(uri, data)
+        self.write(uri, data)
         return ArtifactRef(spec, uri, digest, dict(meta or {}))
 
     def get(self, ref: ArtifactRef) -> Arrays | pa.Table:
@@ -140,13 +141,19 @@ class ArtifactStore:
             raise mismatch(file, "digest", found, expected)
         return content
 
+    def check_there(self, uri: str) -> None:
+        """Raise :class:`SpecError` if there is no file at a path relative to the root."""
+        if not self.fs.exists(f"{self.path}/{uri}"):
+            raise mismatch(f"{self.root}/{uri}", "file", "nothing", "an artifact")
+
     def check_writable(self) -> None:
         """Raise :class:`InputError` now rather than after the work if nothing can be written."""
         probe = f".probe-{uuid.uuid4().hex}"
-        self._write(probe, b"")
+        self.write(probe, b"")
         self.fs.rm_file(f"{self.path}/{probe}")
 
-    def _write(self, uri: str, data: bytes) -> None:
+    def write(self, uri: str, data: bytes) -> None:
+        """Write a file that is no artifact, whole or not at all; InputError if that fails."""
         path = f"{self.path}/{uri}"
         try:
             self.fs.makedirs(path.rsplit("/", 1)[0], exist_ok=True)
@@ -163,11 +170,17 @@ class ArtifactStore:
 
 def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a local file so that no reader, and no crash, ever sees a part of it."""
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        file.write(data)
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
+    """A name to write a local file under, which takes the place of ``path`` once it is whole."""
     folder, name = os.path.split(os.fspath(path))
     temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
-        with open(temporary, "wb") as file:
-            file.write(data)
+        yield temporary
         os.replace(temporary, path)
     except BaseException:
         if os.path.exists(temporary):

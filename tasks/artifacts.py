@@ -125,14 +125,16 @@ def field_to_arrays(field: SemanticField) -> Arrays:
     return {**field.gaussians.to_arrays(), **bank, "settings": np.array(settings)}
 
 
-def field_from_arrays(arrays: Arrays, sample: Sample) -> SemanticField:
-    """Inverse of :func:`field_to_arrays`."""
+def field_from_arrays(
+    arrays: Arrays, sample: Sample, places: Mapping[str, str] | None = None
+) -> SemanticField:
+    """Inverse of :func:`field_to_arrays`; ``places`` are those of the encoder's files."""
     rest = dict(arrays)
     settings = json.loads(str(rest.pop("settings")))
     names = [name for name in rest if name.startswith("bank_")]
     bank = MemoryBank.from_arrays({n.removeprefix("bank_"): rest.pop(n) for n in names})
     cameras = {view.name: view.camera for view in sample.context}
-    return SemanticField(Gaussians.from_arrays(rest), bank, cameras, settings)
+    return SemanticField(Gaussians.from_arrays(rest), bank, cameras, settings, places or {})
 
 
 def result_to_arrays(result: SceneResult) -> Arrays:

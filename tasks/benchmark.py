@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from slgaussian.benchmark.evaluate import evaluate
 from slgaussian.labels import LabelMaps
+from slgaussian.language.query import Rules
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     field_from_arrays,
@@ -14,19 +15,19 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "benchmark"
-VERSION = 3
+VERSION = 4
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``scene_result``. Settings: method, queries, temperature, threshold.
+    """Spec ``scene_result``. Settings: method, queries, rules.
 
-    Inputs: sample, truth, labels, field.
+    Inputs: sample, truth, labels, field. ``where[key]`` is the file of the encoder that the field's
+    settings hold the digest of.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    field = field_from_arrays(store.get(call.inputs["field"]), sample)
+    field = field_from_arrays(store.get(call.inputs["field"]), sample, call.where)
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
     truth = truth_from_arrays(store.get(call.inputs["truth"]))
-    result = evaluate(
-        field, sample, label_maps, truth.masks, boxes=truth.boxes or None, **call.settings
-    )
+    settings = {**call.settings, "rules": Rules(**call.settings["rules"])}
+    result = evaluate(field, sample, label_maps, truth.masks, boxes=truth.boxes or None, **settings)
     return store.put("scene_result", result_to_arrays(result), {"times": result.times})

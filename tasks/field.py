@@ -11,7 +11,7 @@ from tasks.artifacts import field_to_arrays, sample_from_arrays
 from tasks.stage import StageCall
 
 STAGE = "field"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

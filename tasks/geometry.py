@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from slgaussian.errors import InputError
+from slgaussian.parts import placed
 from slgaussian.predict import load_predictor
-from slgaussian.store import ArtifactRef, ArtifactStore, sha256_of
+from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import sample_from_arrays
-from tasks.stage import StageCall
+from tasks.stage import CHANGED, StageCall
 
 STAGE = "geometry"
 VERSION = 2
@@ -19,12 +19,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     name = call.settings["predictor"]
-    own = dict(call.settings.get(name, {}))
-    if "checkpoint" in own:
-        file = call.where["checkpoint"]
-        if sha256_of(file) != own["checkpoint"]:
-            raise InputError(f"{file}: was changed after the run had begun; start the run again")
-        own["checkpoint"] = file
+    own = placed(call.settings.get(name, {}), call.where, CHANGED)
     gaussians = load_predictor(name, **own)(sample)
     gaussians.check()
     return store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})

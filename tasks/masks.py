@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from slgaussian.build import DIGESTS, label_views
-from slgaussian.errors import InputError
+from typing import Any
+
+from slgaussian.build import label_views
 from slgaussian.gaussians import Gaussians
+from slgaussian.parts import DIGESTS, placed
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import labels_to_arrays, sample_from_arrays
-from tasks.stage import StageCall
+from tasks.stage import CHANGED, StageCall
 
 STAGE = "masks"
 VERSION = 2
@@ -22,11 +24,18 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     gaussians = Gaussians.from_arrays(store.get(call.inputs["gaussians"]))
     named = {name: call.settings[name] for name in ("proposer", "tracker", "replicas")}
-    own = {name: table for name, table in call.settings.items() if name not in named}
-    for name, place in call.where.items():
-        key = next(key for key in DIGESTS if key in own[name])
-        if DIGESTS[key](place) != own[name][key]:
-            raise InputError(f"{place}: was changed after the run had begun; start the run again")
-        own[name] = {**own[name], key: place}
-    label_maps = label_views(sample, gaussians, **named, settings=own)
+    label_maps = label_views(sample, gaussians, **named, settings=own_settings(call))
     return store.put("labels", labels_to_arrays(label_maps), {"objects": len(label_maps.ids)})
+
+
+def own_settings(call: StageCall) -> dict[str, dict[str, Any]]:
+    """The settings of the proposer and the tracker, each under its name, its files by place."""
+    own = {}
+    for name in (call.settings["proposer"], call.settings["tracker"]):
+        table = call.settings.get(name, {})
+        place = call.where.get(name)
+        if place is not None:
+            key = next(key for key in DIGESTS if key in table)
+            table = placed(table, {key: place}, CHANGED)
+        own[name] = dict(table)
+    return own

@@ -23,6 +23,9 @@ from slgaussian import threads
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.keys import cache_key
 
+CHANGED = "was changed after the run had begun; start the run again"
+"""What is said of a file whose content is no longer that of the settings."""
+
 _active_store: ContextVar[ArtifactStore] = ContextVar("active_store")
 
 
@@ -86,9 +89,15 @@ class RefSerializer(Serializer):
         return json.dumps(asdict(obj), sort_keys=True).encode()
 
     def loads(self, blob: bytes) -> ArtifactRef:
-        """The ref, after a look at its artifact; SpecError if that is missing or damaged."""
+        """The ref, after a look at its artifact; SpecError if that is missing or damaged.
+
+        An artifact that names others lists them in ``meta["parts"]``: they must be there too.
+        """
         ref = ArtifactRef(**json.loads(blob))
-        _active_store.get().get(ref)
+        store = _active_store.get()
+        store.get(ref)
+        for uri in ref.meta.get("parts", ()):
+            store.check_there(uri)
         return ref
 
 

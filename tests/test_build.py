@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.build import build_field, check_parts, described
+from slgaussian.build import build_field, check_parts
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
+from slgaussian.parts import described
 
 NAMES = {
     "predictor": "planesweep",
     "proposer": "regions",
     "tracker": "geometric",
     "encoder": "lexicon",
-    "codes": "grid",
+    "codes": "separated",
     "lifting": "hard",
 }
 
@@ -27,6 +28,7 @@ NAMES = {
         ({"mvsplat": {}}, "found some of 'mvsplat', expected none but .* 'planesweep'"),
         ({"planesweep": {"nearest": 1.0}}, "settings of 'planesweep': .*'nearest'"),
         ({"planesweep": {"near": -1.0}}, "plane sweep near: found -1.0"),
+        ({"separated": {"dimension": 4}}, "code dimension: found 4"),
     ],
 )
 def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):

@@ -53,7 +53,7 @@ def field() -> SemanticField:
         sh=rgb_to_sh(torch.tensor(colours, dtype=torch.float32)),
         source=torch.arange(n, dtype=torch.int32),
     )
-    bank = remember(sample, label_maps, "lexicon", "grid", seed=0)
+    bank = remember(sample, gaussians, label_maps, "lexicon", "grid", seed=0)
     return lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
 
 
@@ -109,6 +109,34 @@ def test_segment_gives_every_half_its_word(field):
     assert (named == np.where(labels == 5, 2, 1))[5:, 2:-2].mean() > 0.97
 
 
+def test_several_texts_and_views_in_one_call(field):
+    cameras = list(field.cameras.values())
+    hits = field.query(["red", "blue"], cameras, threshold=0.6)
+    assert [[hit.text for hit in row] for row in hits] == [["red", "blue"]] * 2
+    for camera, row in zip(cameras, hits, strict=True):
+        seen = field.render(camera)
+        for hit in row:
+            np.testing.assert_array_equal(hit.mask, seen.query(hit.text, threshold=0.6).mask)
+    with pytest.raises(InputError, match="threshold"):
+        field.query(["red"], cameras[:1], threshold=2)
+
+
+def test_what_is_in_the_field(field):
+    red, blue = field.describe(["blue", "red"])
+    assert (red.id, red.text, red.views) == (5, "red", (0, 1))
+    assert (blue.id, blue.text, blue.views) == (9, "blue", (0, 1))
+
+
+def test_a_stored_field_answers_as_it_did(field, tmp_path):
+    """Features are rounded to half precision when they are made, not when they are stored."""
+    field.save(tmp_path / "field")
+    again = SemanticField.load(tmp_path / "field")
+    texts = ["red", "blue wall", "grey"]
+    a, b = (f.query(texts, [field.cameras["a"]])[0] for f in (field, again))
+    for one, other in zip(a, b, strict=True):
+        np.testing.assert_array_equal(one.scores, other.scores)
+
+
 def test_unlabelled_gaussians_are_no_object(field):
     assert field.render(field.cameras["a"]).ids[0, 0] in (0, 5)
     alone = field.gaussians[field.gaussians.features[:, 3] == 0]
@@ -137,6 +165,60 @@ def test_the_object_table_counts_every_labelled_gaussian(field):
     table = field.objects()
     assert table.column("id").to_pylist() == [5, 9]
     assert sum(table.column("gaussians").to_pylist()) == 2 * H * W - 16
+
+
+@pytest.fixture(scope="module", params=["grid", "separated", "exact"])
+def coded(request, field):
+    """The field with codes of every strategy, in every dimension, and with none."""
+    cameras = list(field.cameras.values())
+    views = [View(name, cam, wall(cam)[0]) for name, cam in zip("ab", cameras, strict=True)]
+    labels = np.stack([wall(cam)[1] for cam in cameras])
+    label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    sample = Sample("wall", tuple(views))
+    fields = []
+    for dimension in (0,) if request.param == "exact" else (1, 2, 3):
+        own = {request.param: {"dimension": dimension}} if dimension else {}
+        plain = replace(field.gaussians, features=None)
+        bank = remember(sample, plain, label_maps, "lexicon", request.param, 0, own)
+        assert bank.codes.shape == (2, dimension)
+        fields.append(lift_field(sample, plain, label_maps, bank, "hard", {"encoder": "lexicon"}))
+    return fields
+
+
+def test_every_kind_of_code_says_the_same_and_keeps_it_on_disk(coded, tmp_path):
+    """Two objects mix at one border only: no code can read a third there."""
+    cam = camera(0.05)
+    _, labels = wall(cam)
+    border = np.abs(np.arange(W) + 0.5 - W / 2 + 0.05 * FOCAL / DEPTH) < 2.5
+    for number, made in enumerate(coded):
+        made.save(tmp_path / f"{number}")
+        again = SemanticField.load(tmp_path / f"{number}")
+        seen, loaded = made.render(cam), again.render(cam)
+        assert seen.confidence.dtype == np.float32
+        for name in ("rgb", "ids", "confidence", "alpha", "depth"):
+            np.testing.assert_array_equal(getattr(seen, name), getattr(loaded, name))
+        inner = np.s_[2:-2, 3:-3]
+        away = np.broadcast_to(~border, (H, W))[inner]
+        assert (seen.ids[inner] == labels[inner])[away].all()
+        assert seen.confidence[inner][away].min() > 0.9
+        assert seen.confidence[:, border].min() < 0.5
+        np.testing.assert_array_equal(made.labels(), again.labels())
+        assert set(np.unique(made.labels())) == {5, 9}
+        table = again.objects()
+        assert table.column("code_b").null_count == (0 if made.bank.dimension == 3 else 2)
+        assert sum(table.column("gaussians").to_pylist()) == len(made.gaussians)
+        assert seen.query("red").objects[0][0] == 5
+
+
+def test_features_that_do_not_fit_the_bank_are_named(coded, tmp_path):
+    made = coded[0]
+    wrong = made.gaussians.features + 0.5 if made.bank.dimension == 0 else torch.zeros(1, 7)
+    wrong = wrong.expand(len(made.gaussians), -1).contiguous()
+    spoilt = replace(made.gaussians, features=wrong)
+    field = SemanticField(spoilt, made.bank, made.cameras, made.settings)
+    field.save(tmp_path / "field")
+    with pytest.raises(SpecError, match=r"gaussians\.npz: .*features"):
+        SemanticField.load(tmp_path / "field")
 
 
 def test_a_folder_that_is_no_field_is_left_alone(field, tmp_path):

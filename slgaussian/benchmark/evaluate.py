@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from slgaussian.benchmark import metrics, pictures
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
+from slgaussian.language.query import Rules
 from slgaussian.scene import Camera, Sample, View
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class SceneResult:
     pictures : {name: uint8 [H, W, 3]}
         ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
         ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
-        and viewpoints along the way), ``relevancy`` and ``mask`` (queries).
+        and viewpoints along the way), ``relevancy`` and ``mask`` (queries); and ``objects/all``,
+        every object of the memory bank cut from a photograph, with its id.
     times : {stage: float}
         Seconds, summed over the scene: ``render``, ``query``, ``segment``. Volatile.
     """
@@ -90,8 +92,7 @@ def evaluate(
     boxes: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     queries: Sequence[str] = (),
     method: str = "slgaussian",
-    temperature: float = 10.0,
-    threshold: float | None = None,
+    rules: Rules | None = None,
 ) -> SceneResult:
     """Ask the field everything the truth knows, in every target view.
 
@@ -110,8 +111,8 @@ def evaluate(
         Asked without truth, midway between the first two context cameras.
     method : str
         Name of what made the field, written into every row.
-    temperature, threshold
-        Of the query; see :func:`slgaussian.language.query.find`.
+    rules : Rules, optional
+        How texts become answers, if not in the default way.
 
     Returns
     -------
@@ -121,11 +122,10 @@ def evaluate(
     Raises
     ------
     InputError
-        If a frame of ``truth`` is not a target, a mask does not have its size, or the temperature
-        or threshold is out of range.
+        If a frame of ``truth`` is not a target, or a mask does not have its size.
     """
     _check_truth(sample, truth)
-    record = _Record(sample.scene, method, temperature, threshold)
+    record = _Record(sample.scene, method, rules or Rules())
     for target in sample.targets:
         with record.stage("render"):
             view = field.render(target.camera)
@@ -155,16 +155,20 @@ def evaluate(
     for view, depth, labels in zip(sample.context, depths, label_maps.labels, strict=True):
         record.score_depth(depth, view, _disparity_scale(sample))
         record.pictures |= _context_pictures(view, depth, labels, near, far)
+    if field.bank.boxes is not None:
+        images = [view.image for view in sample.context]
+        cuts = pictures.cut_out(images, label_maps.labels, field.bank.ids, field.bank.boxes)
+        tiles = list(zip(map(str, field.bank.ids), cuts, strict=True))
+        record.pictures["objects/all"] = pictures.contact_sheet(tiles, side=56, columns=8)
     return record.result({"near": near, "far": far})
 
 
 class _Record:
     """What has been found out so far."""
 
-    def __init__(self, scene: str, method: str, temperature: float, threshold: float | None):
+    def __init__(self, scene: str, method: str, rules: Rules):
         self.scene = scene
-        self.temperature = temperature
-        self.threshold = threshold
+        self.rules = asdict(rules)
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
@@ -173,9 +177,12 @@ class _Record:
         self._common = {
             "scene": scene,
             "method": method,
-            "protocol": "near-best" if threshold is None else "threshold",
-            "temperature": temperature,
-            "threshold": threshold,
+            "protocol": rules.selection,
+            "share": rules.share if rules.selection == "near-best" else None,
+            "threshold": rules.threshold,
+            "temperature": rules.temperature,
+            "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
+            "absent": rules.absent,
         }
 
     @contextmanager
@@ -210,9 +217,12 @@ class _Record:
             notes.append(NOT_UNDERSTOOD)
         else:
             with self.stage("query"):
-                hit = view.query(query, temperature=self.temperature, threshold=self.threshold)
+                hit = view.query(query, **self.rules)
+                hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
             if hit.unknown:
                 notes.append(f"unknown: {', '.join(hit.unknown)}")
+            for word, (other, likeness) in hit.taken_for.items():
+                notes.append(f"{word} taken for {other} ({likeness:.2f})")
         if mask is not None and not mask.any():
             mask = None
             notes.append("not in this frame")
@@ -224,6 +234,7 @@ class _Record:
             "iou": None,
             "hit_mask": None,
             "hit_box": None,
+            "hit_peak": None,
             "score": None if hit is None else hit.score,
             "point_x": None if point is None else float(point[0]),
             "point_y": None if point is None else float(point[1]),
@@ -234,6 +245,7 @@ class _Record:
             row["iou"] = metrics.iou(found, mask)
             row["hit_mask"] = metrics.point_in_mask(point, mask)
             row["hit_box"] = metrics.point_in_boxes(point, boxes)
+            row["hit_peak"] = hit is not None and metrics.any_in_boxes(hit.peak, boxes)
             for name in ("iou", "hit_mask", "hit_box"):
                 self.score(name, float(row[name]))
         self.rows.append({name: row[name] for name in load_spec("samples").columns})
@@ -254,7 +266,7 @@ class _Record:
         labels = np.zeros(view.ids.shape, np.int32)
         if len(unknown) < len(texts):
             with self.stage("segment"):
-                labels = view.segment(texts[: len(texts) - len(unknown)])
+                labels = view.segment(texts[: len(texts) - len(unknown)], **self.rules)
         self.score("miou", metrics.mean_iou(labels, [masks[text] for text in texts]))
 
     def draw_view(self, view: FieldView, frame: str) -> None:
@@ -322,7 +334,7 @@ def _context_pictures(
 
 def _understands(text: str, view: FieldView) -> bool:
     try:
-        view.encoder.encode_text([text])
+        view.reader.unknown_words(text)
     except InputError:
         return False
     return True

@@ -57,6 +57,19 @@ def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool
     return bool(inside.any())
 
 
+def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
+    """Whether any set pixel of a bool mask [H, W] lies in any box [n, 4], as LangSplat counts.
+
+    Of all pixels where relevancy is greatest one is enough, which is lenient: a whole wall may be.
+    Bounds are included.
+    """
+    rows, columns = np.nonzero(mask)
+    return any(
+        bool(((x0 <= columns) & (columns <= x1) & (y0 <= rows) & (rows <= y1)).any())
+        for x0, y0, x1, y1 in boxes
+    )
+
+
 def depth_errors(
     predicted: np.ndarray, truth: np.ndarray, disparity_scale: float | None = None
 ) -> dict[str, float]:

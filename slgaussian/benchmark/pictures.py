@@ -114,6 +114,50 @@ def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarr
     return out
 
 
+def cut_out(
+    images: Sequence[np.ndarray],
+    labels: Sequence[np.ndarray],
+    ids: np.ndarray,
+    boxes: np.ndarray,
+) -> list[np.ndarray]:
+    """What each of N objects looks like, in the one of V images where its box is largest.
+
+    ``labels`` are the object ids of the images' pixels; what is not the object is pale. ``boxes``
+    [N, V, 4] are the first column and row and those after the last, as a memory bank keeps them.
+    """
+    views = (boxes[..., 2:] - boxes[..., :2]).prod(-1).argmax(1)
+    cuts = []
+    for number, own, view in zip(ids, boxes, views, strict=True):
+        x0, y0, x1, y1 = own[view]
+        cut, inside = images[view][y0:y1, x0:x1], labels[view][y0:y1, x0:x1] == number
+        cuts.append(np.where(inside[..., None], cut, 255 - (255 - cut) // 4))
+    return cuts
+
+
+def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: int) -> np.ndarray:
+    """Pictures of any size in rows, each fitted into a square, with its caption below if it fits.
+
+    An empty picture leaves its square empty.
+    """
+    gap, band = 8, 18
+    rows = -(-len(tiles) // columns)
+    size = columns * (side + gap) + gap, rows * (side + band + gap) + gap
+    sheet = Image.new("RGB", size, "white")
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=12)
+    for k, (caption, image) in enumerate(tiles):
+        left, top = gap + k % columns * (side + gap), gap + k // columns * (side + band + gap)
+        while draw.textlength(caption, font=font) > side:
+            caption = caption[:-1]
+        draw.text((left, top + side + 1), caption, fill=(40, 44, 52), font=font)
+        if image.size:
+            scale = side / max(image.shape[:2])
+            fitted = [max(1, round(n * scale)) for n in image.shape[1::-1]]
+            small = cv2.resize(image, fitted, interpolation=cv2.INTER_AREA)
+            sheet.paste(Image.fromarray(small), (left, top))
+    return np.asarray(sheet)
+
+
 def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     """Pictures in a row, scaled to the height of the first, each with its caption below."""
     height, gap, band = panels[0][1].shape[0], 12, 34

@@ -233,7 +233,7 @@ def _protocol(results: Sequence[SceneResult]) -> dict[str, Any]:
     rows = [row for result in results for row in result.rows]
     asked = {
         key: ", ".join(sorted({"none" if row[key] is None else str(row[key]) for row in rows}))
-        for key in ("method", "protocol", "temperature", "threshold")
+        for key in ("method", "protocol", "threshold", "share", "temperature", "canonical")
     }
     return asked | {
         "scored": sum(row["iou"] is not None for row in rows),

@@ -63,6 +63,27 @@ class Clip:
     cameras: np.ndarray
     images: tuple[bytes, ...]
 
+    def view(self, number: int) -> View:
+        """One frame, decoded, whatever the others are.
+
+        Raises
+        ------
+        InputError
+            If its image cannot be decoded or its camera is none; the message names clip and frame.
+        """
+        label = f"clip {self.key!r}, frame {number}"
+        try:
+            with Image.open(io.BytesIO(self.images[number])) as image:
+                image.load()
+                pixels = rgb(image)
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
+        try:
+            camera = camera_of(self.cameras[number], pixels.shape[1], pixels.shape[0])
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from None
+        return View(str(number), camera, pixels)
+
     def scene(self) -> Scene:
         """The clip as a scene named by its key, with views "0" to "N - 1", decoded when read.
 
@@ -96,16 +117,7 @@ class _Frames:
         """Decode one image."""
         if name not in self.cameras:
             raise InputError(f"clip {self.clip.key!r}: has no frame {name!r}")
-        camera = self.cameras[name]
-        try:
-            with Image.open(io.BytesIO(self.clip.images[int(name)])) as image:
-                image.load()
-                pixels = rgb(image)
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-            raise InputError(
-                f"clip {self.clip.key!r}, frame {name}: its JPEG cannot be decoded ({error})"
-            ) from None
-        return View(name, camera, pixels)
+        return self.clip.view(int(name))
 
 
 def read(path: str | Path, key: str) -> Scene:

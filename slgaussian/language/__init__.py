@@ -1,14 +1,24 @@
 """Words and regions in one space: encoders, ID codes, the memory bank, relevancy and queries."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
+from slgaussian.labels import LabelMaps
+from slgaussian.language.room import Surroundings
 from slgaussian.registry import resolve
 
-ENCODERS = {"lexicon": "slgaussian.language.lexicon:Lexicon"}
-CODES = {"grid": "slgaussian.language.codes:grid_codes"}
+ENCODERS = {
+    "lexicon": "slgaussian.language.lexicon:Lexicon",
+    "clip": "slgaussian.language.clip:Clip",
+    "named": "slgaussian.language.named:Named",
+}
+CODES = {
+    "grid": "slgaussian.language.codes:Grid",
+    "separated": "slgaussian.language.separated:Separated",
+    "exact": "slgaussian.language.codes:Exact",
+}
 
 
 class Encoder(Protocol):
@@ -21,8 +31,13 @@ class Encoder(Protocol):
     name: str
     canonical: tuple[str, ...]
 
-    def encode_regions(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        """Unit vectors float32 [M, C] of the regions ``masks`` bool [M, H, W] of a uint8 image."""
+    def encode_regions(
+        self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
+    ) -> np.ndarray:
+        """Unit vectors float32 [M, C] of the regions ``masks`` bool [M, H, W] of a uint8 image.
+
+        ``around`` says where its pixels lie in the room, for encoders that make use of it.
+        """
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Unit vectors float32 [Q, C]; InputError for an empty text or one without a known word."""
@@ -30,12 +45,26 @@ class Encoder(Protocol):
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that the encoder does not know and leaves out."""
 
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """Unknown words of ``text`` that count as others: the other one, and how alike they are."""
+
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
     """Make the encoder called ``name``; raises InputError if there is none."""
     return resolve("encoder", ENCODERS, name)(**settings)
 
 
-def load_codes(name: str = "grid") -> Callable[[int, np.random.Generator], np.ndarray]:
-    """The ID-code strategy called ``name``: from (N, generator) to distinct float32 [N, 3]."""
-    return resolve("code strategy", CODES, name)
+class CodeStrategy(Protocol):
+    """Gives every object of some label maps its ID code (section 3.2)."""
+
+    def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
+        """Distinct codes in [0, 1], float32 [N, D], one for each of ``label_maps.ids`` in order.
+
+        D is 1 to 3, or 0 for none: then Gaussians carry the number of their object itself. What
+        ``rng`` draws decides. InputError if there is no object.
+        """
+
+
+def load_codes(name: str = "separated", **settings: Any) -> CodeStrategy:
+    """Make the ID-code strategy called ``name``; raises InputError if there is none."""
+    return resolve("code strategy", CODES, name)(**settings)

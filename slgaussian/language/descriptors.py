@@ -13,15 +13,19 @@ import numpy as np
 
 from slgaussian.language import patterns, silhouettes
 from slgaussian.language.colours import ColourNames, to_lab
+from slgaussian.language.room import Surroundings
 
 SURFACES = (
     "light", "colourful", "shiny", "plain", "striped", "checked", "dotted", "speckled", "grained",
     "veined", "gritty", "varied", "upright",
 )  # fmt: skip
 OUTLINES = ("compact", "rectangular", "long", "tall")
-PLACES = ("size", "low", "bottom", "top", "border")
+PLACES = ("size", "low", "bottom", "top", "border", "left", "middle")
+ROOM = ("level", "sheer", "flush", "height", "waist", "grounded", "rise", "extent")
 
 _CROP = 160  # longest side of the crop on which surfaces are measured, pixels
+_KNOWN = 0.3  # share of a region whose normals must be known
+_FEW = 16  # pixels of a region that must have a depth
 _HALF_SEEN = 0.25  # share of a region that a colour must have for even evidence
 
 
@@ -40,9 +44,19 @@ class Descriptors:
         self._groups = np.array(
             [[group.get(name, 0.0) for group in groups.values()] for name in colours.names]
         )
-        self.names = (*colours.names, *groups, *SURFACES, *silhouettes.SOLIDS, *OUTLINES, *PLACES)
+        self.names = (
+            *colours.names,
+            *groups,
+            *SURFACES,
+            *silhouettes.SOLIDS,
+            *OUTLINES,
+            *PLACES,
+            *ROOM,
+        )
 
-    def measure(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    def measure(
+        self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
+    ) -> np.ndarray:
         """Evidence float64 [M, len(names)] of non-empty masks bool [M, H, W] on uint8 [H, W, 3]."""
         lab, memberships = to_lab(image), self._colours(image)
         crops, rows = [], []
@@ -59,7 +73,8 @@ class Descriptors:
         table = np.array(rows)
         shape = _solid_evidence(silhouettes.match(crops))
         split = table.shape[1] - len(OUTLINES) - len(PLACES)
-        return np.hstack([table[:, :split], shape, table[:, split:]])
+        room = np.array([_room(mask, around) for mask in masks])
+        return np.hstack([table[:, :split], shape, table[:, split:], room])
 
 
 def _ramp(value: float | np.ndarray, low: float, high: float) -> float | np.ndarray:
@@ -145,11 +160,13 @@ def _outline(inside: np.ndarray) -> list[float]:
 
 
 def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
-    height = mask.shape[0]
+    height, width = mask.shape
     x, y, w, h = box
     share = mask[y : y + h, x : x + w].sum() / mask.size
     rows = mask[y : y + h, x : x + w].sum(1)
     centre = (rows @ (np.arange(y, y + h) + 0.5)) / rows.sum() / height
+    columns = mask[y : y + h, x : x + w].sum(0)
+    column = (columns @ (np.arange(x, x + w) + 0.5)) / columns.sum() / width
     edges = [mask[-1].mean(), mask[0].mean(), mask[:, 0].mean(), mask[:, -1].mean()]
     return [
         float(_ramp(np.log(share), np.log(0.003), np.log(0.12))),
@@ -157,4 +174,34 @@ def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
         float(_ramp(edges[0], 0.0, 0.4)),
         float(_ramp(edges[1], 0.0, 0.4)),
         float(_ramp(sum(edges), 0.0, 0.5)),
+        float(-_ramp(column, 0.25, 0.75)),
+        float(-_ramp(np.hypot(column - 0.5, centre - 0.5), 0.1, 0.4)),
     ]
+
+
+def _room(mask: np.ndarray, around: Surroundings | None) -> np.ndarray:
+    """Evidence of :data:`ROOM`, 0 for what is not known of enough of the region."""
+    out = dict.fromkeys(ROOM, 0.0)
+    if around is None:
+        return np.array(list(out.values()))
+    level, height = (
+        known[np.isfinite(known)] for known in (around.level[mask], around.height[mask])
+    )
+    points = around.points[mask]
+    points = points[np.isfinite(points[:, 0])]
+    if len(level) >= _KNOWN * mask.sum():
+        out["level"] = _ramp((level > 0.85).mean(), 0.2, 0.7)
+        out["sheer"] = _ramp((np.abs(level) < 0.35).mean(), 0.3, 0.8)
+    if len(points) >= _FEW:
+        thin, middle, wide = np.sqrt(np.linalg.eigvalsh(np.cov(points.T)).clip(0))
+        out["flush"] = -_ramp(thin / max(middle, 1e-9), 0.08, 0.35)
+        # Of an even line, the length is the standard deviation times the root of 12.
+        length = max(wide * np.sqrt(12), 1e-9)
+        out["extent"] = _ramp(np.log(length), np.log(0.12), np.log(1.5))
+    if len(height) >= _FEW:
+        low, median, high = np.percentile(height, [5, 50, 95])
+        out["height"] = _ramp(median, 0.0, 1.0)
+        out["waist"] = -_ramp(abs(median - 0.45), 0.1, 0.4)
+        out["grounded"] = -_ramp(low, 0.06, 0.3)
+        out["rise"] = _ramp(np.log(max(high - low, 1e-3)), np.log(0.12), np.log(1.0))
+    return np.array(list(out.values()))

@@ -14,19 +14,22 @@ silent. Two more axes make this work with cosines:
   over many habits ("picture") lies nearer to "object" than one that asks for a single measurement,
   and does not outbid a text that says more: relevancies of different texts compare.
 
-What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
+What cannot be seen is not claimed: an unknown word is left out and named, never guessed, unless a
+model of synonyms is given, and then what it is taken for is said. The words
 and how each is measured are listed in docs/lexicon.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors
+from slgaussian.language.room import Surroundings
 from slgaussian.language.vocabulary import load_vocabulary
 
 POSITIVE = 0.8
@@ -39,12 +42,29 @@ The order of objects for one text does not depend on it."""
 
 
 class Lexicon:
-    """Encoder for the words of ``vocabulary.toml``; see the module."""
+    """Encoder for the words of ``vocabulary.toml``; see the module.
+
+    Parameters
+    ----------
+    synonyms : path or str, optional
+        Model that finds known words for unknown ones, which are left out otherwise; see
+        :mod:`slgaussian.language.synonyms`.
+
+    Raises
+    ------
+    InputError
+        If that model cannot be used.
+    """
 
     name = "lexicon"
 
-    def __init__(self) -> None:
+    def __init__(self, synonyms: str | Path | None = None) -> None:
         self._vocabulary = load_vocabulary()
+        self._guess = None
+        if synonyms is not None:
+            from slgaussian.language.synonyms import Synonyms
+
+            self._guess = Synonyms(synonyms, self._vocabulary.words).nearest
         self._descriptors = Descriptors(
             ColourNames(self._vocabulary.colours), self._vocabulary.groups
         )
@@ -56,7 +76,9 @@ class Lexicon:
         """Number of axes C: the descriptors, then *rest*, then *neutral*."""
         return len(self._axis) + 2
 
-    def encode_regions(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    def encode_regions(
+        self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
+    ) -> np.ndarray:
         """Unit vectors of regions.
 
         Parameters
@@ -65,6 +87,8 @@ class Lexicon:
             sRGB.
         masks : bool [M, H, W]
             The regions, each with at least one pixel; they may overlap.
+        around : Surroundings, optional
+            Where the pixels lie in the room. Without it, what a word asks of that is silent.
 
         Returns
         -------
@@ -73,7 +97,7 @@ class Lexicon:
         Raises
         ------
         InputError
-            If image and masks do not match, or a mask is empty.
+            If image, masks and surroundings do not match, or a mask is empty.
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise InputError(
@@ -84,13 +108,17 @@ class Lexicon:
                 f"lexicon: masks are {masks.dtype} {masks.shape}, expected bool "
                 f"[M, {image.shape[0]}, {image.shape[1]}]"
             )
+        if around is not None and around.height.shape != image.shape[:2]:
+            raise InputError(
+                f"lexicon: surroundings are {around.height.shape}, expected {image.shape[:2]}"
+            )
         vectors = np.zeros((len(masks), self.width))
         if len(masks) == 0:
             return vectors.astype(np.float32)
         empty = ~masks.any((1, 2))
         if empty.any():
             raise InputError(f"lexicon: mask {int(empty.argmax())} is empty, expected a region")
-        evidence = self._descriptors.measure(image, masks)
+        evidence = self._descriptors.measure(image, masks, around)
         axes = len(self._axis)
         vectors[:, :axes] = np.where(evidence > 0, POSITIVE * evidence, evidence) / np.sqrt(axes)
         vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
@@ -106,7 +134,7 @@ class Lexicon:
         """
         vectors = np.zeros((len(texts), self.width))
         for vector, text in zip(vectors, texts, strict=True):
-            for word in self._vocabulary.read(text).words:
+            for word in self._vocabulary.read(text, self._guess).words:
                 total = sum(abs(weight) for weight in word.weights.values())
                 for name, weight in word.weights.items():
                     vector[self._axis[name]] += weight / total
@@ -117,4 +145,8 @@ class Lexicon:
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError as in :meth:`encode_text`."""
-        return self._vocabulary.read(text).left_out
+        return self._vocabulary.read(text, self._guess).left_out
+
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """Unknown words of ``text`` that count as known ones, with these and their similarity."""
+        return self._vocabulary.read(text, self._guess).taken_for

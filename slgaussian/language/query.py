@@ -1,123 +1,292 @@
-"""Ask an image of object ids for words: find, locate and segment.
+"""Ask an image of object ids for words: find, locate, segment, and say what is there.
 
-Every result is one number an object, spread over the image by id; no pixel is scored on its own.
+Every answer is one number an object, spread over the image by id; no pixel is scored on its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError
-from slgaussian.language import Encoder
+from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.relevancy import relevancy_gap
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
 
 NEAR_BEST = 0.7
 """An object is taken with the best one if its gap reaches this share of the best gap."""
 
+PROTOCOLS = ("slgaussian", "langsplat")
 
-@dataclass(frozen=True, eq=False)
-class QueryResult:
-    """What a text found in one image.
+PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
+"""Canonical phrases by name: LERF's, which LangSplat and the paper use too."""
+
+REMEMBERED = 4096
+"""Texts whose vectors a reader keeps."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How a text becomes an answer.
 
     Attributes
     ----------
-    text : str
-    relevancy : float32 [H, W]
-        In [0, 1]; 0 where there is no object.
-    mask : bool [H, W]
-        Pixels of the selected objects.
-    point : (x, y) or None
-        Column and row of one pixel, the best guess of where the best object is, given even if no
-        object was good enough for the mask; None if the image shows no object at all.
-    score : float
-        Relevancy of the best object; 0.5 is "as good as any phrase". 0 without objects.
-    objects : tuple of (id, relevancy)
-        The selected objects, best first.
-    unknown : tuple of str
-        Words of the text that the encoder left out.
-    """
-
-    text: str
-    relevancy: np.ndarray
-    mask: np.ndarray
-    point: tuple[int, int] | None
-    score: float
-    objects: tuple[tuple[int, float], ...]
-    unknown: tuple[str, ...]
-
-
-def find(
-    text: str,
-    ids_map: np.ndarray,
-    bank: MemoryBank,
-    encoder: Encoder,
-    *,
-    temperature: float = 10.0,
-    threshold: float | None = None,
-) -> QueryResult:
-    """Find the objects that a text describes.
-
-    Parameters
-    ----------
-    text : str
-    ids_map : int32 [H, W]
-        Object id of each pixel, 0 where none; ids must be in the bank.
-    bank : MemoryBank
-    encoder : Encoder
-        The encoder that built the bank.
+    protocol : str
+        ``slgaussian``: whole objects are selected, and the best one is pointed at. ``langsplat``:
+        mask and point come from the smoothed relevancy image; see
+        :mod:`slgaussian.language.langsplat`. Relevancies are the same.
+    threshold : float in (0, 1), optional
+        Absolute: select every object whose relevancy is above it, as the paper does. It means
+        something else at every temperature, unless it is 0.5.
+    share : float in (0, 1]
+        Without a threshold, relative and the same at all temperatures: select the objects above
+        0.5 whose gap to the canonical phrases is at least this share of the best object's gap.
+        So all objects that fit about equally well are taken, and none if no object fits better
+        than "object" does.
     temperature : float
         Of the relevancy; changes its scale, never the order of objects.
-    threshold : float in (0, 1), optional
-        Select every object whose relevancy is above it, as the paper does. Without it the choice
-        does not depend on the temperature: objects above 0.5 whose gap to the canonical phrases is
-        at least :data:`NEAR_BEST` of the best object's gap, so that all objects that fit about
-        equally well are taken, and none if no object fits better than "object" does.
+    canonical : str or sequence of str, optional
+        The phrases that a text competes with; one string is a name in :data:`PHRASES`, or phrases
+        with commas between them. Those of the encoder if left out.
+    absent : str
+        ``skip`` or ``zero``, the paper's zero vector; see
+        :data:`slgaussian.language.relevancy.ABSENT`.
 
     Raises
     ------
     InputError
-        If the text has no known word, the id map does not belong to the bank, or a setting is out
-        of range.
+        If one of them is out of range, or a threshold is given to ``langsplat``, which has its own.
     """
-    if not 0 < temperature < np.inf:
-        raise InputError(f"temperature: found {temperature}, expected a positive number")
-    if threshold is not None and not 0 < threshold < 1:
-        raise InputError(f"threshold: found {threshold}, expected a number between 0 and 1")
-    rows = _bank_rows(ids_map, bank)
-    gaps = _gaps([text], bank, encoder)[0]
-    scores = expit(temperature * gaps)
-    visible = np.flatnonzero(np.bincount(rows.ravel() + 1)[1:])
-    ranked = visible[np.argsort(-gaps[visible], kind="stable")]
-    best = gaps[ranked[0]] if len(ranked) else -np.inf
-    if threshold is None:
-        cut = max(NEAR_BEST * best, 0.0)
-        chosen = ranked[(gaps[ranked] >= cut) & (gaps[ranked] > 0)]
-    else:
-        chosen = ranked[gaps[ranked] > logit(threshold) / temperature]
-    return QueryResult(
-        text=text,
-        relevancy=np.append(scores, 0).astype(np.float32)[rows],
-        mask=np.isin(np.arange(-1, len(bank)), chosen)[rows + 1],
-        point=central_point(rows == ranked[0]) if best > -np.inf else None,
-        score=float(expit(temperature * best)),
-        objects=tuple((int(bank.ids[row]), float(scores[row])) for row in chosen),
-        unknown=encoder.unknown_words(text),
-    )
+
+    protocol: str = "slgaussian"
+    threshold: float | None = None
+    share: float = NEAR_BEST
+    temperature: float = 10.0
+    canonical: str | Sequence[str] | None = None
+    absent: str = "skip"
+
+    def __post_init__(self) -> None:
+        check_temperature(self.temperature)
+        for name, choices in (("protocol", PROTOCOLS), ("absent", ABSENT)):
+            if getattr(self, name) not in choices:
+                raise InputError(
+                    f"{name}: found {getattr(self, name)!r}, expected one of {', '.join(choices)}"
+                )
+        if self.threshold is not None and not 0 < self.threshold < 1:
+            raise InputError(
+                f"threshold: found {self.threshold}, expected a number between 0 and 1"
+            )
+        if not 0 < self.share <= 1:
+            raise InputError(f"share: found {self.share}, expected a number above 0, at most 1")
+        if self.protocol == "langsplat" and self.threshold is not None:
+            raise InputError(
+                "threshold: the protocol langsplat has its own; leave out one of the two"
+            )
+        if self.phrases is not None and not all(self.phrases):
+            raise InputError(
+                f"canonical: found {self.canonical!r}, expected a name ({', '.join(PHRASES)}) or "
+                "phrases with commas between them, none empty"
+            )
+
+    @property
+    def phrases(self) -> tuple[str, ...] | None:
+        """The canonical phrases; None stands for the encoder's own."""
+        if self.canonical is None:
+            return None
+        if not isinstance(self.canonical, str):
+            return tuple(self.canonical) or ("",)
+        split = tuple(phrase.strip() for phrase in self.canonical.split(","))
+        return PHRASES.get(self.canonical, split)
+
+    @property
+    def selection(self) -> str:
+        """How objects are selected, in a word: ``near-best``, ``threshold`` or ``langsplat``."""
+        if self.protocol == "langsplat":
+            return "langsplat"
+        return "near-best" if self.threshold is None else "threshold"
 
 
-def segment(
-    texts: Sequence[str],
-    ids_map: np.ndarray,
-    bank: MemoryBank,
-    encoder: Encoder,
-) -> np.ndarray:
+class BankReader:
+    """A memory bank and the encoder that built it: what objects have to say to texts.
+
+    Texts are encoded one by one, so that an answer does not depend on what else is asked, and are
+    remembered, as is what the canonical phrases score.
+    """
+
+    def __init__(self, bank: MemoryBank, encoder: Encoder) -> None:
+        self.bank, self.encoder = bank, encoder
+        self._read = lru_cache(REMEMBERED)(self._encode)
+        self._scorer = lru_cache(4)(self._make_scorer)
+
+    def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
+        """Relevancy gaps float64 [Q, N] of texts to the objects of the bank.
+
+        Raises
+        ------
+        InputError
+            If there is no text, or the encoder cannot use one.
+        """
+        if isinstance(texts, str) or not len(texts):
+            found = "one text" if isinstance(texts, str) else "no text"
+            raise InputError(f"query: found {found}, expected a list of at least one")
+        phrases = rules.phrases or tuple(self.encoder.canonical)
+        queries = np.stack([self._read(text)[0] for text in texts])
+        return self._scorer(phrases, rules.absent).gaps(queries)
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """The words of ``text`` that the encoder leaves out."""
+        return self._read(text)[1]
+
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """The words of ``text`` that count as others: the other one, and how alike they are."""
+        return self._read(text)[2]
+
+    def _encode(
+        self, text: str
+    ) -> tuple[np.ndarray, tuple[str, ...], Mapping[str, tuple[str, float]]]:
+        encoder = self.encoder
+        return encoder.encode_text([text])[0], encoder.unknown_words(text), encoder.taken_for(text)
+
+    def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
+        canonical = np.stack([self._read(phrase)[0] for phrase in phrases])
+        return Scorer(self.bank.features, self.bank.present, canonical, absent)
+
+
+@dataclass(frozen=True, eq=False)
+class QueryResult:
+    """What a text found in one image. Pictures are drawn when they are first looked at.
+
+    Attributes
+    ----------
+    text : str
+    scores : float64 [N]
+        Relevancy of every object of the bank in [0, 1], whether the image shows it or not.
+    unknown : tuple of str
+        Words of the text that the encoder left out.
+    taken_for : {word: (other, similarity)}
+        Words that it does not know and took for others.
+    """
+
+    text: str
+    scores: np.ndarray
+    unknown: tuple[str, ...]
+    taken_for: Mapping[str, tuple[str, float]]
+    _ids: np.ndarray = field(repr=False)
+    _seen: ObjectMap = field(repr=False)
+    _ranked: np.ndarray = field(repr=False)
+    """Places in the bank of the visible objects that some view holds, best first."""
+    _chosen: np.ndarray = field(repr=False)
+    """bool [N]: what the rules select, visible or not."""
+
+    @property
+    def score(self) -> float:
+        """Relevancy of the best visible object; 0.5 is "as good as any phrase". 0 without one."""
+        return float(self.scores[self._ranked[0]]) if len(self._ranked) else 0.0
+
+    @cached_property
+    def objects(self) -> tuple[tuple[int, float], ...]:
+        """The selected objects as (id, relevancy), best first; of equal ones the lowest id.
+
+        By the protocol ``langsplat``, those that lie in the mask with more than half their pixels.
+        """
+        found = self._ranked[self._selected[self._ranked]]
+        return tuple((int(self._ids[i]), float(self.scores[i])) for i in found)
+
+    @cached_property
+    def relevancy(self) -> np.ndarray:
+        """float32 [H, W] in [0, 1]; 0 where there is no object."""
+        return self._seen.spread(self.scores.astype(np.float32))
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """bool [H, W]: the pixels of the selected objects."""
+        return self._seen.spread(self._chosen)
+
+    @property
+    def point(self) -> tuple[int, int] | None:
+        """Column and row (x, y) of the pixel that is the best guess of where the best object is.
+
+        The middle of where it is thickest; see :func:`slgaussian.language.locate.central_point`.
+        Given even if no object was good enough to be selected; None if the image shows none at all.
+        """
+        return self._seen.point(int(self._ranked[0])) if len(self._ranked) else None
+
+    @cached_property
+    def peak(self) -> np.ndarray:
+        """bool [H, W]: all pixels where the relevancy is greatest, several objects if they tie."""
+        return self._seen.spread((self.scores == self.score) & bool(len(self._ranked)))
+
+    @property
+    def _selected(self) -> np.ndarray:
+        return self._chosen
+
+
+class LangSplatResult(QueryResult):
+    """A result whose mask, point and peak come from the smoothed relevancy image."""
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """bool [H, W]; see :func:`slgaussian.language.langsplat.find_mask`."""
+        return langsplat.find_mask(self._filled)
+
+    @property
+    def point(self) -> tuple[int, int] | None:
+        """(x, y); see :func:`slgaussian.language.langsplat.find_point`."""
+        return self._place[0] if len(self._ranked) else None
+
+    @property
+    def peak(self) -> np.ndarray:
+        """bool [H, W]: all pixels where the smoothed relevancy is greatest."""
+        return self._place[1] & bool(len(self._ranked))
+
+    @property
+    def _selected(self) -> np.ndarray:
+        return 2 * self._seen.areas_within(self.mask) > self._seen.areas
+
+    @cached_property
+    def _place(self) -> tuple[tuple[int, int], np.ndarray]:
+        return langsplat.find_point(self._filled)
+
+    @cached_property
+    def _filled(self) -> np.ndarray:
+        """Relevancy, the least of the image where there is no object: a hole must not stretch the
+        range that the mask's threshold is a share of."""
+        return self._seen.spread(self.scores, self.scores[self._ranked].min(initial=1.0))
+
+
+def ask(
+    texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules
+) -> list[QueryResult]:
+    """Find the objects that each text describes, among those that an image shows.
+
+    Raises
+    ------
+    InputError
+        If there is no text, or the encoder cannot use one.
+    """
+    kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
+    visible = np.flatnonzero(seen.areas)
+    results = []
+    for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True):
+        ranked = visible[np.argsort(-gaps[visible], kind="stable")]
+        ranked = ranked[gaps[ranked] > -np.inf]
+        if rules.threshold is not None:
+            chosen = gaps > logit(rules.threshold) / rules.temperature
+        else:
+            best = gaps[ranked[0]] if len(ranked) else np.inf
+            chosen = (gaps > 0) & (gaps >= rules.share * best)
+        scores = expit(rules.temperature * gaps)
+        said = reader.unknown_words(text), reader.taken_for(text)
+        results.append(kind(text, scores, *said, reader.bank.ids, seen, ranked, chosen))
+    return results
+
+
+def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules) -> np.ndarray:
     """Give every object the text that describes it best; the temperature cannot change which.
 
     Returns
@@ -129,50 +298,52 @@ def segment(
     Raises
     ------
     InputError
-        If there is no text, a text has no known word, or the id map does not belong to the bank.
+        If there is no text, or the encoder cannot use one.
     """
-    rows = _bank_rows(ids_map, bank)
-    gaps = _gaps(list(texts), bank, encoder)
-    winner = np.where(bank.present.any(1), gaps.argmax(0) + 1, 0)
-    return np.append(winner, 0).astype(np.int32)[rows]
+    gaps = reader.gaps(texts, rules)
+    winner = np.where(gaps.max(0) > -np.inf, gaps.argmax(0) + 1, 0)
+    return seen.spread(winner.astype(np.int32))
 
 
-def central_point(region: np.ndarray) -> tuple[int, int]:
-    """The pixel (x, y) = (column, row) of a region that lies deepest inside it.
+@dataclass(frozen=True)
+class Description:
+    """The best of some texts for one object.
 
-    In the largest 4-connected component of the bool [H, W] mask (the first in row-major order if
-    several are largest), the pixel whose Euclidean distance to the nearest pixel outside is
-    largest; the image ends at its edges. Ties go to the first pixel in row-major order.
+    Attributes
+    ----------
+    id : int
+        Of the object.
+    text : str
+        The text that describes it best; of equally good ones the first.
+    relevancy : float
+        In [0, 1]; up to 0.5 the canonical phrases say as much.
+    views : tuple of int
+        Numbers of the context views that hold the object.
     """
-    x, y, w, h = cv2.boundingRect(region.view(np.uint8))
-    window = np.pad(region[y : y + h, x : x + w], 1).view(np.uint8)
-    _, components, stats, _ = cv2.connectedComponentsWithStats(window, connectivity=4)
-    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-    # SciPy's distances are roots of exact integers. OpenCV's differ in the last bit with the number
-    # of threads, and with them which of several equally deep pixels comes first.
-    depth = distance_transform_edt(components == largest)
-    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
-    return int(column) + x - 1, int(row) + y - 1
+
+    id: int
+    text: str
+    relevancy: float
+    views: tuple[int, ...]
 
 
-def _bank_rows(ids_map: np.ndarray, bank: MemoryBank) -> np.ndarray:
-    """Row of the bank for each pixel, -1 where there is no object."""
-    if ids_map.ndim != 2 or not np.issubdtype(ids_map.dtype, np.integer):
-        raise InputError(f"id map: found {ids_map.dtype} {ids_map.shape}, expected int32 [H, W]")
-    table = np.full(max(int(bank.ids.max(initial=0)), int(ids_map.max(initial=0))) + 1, -1)
-    table[bank.ids] = np.arange(len(bank))
-    if ids_map.min(initial=0) < 0:
-        raise InputError(f"id map: found the negative id {ids_map.min()}")
-    rows = table[ids_map]
-    strange = ids_map[(rows < 0) & (ids_map > 0)]
-    if strange.size:
-        raise InputError(f"id map: object {strange[0]} is not in the memory bank")
-    return rows
+def describe(texts: Sequence[str], reader: BankReader, rules: Rules) -> list[Description]:
+    """Say what is there: every object of the bank with the best of the texts, by id.
 
-
-def _gaps(texts: list[str], bank: MemoryBank, encoder: Encoder) -> np.ndarray:
-    """Relevancy gaps [Q, N] of the texts."""
-    if not texts:
-        raise InputError("query: found no text, expected at least one")
-    queries, canonical = encoder.encode_text(texts), encoder.encode_text(encoder.canonical)
-    return relevancy_gap(bank.features, bank.present, queries, canonical)
+    Raises
+    ------
+    InputError
+        If there is no text, or the encoder cannot use one.
+    """
+    gaps = reader.gaps(texts, rules)
+    scores = expit(rules.temperature * gaps)
+    bank = reader.bank
+    return [
+        Description(
+            id=int(bank.ids[i]),
+            text=texts[best],
+            relevancy=float(scores[best, i]),
+            views=tuple(map(int, np.flatnonzero(bank.present[i]))),
+        )
+        for i, best in enumerate(gaps.argmax(0))
+    ]

@@ -17,15 +17,20 @@ from scipy.special import expit
 
 from slgaussian.errors import InputError
 
+UNIT_TOLERANCE = 1e-3
+"""Largest allowed | |L| - 1 |. Rounding to half precision moves a length by at most 2^-11, half of
+that; features that were never normalised do not pass."""
 
-def relevancy(
-    features: np.ndarray,
-    present: np.ndarray,
-    queries: np.ndarray,
-    canonical: np.ndarray,
-    temperature: float = 10.0,
-) -> np.ndarray:
-    """Relevancy of every object to every query.
+ABSENT = ("skip", "zero")
+"""What a view says about an object that it does not hold. ``skip``: nothing. ``zero``: what the
+paper's zero vector says, which is gap 0 and so relevancy 0.5 to every text."""
+
+
+class Scorer:
+    """Scores texts against the same objects again and again.
+
+    All that no text changes is worked out once: checks, lengths, and how well the best canonical
+    phrase fits.
 
     Parameters
     ----------
@@ -33,10 +38,76 @@ def relevancy(
         Unit vectors of N objects in V views; rows of absent views are ignored.
     present : bool [N, V]
         Which views hold the object.
-    queries : float [Q, C]
-        Unit vectors of the texts.
     canonical : float [K, C]
         Unit vectors of the phrases that every query competes with, K at least 1.
+    absent : str
+        One of :data:`ABSENT`.
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, or a used vector is zero, holds NaN or is no unit vector by more than
+        :data:`UNIT_TOLERANCE`. Within it, lengths are made exactly 1 first, so that features
+        rounded to half precision give true cosines.
+    """
+
+    def __init__(
+        self,
+        features: np.ndarray,
+        present: np.ndarray,
+        canonical: np.ndarray,
+        absent: str = "skip",
+    ) -> None:
+        if features.ndim != 3 or present.shape != features.shape[:2]:
+            raise InputError(
+                f"relevancy: found features {features.shape} and present {present.shape}, expected "
+                "[N, V, C] and [N, V]"
+            )
+        if absent not in ABSENT:
+            raise InputError(
+                f"relevancy: absent is {absent!r}, expected one of {', '.join(ABSENT)}"
+            )
+        self._width = features.shape[2]
+        self._present = present
+        self._seen = _unit_vectors(features[present], "features")
+        self._rival = self._cosines(canonical, "canonical").max(0)
+        self._unseen = -np.inf if absent == "skip" else 0.0
+
+    def gaps(self, queries: np.ndarray) -> np.ndarray:
+        """The gap of the module's formula, float64 [Q, N]; -inf for an object that no view holds.
+
+        ``queries`` float [Q, C] are unit vectors of texts; errors as in the class.
+        """
+        gaps = np.full((len(queries), *self._present.shape), self._unseen)
+        gaps[:, self._present] = self._cosines(queries, "queries") - self._rival
+        return gaps.max(2, initial=-np.inf)
+
+    def _cosines(self, texts: np.ndarray, name: str) -> np.ndarray:
+        if texts.ndim != 2 or texts.shape[1] != self._width or len(texts) == 0:
+            raise InputError(
+                f"relevancy: {name} are {texts.shape}, expected [at least 1, {self._width}]; "
+                "texts and regions must come from the same encoder"
+            )
+        # No BLAS product: its last digit depends on threads and place, and equal objects must tie.
+        return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self._seen)
+
+
+def relevancy(
+    features: np.ndarray,
+    present: np.ndarray,
+    queries: np.ndarray,
+    canonical: np.ndarray,
+    temperature: float = 10.0,
+    absent: str = "skip",
+) -> np.ndarray:
+    """Relevancy of every object to every query.
+
+    Parameters
+    ----------
+    features, present, canonical, absent
+        See :class:`Scorer`.
+    queries : float [Q, C]
+        Unit vectors of the texts.
     temperature : float
         Multiplies the cosines; positive.
 
@@ -49,39 +120,30 @@ def relevancy(
     Raises
     ------
     InputError
-        If shapes disagree, a used vector is zero or holds NaN, or the temperature is not positive.
+        As :class:`Scorer`, and if the temperature is not positive.
     """
+    check_temperature(temperature)
+    return expit(temperature * Scorer(features, present, canonical, absent).gaps(queries))
+
+
+def check_temperature(temperature: float) -> None:
+    """Raise InputError unless ``temperature`` is a positive number."""
     if not 0 < temperature < np.inf:
         raise InputError(f"temperature: found {temperature}, expected a positive number")
-    return expit(temperature * relevancy_gap(features, present, queries, canonical))
 
 
-def relevancy_gap(
-    features: np.ndarray, present: np.ndarray, queries: np.ndarray, canonical: np.ndarray
-) -> np.ndarray:
-    """The gap of the module's formula, float64 [Q, N]; -inf for an object that no view holds.
-
-    Arguments and errors as in :func:`relevancy`.
-    """
-    if features.ndim != 3 or present.shape != features.shape[:2]:
+def _unit_vectors(vectors: np.ndarray, name: str) -> np.ndarray:
+    """float64 rows of length 1 to the last digit, of rows that nearly are."""
+    vectors = vectors.astype(np.float64)
+    lengths = np.sqrt(np.einsum("lc,lc->l", vectors, vectors))
+    if not np.isfinite(lengths).all():
+        raise InputError(f"relevancy: {name} hold NaN or infinity")
+    if not lengths.all():
+        raise InputError(f"relevancy: {name} hold a zero vector, which means nothing")
+    worst = lengths[np.abs(lengths - 1).argmax()] if len(lengths) else 1.0
+    if abs(worst - 1) > UNIT_TOLERANCE:
         raise InputError(
-            f"relevancy: found features {features.shape} and present {present.shape}, expected "
-            "[N, V, C] and [N, V]"
+            f"relevancy: {name} hold a vector of length {worst:.4g}, expected unit vectors; divide "
+            "each by its length"
         )
-    for name, texts in (("queries", queries), ("canonical", canonical)):
-        if texts.ndim != 2 or texts.shape[1] != features.shape[2] or len(texts) == 0:
-            raise InputError(
-                f"relevancy: {name} are {texts.shape}, expected [at least 1, {features.shape[2]}]; "
-                "texts and regions must come from the same encoder"
-            )
-    seen = features[present].astype(np.float64)
-    for name, vectors in (("features", seen), ("queries", queries), ("canonical", canonical)):
-        if not np.isfinite(vectors).all():
-            raise InputError(f"relevancy: {name} hold NaN or infinity")
-        if not vectors.any(axis=1).all():
-            raise InputError(f"relevancy: {name} hold a zero vector, which means nothing")
-    # Not a BLAS product, whose last digit depends on threads and place: equal objects must tie.
-    cosines = np.einsum("tc,lc->tl", np.concatenate([queries, canonical], dtype=np.float64), seen)
-    gaps = np.full((len(queries), *present.shape), -np.inf)
-    gaps[:, present] = cosines[: len(queries)] - cosines[len(queries) :].max(0)
-    return gaps.max(2, initial=-np.inf)
+    return vectors / lengths[:, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -27,12 +27,27 @@ class Word:
     weights: Mapping[str, float]
 
 
+Guess = Callable[[str], tuple[Word, float] | None]
+"""From an unknown spelling to a known word and how alike they are, up to 1, or to None."""
+
+
 @dataclass(frozen=True)
 class Reading:
-    """A text as understood: the words that count, and those left out, both in reading order."""
+    """A text as understood.
+
+    Attributes
+    ----------
+    words : tuple of Word
+        Those that count, in reading order.
+    left_out : tuple of str
+        Those that do not.
+    taken_for : {spelling: (name, similarity)}
+        Unknown ones that were taken for known ones, and count as these.
+    """
 
     words: tuple[Word, ...]
     left_out: tuple[str, ...]
+    taken_for: Mapping[str, tuple[str, float]]
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,8 @@ class Vocabulary:
         Kinds of colour.
     words : mapping str -> Word
         By every spelling, synonyms included; neutral words have no weights.
+    phrases : mapping tuple of str -> Word
+        Several spellings in a row that are one word, stop words among them.
     stop, relations, negations : frozenset of str
     """
 
@@ -55,16 +72,19 @@ class Vocabulary:
     colours: Mapping[str, tuple[list[str], float]]
     groups: Mapping[str, Mapping[str, float]]
     words: Mapping[str, Word]
+    phrases: Mapping[tuple[str, ...], Word]
     stop: frozenset[str]
     relations: frozenset[str]
     negations: frozenset[str]
 
-    def read(self, text: str) -> Reading:
+    def read(self, text: str, guess: Guess | None = None) -> Reading:
         """Understand a text as one noun and what describes it.
 
         Case, accents' encoding and plurals do not matter, stop words are dropped, a repeated word
         counts once. Left out are unknown words, everything from the first relation word on ("on
-        the table" describes another object), and nouns before the last noun (a plant pot is a pot).
+        the table" describes another object, while "on the left" is a place and counts), and nouns
+        before the last noun (a plant pot is a pot). ``guess`` is asked for a known word in place of
+        an unknown one.
 
         Raises
         ------
@@ -80,13 +100,18 @@ class Vocabulary:
                     f"query {_short(text)!r}: {spelling!r} cannot be understood, because objects "
                     "are found by what they are, not by what they are not; leave that part out"
                 )
+        spelled, places = self._take_phrases(spelled)
         end = next((i for i, s in enumerate(spelled) if s in self.relations), len(spelled))
-        known = [(s, self._look_up(s)) for s in spelled[:end] if s not in self.stop]
+        meant = [s for s in spelled[:end] if s not in self.stop]
+        guesses = {s: guess(s) for s in meant if guess and not self._look_up(s)}
+        guesses = {s: found for s, found in guesses.items() if found}
+        known = [(s, guesses[s][0] if s in guesses else self._look_up(s)) for s in meant]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
         counts = [w is not None and i not in nouns[:-1] for i, (_, w) in enumerate(known)]
         words = {
             word.name: word for (_, word), counted in zip(known, counts, strict=True) if counted
         }
+        words |= {word.name: word for word in places}
         left_out = [s for (s, _), counted in zip(known, counts, strict=True) if not counted]
         left_out += [s for s in spelled[end:] if s not in self.stop]
         if not words:
@@ -95,7 +120,10 @@ class Vocabulary:
                 f"query {_short(text)!r}: none of its words can be used ({unused}); use the "
                 "lexicon's words, which `slgaussian words` lists"
             )
-        return Reading(tuple(words.values()), tuple(dict.fromkeys(left_out)))
+        taken_for = {
+            s: (word.name, likeness) for s, (word, likeness) in guesses.items() if s not in left_out
+        }
+        return Reading(tuple(words.values()), tuple(dict.fromkeys(left_out)), taken_for)
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
         """Every word that counts by family, with its synonyms."""
@@ -106,6 +134,32 @@ class Vocabulary:
                 synonyms = family.get(word.name, ())
                 family[word.name] = synonyms + ((spelling,) if spelling != word.name else ())
         return found
+
+    def _take_phrases(self, spelled: list[str]) -> tuple[list[str], list[Word]]:
+        """The spellings without those of phrases, and the phrases' words.
+
+        After a relation ("on the table on the left") a phrase may be said of the other object, and
+        before "of" ("to the left of the door") it is a relation itself.
+        """
+        left, found, start = [], [], 0
+        while start < len(spelled):
+            lengths = (
+                n for n in self._lengths if tuple(spelled[start : start + n]) in self.phrases
+            )
+            length = next(lengths, 0)
+            then = spelled[start + length : start + length + 1]
+            if length and then != ["of"] and self.relations.isdisjoint(left):
+                found.append(self.phrases[tuple(spelled[start : start + length])])
+            else:
+                left.append(spelled[start])
+                length = 1
+            start += length
+        return left, found
+
+    @property
+    def _lengths(self) -> list[int]:
+        """How many spellings a phrase may have, the most first."""
+        return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
 
     def _look_up(self, spelling: str) -> Word | None:
         for form in _singulars(spelling):
@@ -129,6 +183,11 @@ def load_vocabulary() -> Vocabulary:
         colours={n: (c["swatches"], c["darkest"]) for n, c in data["colours"].items()},
         groups=data["groups"],
         words=words,
+        phrases={
+            tuple(phrase.split()): words[name]
+            for name, phrases in data["phrases"].items()
+            for phrase in phrases
+        },
         stop=frozenset(data["stop"]),
         relations=frozenset(data["relations"]),
         negations=frozenset(data["negations"]),
@@ -138,7 +197,7 @@ def load_vocabulary() -> Vocabulary:
 def _singulars(word: str) -> list[str]:
     """The word and what it may be the plural of, in the order to try them."""
     forms = [word]
-    for ending, singular in (("ies", "y"), ("ves", "f"), ("es", ""), ("s", "")):
+    for ending, singular in (("ies", "y"), ("ves", "f"), ("s", ""), ("es", "")):
         if word.endswith(ending) and len(word) > len(ending) + 1:
             forms.append(word.removesuffix(ending) + singular)
     return forms

@@ -25,6 +25,9 @@ BACKENDS = {
     "reference": "slgaussian.rasterize.reference:render",
 }
 
+MOST_LABELS = 2**24
+"""Labels are compared side by side with their weights, in float32, which is exact below this."""
+
 FRUSTUM_MARGIN = 0.3
 """The affine approximation is evaluated at most this share of half the image size outside the
 image; further off it explodes (Kerbl et al. 2023 and gsplat take the same share)."""
@@ -46,12 +49,19 @@ class Render:
     median : float [H, W] or None
         Median z-depth: of the Gaussian with which ``alpha`` reaches one half; 0 where it does not.
         It carries no gradient.
+    label : int32 [H, W] or None
+        The label that has most of the pixel's light, 0 where no labelled Gaussian is drawn; it
+        carries no gradient.
+    label_weights : float [H, W, 3] or None
+        How much light that label has, the next one, and all labels together, each in [0, 1].
     """
 
     values: torch.Tensor
     alpha: torch.Tensor
     depth: torch.Tensor
     median: torch.Tensor | None = None
+    label: torch.Tensor | None = None
+    label_weights: torch.Tensor | None = None
 
 
 def rasterize(
@@ -63,6 +73,7 @@ def rasterize(
     settings: Settings | str = "fast",
     background: torch.Tensor | None = None,
     median: bool = False,
+    labels: torch.Tensor | None = None,
 ) -> Render:
     """Render any number of channels of ``gaussians`` as ``camera`` sees them, in one pass.
 
@@ -88,12 +99,16 @@ def rasterize(
         Seen through what is not opaque; nothing (zeros) if not given.
     median : bool
         Whether to find the median depth too.
+    labels : int32 [N], optional
+        What each Gaussian belongs to, below 2^24; 0 is nothing. Finds the label of every pixel: the
+        one whose Gaussians have the greatest sum of weights, ties to the lowest.
 
     Raises
     ------
     InputError
-        If ``values`` or ``background`` has the wrong shape, a parameter is NaN, infinite or out of
-        its range (named with its index), or the backend cannot do what is asked.
+        If ``values``, ``background`` or ``labels`` has the wrong shape, a label or a parameter is
+        out of its range, NaN or infinite (named with its index), or the backend cannot do what is
+        asked.
     """
     settings = find_settings(settings)
     if values is None:
@@ -107,13 +122,29 @@ def rasterize(
             f"rasterize background: found shape {tuple(background.shape)}, expected "
             f"({values.shape[1]},)"
         )
+    if labels is not None:
+        _check_labels(labels, len(gaussians))
     if backend == "auto":
         backend = "cuda" if gaussians.means.is_cuda else "cpu"
-    drawn = resolve("rasterizer", BACKENDS, backend)(gaussians, values, camera, settings, median)
+    drawn = resolve("rasterizer", BACKENDS, backend)(
+        gaussians, values, camera, settings, median, labels
+    )  # fmt: skip
     if background is None:
         return drawn
     behind = background.to(drawn.values) * (1 - drawn.alpha)[..., None]
     return replace(drawn, values=drawn.values + behind)
+
+
+def _check_labels(labels: torch.Tensor, n: int) -> None:
+    if labels.dtype != torch.int32 or labels.shape != (n,):
+        raise InputError(
+            f"rasterize labels: found {labels.dtype} {tuple(labels.shape)}, expected int32 ({n},)"
+        )
+    if n and not 0 <= int(labels.min()) <= int(labels.max()) < MOST_LABELS:
+        raise InputError(
+            f"rasterize labels: found {int(labels.min())} to {int(labels.max())}, expected 0 to "
+            f"{MOST_LABELS - 1}; number them anew from 1"
+        )
 
 
 def check_inputs(gaussians: Gaussians, values: torch.Tensor) -> None:

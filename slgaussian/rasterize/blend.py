@@ -36,7 +36,9 @@ PATIENCE = 8
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_median):
+def draw(
+    splats, boxes, values, bins, width, height, alpha_max, pass_min, with_median, labels, most_label
+):
     """Composite front to back.
 
     Parameters
@@ -46,6 +48,9 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
     bins : Bins
     alpha_max, pass_min : float32
         See :class:`slgaussian.rasterize.settings.Settings`.
+    labels : int32 [N], from 0
+    most_label : int
+        The greatest of them, or -1 to find none.
 
     Returns
     -------
@@ -54,12 +59,17 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
     depth : float32 [H, W]
         Mean z; 0 where alpha is.
     median : float32 [H, W], or [0, 0] without ``with_median``
+    label : int32 [H, W], or [0, 0] without ``labels``
+    label_weights : float32 [H, W, 3], or [0, 0, 3]
     """
     channels = values.shape[1] + 1
+    with_labels = most_label >= 0
     image = np.empty((height, width, channels - 1), np.float32)
     alpha = np.empty((height, width), np.float32)
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
+    label = np.zeros((height, width) if with_labels else (0, 0), np.int32)
+    label_weights = np.zeros((height, width, 3) if with_labels else (0, 0, 3), np.float32)
     most = fullest(bins)
     counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
     for _worker in numba.prange(WORKERS):
@@ -69,6 +79,10 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
         work = make_workspace(most, channels - 1)
         sums = np.empty((channels + 3) * LANES, np.float32)
         solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+        places = np.full(most_label + 1, -1, np.int32)
+        heard = np.empty(most_label + 1, np.int32)
+        votes = np.empty((most_label + 1) * LANES, np.float32)
+        elected = np.empty(4 * LANES, np.float32)
         while share * STRIP < tiles:
             for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, values, work)
@@ -81,6 +95,9 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
                     _sum_block(block, used, channels, work, sums)
                     if with_median:
                         vstore(middles, 0, _median_block(block, used, channels, work))
+                    if with_labels:
+                        entries = bins.entries[bins.starts[tile] :]
+                        _elect(block, used, work, entries, labels, places, heard, votes, elected)
                     for y in range(y0, min(y0 + BLOCK, height)):
                         for x in range(x0, min(x0 + BLOCK, width)):
                             lane = (y - y0) * BLOCK + x - x0
@@ -92,8 +109,12 @@ def draw(splats, boxes, values, bins, width, height, alpha_max, pass_min, with_m
                                 depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
                             if with_median:
                                 median[y, x] = middles[lane]
+                            if with_labels:
+                                label[y, x] = elected[lane]
+                                for k in range(3):
+                                    label_weights[y, x, k] = elected[(k + 1) * LANES + lane]
             share = take(counter)
-    return image, alpha, depth, median
+    return image, alpha, depth, median, label, label_weights
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
@@ -245,6 +266,44 @@ def _median_block(block, used, channels, work):
         found = vwhere(reached, z, found)
         light = after
     return found
+
+
+@numba.njit(cache=True)
+def _elect(block, used, work, entries, labels, places, heard, votes, elected):
+    """The label with the greatest sum of weights, that sum, the next one, and that of all labels.
+
+    They are four vectors in ``elected``; a tie goes to the lowest label. ``places`` holds -1 for
+    every label, before and after: a block hears few of the many.
+    """
+    first = block * len(work.keys)
+    whole, count = vzero(), 0
+    for j in range(used):
+        label = labels[entries[np.uint32(work.lists[first + j])]]
+        if label == 0:
+            continue
+        weight = vload(work.weights, j * LANES)
+        whole = whole + weight
+        place = places[label]
+        if place < 0:
+            place = places[label] = count
+            heard[count] = label
+            vstore(votes, place * LANES, weight)
+            count += 1
+        else:
+            vstore(votes, place * LANES, vload(votes, place * LANES) + weight)
+    best, second, winner = vzero(), vzero(), vzero()
+    for place in range(count):
+        vote, label = vload(votes, place * LANES), np.float32(heard[place])
+        places[heard[place]] = -1
+        above = vote > best
+        lower = (vote >= best) & (winner > label)  # where above, either will do
+        second = vwhere(above, best, vwhere(vote > second, vote, second))
+        best = vwhere(above, vote, best)
+        winner = vwhere(above, label, vwhere(lower, label, winner))
+    vstore(elected, 0, winner)
+    vstore(elected, LANES, best)
+    vstore(elected, 2 * LANES, second)
+    vstore(elected, 3 * LANES, whole)
 
 
 @numba.njit(cache=True, error_model="numpy")

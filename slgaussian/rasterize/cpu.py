@@ -25,7 +25,12 @@ GEOMETRY = ("means", "scales", "quats", "opacities")
 
 
 def render(
-    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
+    gaussians: Gaussians,
+    values: torch.Tensor,
+    camera: Camera,
+    settings: Settings,
+    median: bool,
+    labels: torch.Tensor | None,
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32.
 
@@ -33,10 +38,12 @@ def render(
     """
     gaussians, values = as_kernels_take_them(gaussians, values)
     geometry = [getattr(gaussians, name) for name in GEOMETRY]
-    image, alpha, depth, middle = _Splatting.apply(
-        *geometry, values, gaussians, eye_of(camera, settings), settings, median
+    image, alpha, depth, middle, *elected = _Splatting.apply(
+        *geometry, values, gaussians, eye_of(camera, settings), settings, median, labels
     )
-    return Render(image, alpha, depth, middle if median else None)
+    return Render(
+        image, alpha, depth, middle if median else None, *(elected if labels is not None else [])
+    )
 
 
 def as_kernels_take_them(
@@ -79,19 +86,26 @@ class _Splatting(torch.autograd.Function):
         eye: Eye,
         settings: Settings,
         median: bool,
+        labels: torch.Tensor | None,
     ) -> tuple[torch.Tensor, ...]:
         splats, boxes = project_checked(gaussians, values, eye)
         bins = bin_splats(boxes, eye.width, eye.height)
         limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
+        if labels is None:
+            named, most = np.empty(0, np.int32), -1
+        else:
+            named = labels.cpu().contiguous().numpy()
+            most = int(named.max(initial=0))
         drawn = draw(
-            splats, boxes, values.detach().numpy(), bins, eye.width, eye.height, *limits, median
-        )
-        image, alpha, depth, middle = (torch.from_numpy(array) for array in drawn)
+            splats, boxes, values.detach().numpy(), bins, eye.width, eye.height, *limits, median,
+            named, most,
+        )  # fmt: skip
+        image, alpha, depth, *others = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)
             ctx.drawn = splats, boxes, bins, limits, eye
-        ctx.mark_non_differentiable(middle)
-        return image, alpha, depth, middle
+        ctx.mark_non_differentiable(*others)
+        return image, alpha, depth, *others
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -100,7 +114,7 @@ class _Splatting(torch.autograd.Function):
         d_image: torch.Tensor,
         d_alpha: torch.Tensor,
         d_depth: torch.Tensor,
-        _: torch.Tensor,
+        *_: torch.Tensor,
     ) -> tuple[torch.Tensor | None, ...]:
         *geometry, values, alpha, depth = (t.detach().numpy() for t in ctx.saved_tensors)
         splats, boxes, bins, limits, eye = ctx.drawn
@@ -113,4 +127,4 @@ class _Splatting(torch.autograd.Function):
             np.ascontiguousarray(d_image.numpy()), d_alpha, d_z,
         )  # fmt: skip
         found = project_backward(*geometry, eye, splats, firsts, grads)
-        return *(torch.from_numpy(array) for array in found), None, None, None, None
+        return *(torch.from_numpy(array) for array in found), None, None, None, None, None

@@ -33,7 +33,12 @@ FAR = torch.finfo(torch.float32).max
 
 
 def render(
-    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
+    gaussians: Gaussians,
+    values: torch.Tensor,
+    camera: Camera,
+    settings: Settings,
+    median: bool,
+    labels: torch.Tensor | None,
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
 
@@ -44,10 +49,10 @@ def render(
     ------
     InputError
         If the tensors are not on one CUDA device, gsplat is not installed or has no compiled
-        kernels, or something is asked that it cannot do: the median depth, pixels with skew, or an
-        ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+        kernels, or something is asked that it cannot do: the median depth, labels, pixels with
+        skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
     """
-    _check_possible(camera, settings, median)
+    _check_possible(camera, settings, median, labels is not None)
     device = _one_device(gaussians, values)
     rasterization = load_gsplat()
     check_inputs(gaussians, values)
@@ -83,10 +88,12 @@ def render(
     return Render(image[..., :-1], alpha, depth)
 
 
-def _check_possible(camera: Camera, settings: Settings, median: bool) -> None:
+def _check_possible(camera: Camera, settings: Settings, median: bool, labels: bool) -> None:
     instead = "use backend 'cpu' for it"
     if median:
         raise InputError(f"rasterize: gsplat (backend 'cuda') finds no median depth; {instead}")
+    if labels:
+        raise InputError(f"rasterize: gsplat (backend 'cuda') finds no labels; {instead}")
     if camera.K[0, 1] != 0:
         raise InputError(
             f"camera K: found a skew of {camera.K[0, 1]:g} px, expected 0, as gsplat (backend "

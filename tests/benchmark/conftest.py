@@ -37,7 +37,7 @@ def room() -> Room:
     labels = np.stack([view.instances for view in sample.context])
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
-    bank = remember(sample, label_maps, "lexicon", "grid", seed=0)
+    bank = remember(sample, gaussians, label_maps, "lexicon", "grid", seed=0)
     field = lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
     return Room(sample, label_maps, field, truth_from_instances(sample))
 

@@ -14,6 +14,7 @@ from slgaussian.benchmark.evaluate import (
 )
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
+from slgaussian.language.query import Rules
 from slgaussian.scene import Sample
 
 
@@ -53,6 +54,7 @@ def test_the_field_of_a_known_room_answers_most_of_its_phrases(result):
 def test_an_unknown_word_scores_zero_and_stays_in_the_means(room, result):
     row = row_of(result, "qqwx")
     assert (row["iou"], row["hit_mask"], row["hit_box"]) == (0.0, False, False)
+    assert row["hit_peak"] is False
     assert row["note"] == NOT_UNDERSTOOD
     assert row["score"] is None and row["point_x"] is None
     assert not result.predictions["view_01", "qqwx"].any()
@@ -69,7 +71,7 @@ def test_an_unknown_word_scores_zero_and_stays_in_the_means(room, result):
 def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     absent, untold = row_of(result, "red sofa"), row_of(result, "grey floor")
     for row in (absent, untold):
-        assert row["iou"] is row["hit_mask"] is row["hit_box"] is None
+        assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["hit_peak"] is None
         assert row["score"] is not None
     assert "not in this frame" in absent["note"]
     assert untold["frame"] == "halfway"
@@ -90,9 +92,12 @@ def test_annotated_boxes_take_the_place_of_the_masks_own(room):
 
 
 def test_a_threshold_changes_the_protocol_and_the_masks(room):
-    result = evaluate(room.field, room.sample, room.label_maps, room.truth, threshold=0.999999)
-    assert {row["protocol"] for row in result.rows} == {"threshold"}
-    assert {row["threshold"] for row in result.rows} == {0.999999}
+    rules = Rules(threshold=0.999999, canonical="lerf", absent="zero")
+    result = evaluate(room.field, room.sample, room.label_maps, room.truth, rules=rules)
+    said = ("protocol", "threshold", "share", "canonical", "absent")
+    phrases = "object, things, stuff, texture"
+    expected = ("threshold", 0.999999, None, phrases, "zero")
+    assert {tuple(row[name] for name in said) for row in result.rows} == {expected}
     assert not any(mask.any() for mask in result.predictions.values())
 
 
@@ -132,9 +137,10 @@ def test_pictures_show_every_view_viewpoint_and_query(result):
     expected |= {f"{kind}/{frame}" for kind in ("render", "ids") for frame in ALONG_THE_WAY}
     for frame, query in result.predictions:
         expected |= {f"relevancy/{frame}/{query}", f"mask/{frame}/{query}"}
-    assert set(result.pictures) == expected
-    for picture in result.pictures.values():
-        assert picture.dtype == np.uint8 and picture.shape == (104, 144, 3)
+    assert set(result.pictures) == expected | {"objects/all"}
+    for name, picture in result.pictures.items():
+        assert picture.dtype == np.uint8
+        assert name == "objects/all" or picture.shape == (104, 144, 3)
 
 
 def test_the_same_field_gives_the_same_result(room, result):
@@ -168,9 +174,22 @@ def test_a_truth_that_does_not_fit_is_refused(room):
         )
 
 
-def test_a_setting_out_of_range_is_not_taken_for_an_unknown_word(room):
-    with pytest.raises(InputError, match="threshold"):
-        evaluate(room.field, room.sample, room.label_maps, room.truth, threshold=3.0)
+def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, result):
+    rules = Rules(protocol="langsplat")
+    scored = evaluate(room.field, room.sample, room.label_maps, room.truth, rules=rules)
+    view = room.field.render(room.sample.targets[0].camera)
+    for row in scored.rows:
+        hit = view.query(row["query"], protocol="langsplat")
+        truth = room.truth["view_01"][row["query"]]
+        assert row["protocol"] == "langsplat"
+        assert row["iou"] == metrics.iou(hit.mask, truth)
+        ys, xs = np.nonzero(truth)
+        box = np.s_[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
+        assert row["hit_peak"] == hit.peak[box].any()
+        # The point is a pixel of the peak.
+        assert row["hit_peak"] or not row["hit_box"]
+        # Relevancies do not depend on the protocol.
+        assert row["score"] == row_of(result, row["query"])["score"]
 
 
 def test_the_camera_between_starts_and_ends_at_the_two(room):

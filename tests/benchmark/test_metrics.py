@@ -143,3 +143,13 @@ def test_ssim_is_that_of_the_definition(seed, noise):
     a, b = a.astype(np.uint8), b.astype(np.uint8)
     assert metrics.ssim(a, b) == pytest.approx(plain_ssim(a, b), abs=1e-10)
     assert metrics.ssim(a, a) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_one_pixel_of_a_peak_in_a_box_is_enough():
+    peak = np.zeros((5, 6), bool)
+    peak[4, 1:3] = True
+    for box, hit in (((2, 4, 9, 9), True), ((3, 0, 5, 4), False), ((0, 0, 1, 4), True)):
+        assert metrics.any_in_boxes(peak, np.array([box], float)) is hit
+    assert metrics.any_in_boxes(peak, np.array([[5, 0, 5, 0], [1, 4, 1, 4]], float))
+    assert not metrics.any_in_boxes(peak, np.zeros((0, 4)))
+    assert not metrics.any_in_boxes(np.zeros((5, 6), bool), np.array([[0, 0, 9, 9.0]]))

@@ -130,3 +130,30 @@ def test_a_jpeg_is_close_no_wider_than_asked_and_the_same_again():
     assert np.abs(decoded(data).astype(int) - smooth).max() <= 8
     assert decoded(pictures.encode_jpeg(smooth, width=40)).shape == (30, 40, 3)
     assert data == pictures.encode_jpeg(smooth.copy(), width=100)
+
+
+def test_objects_are_cut_from_the_view_that_shows_most_of_them(photo):
+    other = 255 - photo
+    boxes = np.array(
+        [[[5, 10, 25, 20], [0, 0, 10, 10]], [[0, 0, 0, 0], [70, 50, 80, 60]]], np.int32
+    )
+    labels = np.full((2, 60, 80), 4)
+    labels[0, 10:20, 5:15] = 3
+    cuts = pictures.cut_out([photo, other], labels, np.array([3, 4]), boxes)
+    np.testing.assert_array_equal(cuts[0][:, :10], photo[10:20, 5:15])
+    assert (cuts[0][:, 10:] >= 191).all()  # another object is pale
+    np.testing.assert_array_equal(cuts[1], other[50:60, 70:80])
+
+
+def test_a_contact_sheet_shows_every_tile_in_its_square(photo):
+    red, thin, none = (
+        np.full((h, w, 3), (200, 0, 0), np.uint8) for h, w in ((9, 9), (1, 90), (0, 0))
+    )
+    sheet = pictures.contact_sheet([("1 a caption too long", red), ("2", thin), ("3", none)], 40, 2)
+    assert sheet.shape == (2 * 66 + 8, 2 * 48 + 8, 3)
+    shown = (sheet == (200, 0, 0)).all(-1)
+    assert shown[8:48, 8:48].all()
+    assert shown[8, 56:96].all() and shown[9:].sum() == 39 * 40
+    # Captions stay under their own tile.
+    assert (sheet[48:66, 48:56] == 255).all()
+    assert (sheet[48:66, 8:48] < 128).any()

@@ -181,7 +181,7 @@ def test_a_table_has_its_paths_from_its_folder_and_options_win(tmp_path):
     given = {"checkpoint": "elsewhere.ckpt"}
     assert read_toml(path, {"mvsplat": given}).mvsplat.checkpoint == Path("elsewhere.ckpt")
     # A file may keep the table of a part that is not chosen; an option without effect is a slip.
-    assert read_toml(path, {"predictor": "planesweep"}).part_settings() == {}
+    assert "mvsplat" not in read_toml(path, {"predictor": "planesweep"}).part_settings()
     with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
         read_toml(path, {"predictor": "planesweep", "mvsplat": given})
 
@@ -227,7 +227,7 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
     assert "<dt>settings.mvsplat.depth_candidates</dt><dd>auto</dd>" in page
     said = capsys.readouterr().err
-    assert said.startswith("with mvsplat, regions, geometric, lexicon, grid, hard\n")
+    assert said.startswith("with mvsplat, regions, geometric, lexicon, separated, hard\n")
 
     # The same weights in another place: nothing is computed. Another setting: the geometry is.
     moved = tmp_path / "moved.ckpt"

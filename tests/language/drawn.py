@@ -6,13 +6,18 @@ it was not tried on.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 
 from slgaussian.labels import LabelMaps
+from slgaussian.language import query
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.lexicon import Lexicon
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import BankReader, QueryResult, Rules
 from slgaussian.scene import Camera, View
 
 RED, GREEN, BLUE, WHITE, GREY = (
@@ -99,3 +104,16 @@ def bank_of(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -
     maps = LabelMaps(np.stack(ids), np.ones((len(ids), *ids[0].shape), np.float32))
     views = [view_of(image, f"view {i}") for i, image in enumerate(images)]
     return build_bank(views, maps, encoder, grid_codes(len(maps.ids), np.random.default_rng(0)))
+
+
+def find(
+    text: str, ids: np.ndarray, bank: MemoryBank, encoder: Lexicon, **rules: Any
+) -> QueryResult:
+    """What one text finds in an id map."""
+    seen = ObjectMap(ids, bank.ids)
+    return query.ask([text], seen, BankReader(bank, encoder), Rules(**rules))[0]
+
+
+def segment(texts: list[str], ids: np.ndarray, bank: MemoryBank, encoder: Lexicon) -> np.ndarray:
+    """Which of some texts each object of an id map is."""
+    return query.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())

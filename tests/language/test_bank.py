@@ -1,14 +1,15 @@
 """The memory bank: what it holds, what it refuses, and that absent means absent."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from drawn import BLUE, RED, ball, bank_of, photograph, view_of
+from drawn import BLUE, GREEN, RED, ball, bank_of, photograph, view_of
 
+from data_specs import load_spec
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank, build_bank
+from slgaussian.language.bank import MemoryBank, build_bank, merge
 from slgaussian.language.relevancy import relevancy
 
 
@@ -33,15 +34,74 @@ def test_an_absent_view_is_marked_absent_and_never_scored(bank, lexicon):
 
 def test_present_features_are_unit_vectors(bank):
     lengths = np.linalg.norm(bank.features, axis=2)
-    np.testing.assert_allclose(lengths[bank.present], 1, atol=1e-6)
+    np.testing.assert_allclose(lengths[bank.present], 1, atol=2**-11)
+    assert bank.features.dtype == np.float32
 
 
 def test_arrays_round_trip(bank, tmp_path):
-    np.savez(tmp_path / "bank.npz", **bank.to_arrays())
-    with np.load(tmp_path / "bank.npz") as arrays:
-        again = MemoryBank.from_arrays(dict(arrays))
-    for name, array in bank.to_arrays().items():
-        np.testing.assert_array_equal(getattr(again, name), array)
+    """What was stored in half precision is what was built, to the last bit."""
+    arrays = bank.to_arrays()
+    load_spec("bank").check_arrays(arrays, "bank.npz")
+    np.savez(tmp_path / "bank.npz", **arrays)
+    with np.load(tmp_path / "bank.npz") as stored:
+        assert stored["features"].dtype == np.float16
+        again = MemoryBank.from_arrays(dict(stored))
+    for field in fields(MemoryBank):
+        there, here = getattr(again, field.name), getattr(bank, field.name)
+        assert there.dtype == here.dtype
+        np.testing.assert_array_equal(there, here)
+
+
+def test_boxes_hold_their_objects_and_touch_them(bank):
+    both = photograph([(ball(80, 120, 30), RED), (ball(220, 120, 30), BLUE)])[1]
+    for row, number in enumerate(bank.ids):
+        x0, y0, x1, y1 = bank.boxes[row, 0]
+        assert (both[y0:y1, x0:x1] == number).sum() == (both == number).sum()
+        for edge in ((y0, None), (y1 - 1, None), (None, x0), (None, x1 - 1)):
+            line = both[edge[0]] if edge[1] is None else both[:, edge[1]]
+            assert (line == number).any()
+    assert not bank.boxes[1, 1].any()
+    without = MemoryBank(bank.ids, bank.codes, bank.features, bank.present)
+    assert MemoryBank.from_arrays(without.to_arrays()).boxes is None
+
+
+def test_a_merged_bank_knows_what_either_knew(bank, lexicon):
+    image, ids = photograph([(ball(100, 100, 30), GREEN), (ball(200, 100, 30), RED)])
+    ids = np.array([0, 3, 1], np.int32)[ids]
+    free = np.array([[0.25, 0.5, 0.75]], np.float32)
+    maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
+    later = build_bank([view_of(image)], maps, lexicon, np.concatenate([bank.codes[:1], free]))
+    both = merge(bank, later)
+    np.testing.assert_array_equal(both.ids, [1, 2, 3])
+    np.testing.assert_array_equal(both.present, [[1, 1, 1], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(both.features[:2, :2], bank.features)
+    np.testing.assert_array_equal(both.features[[0, 2], 2], later.features[:, 0])
+    np.testing.assert_array_equal(both.boxes[[0, 2], 2], later.boxes[:, 0])
+    np.testing.assert_array_equal(both.codes, np.concatenate([bank.codes, free]))
+    # More views never make an object less relevant, and each bank's own texts still find its own.
+    texts = lexicon.encode_text(["red", "green"]), lexicon.encode_text(lexicon.canonical)
+    before = relevancy(bank.features, bank.present, *texts)
+    after = relevancy(both.features, both.present, *texts)
+    assert (after[:, :2] >= before).all()
+    assert after[1].argmax() == 2
+
+
+def test_banks_that_contradict_each_other_are_not_merged(bank):
+    other = replace(bank, codes=bank.codes[::-1].copy())
+    with pytest.raises(InputError, match="object 1 has another code in each"):
+        merge(bank, other)
+    apart = replace(bank, ids=bank.ids + np.int32(2))
+    with pytest.raises(InputError, match="share one code"):
+        merge(bank, apart)
+    narrow = MemoryBank(bank.ids, bank.codes, np.ones((2, 1, 1), np.float32), bank.present[:, :1])
+    with pytest.raises(InputError, match="wide"):
+        merge(bank, narrow)
+    bare, low = (replace(b, codes=b.codes[:, :0]) for b in (apart, bank))
+    with pytest.raises(InputError, match="need ids above 4, found 1"):
+        merge(bare, low)
+    np.testing.assert_array_equal(merge(low, bare).ids, [1, 2, 3, 4])
+    moved = replace(apart, codes=bank.codes * np.float32(0.5))
+    np.testing.assert_array_equal(merge(bank, moved).ids, [1, 2, 3, 4])
 
 
 def test_damage_is_refused_by_name(bank):
@@ -51,7 +111,13 @@ def test_damage_is_refused_by_name(bank):
     long[1, 0] *= 1.1
     ghost = bank.features.copy()
     ghost[1, 1] = ghost[1, 0]
+    inside_out = bank.boxes.copy()
+    inside_out[1, 0] = inside_out[1, 0][[2, 1, 0, 3]]
     for changes, match in (
+        ({"boxes": inside_out}, "that of object 2 in view 0"),
+        ({"boxes": bank.boxes * 0}, "that of object 1 in view 0"),
+        ({"boxes": np.repeat(bank.boxes[:, :1], 2, 1)}, "that of object 2 in view 1"),
+        ({"boxes": bank.boxes.astype(np.int64)}, "boxes: found int64"),
         ({"features": nan}, "object 1 in view 1"),
         ({"features": long}, "object 2 in view 0 has length 1.1"),
         ({"features": ghost}, "object 2 in view 1 has length 1, expected 0"),

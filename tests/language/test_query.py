@@ -1,12 +1,29 @@
 """Find, locate and segment on pictures whose objects are known."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from drawn import BLUE, GREEN, GREY, HEIGHT, RED, WIDTH, ball, bank_of, box, photograph
-from scipy import ndimage
+from drawn import (
+    BLUE,
+    GREEN,
+    GREY,
+    HEIGHT,
+    RED,
+    WIDTH,
+    ball,
+    bank_of,
+    box,
+    find,
+    photograph,
+    segment,
+)
 
 from slgaussian.errors import InputError
-from slgaussian.language.query import central_point, find, segment
+from slgaussian.language import langsplat
+from slgaussian.language.bank import MemoryBank
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import BankReader, Rules, ask, describe
 from slgaussian.language.relevancy import relevancy
 
 OBJECTS = [
@@ -136,38 +153,139 @@ def test_bad_input_is_refused(scene, lexicon):
     for temperature in (0, np.nan):
         with pytest.raises(InputError, match="temperature"):
             find("red", ids, bank, lexicon, temperature=temperature)
+    with pytest.raises(InputError, match="found one text, expected a list"):
+        segment("red", ids, bank, lexicon)
 
 
-def reference_point(region: np.ndarray) -> tuple[int, int]:
-    """The definition of the located point, with SciPy's exact transforms."""
-    components, _ = ndimage.label(region)  # 4-connected, numbered in row-major order
-    largest = 1 + np.bincount(components.ravel())[1:].argmax()
-    depth = ndimage.distance_transform_edt(np.pad(components == largest, 1))[1:-1, 1:-1]
-    row, column = np.unravel_index(depth.argmax(), depth.shape)
-    return int(column), int(row)
+@pytest.mark.parametrize(
+    ("rules", "sentence"),
+    [
+        ({"protocol": "lerf"}, "protocol: found 'lerf', expected one of slgaussian, langsplat"),
+        ({"absent": "none"}, "absent: found 'none', expected one of skip, zero"),
+        ({"share": 0}, "share: found 0"),
+        ({"share": 1.5}, "share: found 1.5"),
+        ({"canonical": ""}, "canonical: found ''"),
+        ({"canonical": []}, r"canonical: found \[\]"),
+        ({"canonical": "object, , things"}, "none empty"),
+        ({"protocol": "langsplat", "threshold": 0.5}, "has its own"),
+    ],
+)
+def test_rules_out_of_range_are_refused(rules, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Rules(**rules)
 
 
-def test_the_located_point_follows_its_definition_on_ragged_regions():
-    rng = np.random.default_rng(11)
-    for density in np.linspace(0.3, 0.95, 60):
-        region = rng.random((31, 44)) < density
-        assert central_point(region) == reference_point(region)
+def test_many_texts_at_once_are_answered_as_one_by_one(scene, lexicon):
+    ids, bank = scene
+    texts = ["red ball", "blue", "striped", "red ball", "yellow", "green box"]
+    many = ask(texts, ObjectMap(ids, bank.ids), BankReader(bank, lexicon), Rules())
+    for text, hit in zip(texts, many, strict=True):
+        alone = find(text, ids, bank, lexicon)
+        assert (hit.text, hit.score, hit.point, hit.objects, hit.unknown) == (
+            text, alone.score, alone.point, alone.objects, alone.unknown,
+        )  # fmt: skip
+        np.testing.assert_array_equal(hit.mask, alone.mask)
+        np.testing.assert_array_equal(hit.relevancy, alone.relevancy)
+        np.testing.assert_array_equal(hit.peak, alone.peak)
 
 
-def test_the_located_point_of_known_regions():
-    assert central_point(ball(100, 90, 20)) == (100, 90)
-    # Of two equal squares the first in reading order; of its four middle pixels the first.
-    region = np.zeros((20, 30), bool)
-    region[10:14, 3:7] = region[2:6, 20:24] = True
-    assert central_point(region) == (21, 3)
-    # The edge of the image is a border: in a band along it the middle is taken, not the edge.
-    band = np.zeros((9, 9), bool)
-    band[:, :3] = True
-    assert central_point(band) == (1, 1)
-    # A ring is located on its body, not in its hole.
-    ring = ball(100, 90, 20) & ~ball(100, 90, 12)
-    x, y = central_point(ring)
-    assert ring[y, x]
+def test_the_share_says_how_far_behind_the_best_an_object_may_be(scene, lexicon):
+    ids, bank = scene
+    found = [
+        {i for i, _ in find("red", ids, bank, lexicon, share=share).objects}
+        for share in (1.0, 0.9, 0.5, 0.01)
+    ]
+    assert len(found[0]) == 1
+    for fewer, more in pairwise(found):
+        assert fewer <= more
+    # Nothing that fits worse than "object" is taken, however small the share.
+    assert found[-1] == {1, 2, 4}
+    assert min(score for _, score in find("red", ids, bank, lexicon, share=0.01).objects) > 0.5
+
+
+def test_canonical_phrases_by_name_by_list_and_of_ones_own(scene, lexicon):
+    ids, bank = scene
+    own = find("red", ids, bank, lexicon)
+    for same in ("lerf", "object, things,stuff , texture", ["object"], lexicon.canonical):
+        np.testing.assert_array_equal(
+            find("red", ids, bank, lexicon, canonical=same).scores, own.scores
+        )
+    # Against a rival that fits the same things better, little is left.
+    against = find("red", ids, bank, lexicon, canonical=["object", "red ball"])
+    texts = lexicon.encode_text(["red"]), lexicon.encode_text(["object", "red ball"])
+    np.testing.assert_array_equal(against.scores, relevancy(bank.features, bank.present, *texts)[0])
+    assert {i for i, _ in against.objects} == {2}
+    with pytest.raises(InputError, match="zeppelin"):
+        find("red", ids, bank, lexicon, canonical="zeppelin")
+
+
+def test_langsplat_uses_the_same_scores_and_its_own_pictures(scene, lexicon):
+    ids, bank = scene
+    ours, theirs = (
+        find("red ball", ids, bank, lexicon, protocol=p) for p in ("slgaussian", "langsplat")
+    )
+    np.testing.assert_array_equal(ours.scores, theirs.scores)
+    np.testing.assert_array_equal(ours.relevancy, theirs.relevancy)
+    assert ours.score == theirs.score
+    filled = np.where(ids > 0, ours.relevancy, ours.scores.min())
+    np.testing.assert_array_equal(theirs.mask, langsplat.find_mask(filled))
+    point, peak = langsplat.find_point(filled)
+    assert theirs.point == point and theirs.peak[point[1], point[0]]
+    np.testing.assert_array_equal(theirs.peak, peak)
+    for number, _ in theirs.objects:
+        assert theirs.mask[ids == number].mean() > 0.5
+    assert {i for i, _ in theirs.objects} == {1, 4}
+    nothing = find("red ball", np.zeros_like(ids), bank, lexicon, protocol="langsplat")
+    assert nothing.point is None and nothing.objects == ()
+    assert not nothing.mask.any() and not nothing.peak.any()
+
+
+def test_the_peak_is_every_object_that_ties_for_the_best(lexicon):
+    image, ids = photograph([(ball(60 + 100 * k, 120, 20), GREEN) for k in range(2)])
+    bank = bank_of([image], [ids], lexicon)
+    twins = MemoryBank(bank.ids, bank.codes, bank.features[[0, 0]], bank.present)
+    hit = find("green", ids, twins, lexicon)
+    np.testing.assert_array_equal(hit.peak, ids > 0)
+    assert [i for i, _ in hit.objects] == [1, 2]  # of equal ones the lowest id first
+    assert ids[hit.point[1], hit.point[0]] == 1
+    one = find("green", np.where(ids == 1, 0, ids), twins, lexicon)
+    np.testing.assert_array_equal(one.peak, ids == 2)
+
+
+def test_what_is_in_the_scene(scene, lexicon):
+    ids, bank = scene
+    texts = ["blue ball", "red box", "red ball", "green striped box"]
+    found = describe(texts, BankReader(bank, lexicon), Rules())
+    assert [one.id for one in found] == [1, 2, 3, 4, 5]
+    assert [one.text for one in found] == [texts[k] for k in (2, 1, 0, 2, 3)]
+    for one in found:
+        assert one.views == (0,)
+        scores = dict(find(one.text, ids, bank, lexicon, threshold=0.01).objects)
+        assert one.relevancy == scores[one.id]
+
+
+def test_a_text_is_encoded_once_and_alone(scene, lexicon):
+    """So an answer cannot depend on what else was asked."""
+    ids, bank = scene
+
+    class Counting:
+        name, canonical = lexicon.name, lexicon.canonical
+        unknown_words = staticmethod(lexicon.unknown_words)
+        taken_for = staticmethod(lexicon.taken_for)
+
+        def __init__(self):
+            self.seen = []
+
+        def encode_text(self, texts):
+            self.seen.append(tuple(texts))
+            return lexicon.encode_text(texts)
+
+    encoder = Counting()
+    reader, seen = BankReader(bank, encoder), ObjectMap(ids, bank.ids)
+    for _ in range(3):
+        ask(["red", "blue"], seen, reader, Rules())
+        ask(["blue", "object"], seen, reader, Rules(temperature=1.0))
+    assert sorted(encoder.seen) == sorted((t,) for t in {"red", "blue", *lexicon.canonical})
 
 
 def test_grey_is_not_mistaken_for_the_background(lexicon):

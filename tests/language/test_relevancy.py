@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.language.relevancy import relevancy, relevancy_gap
+from slgaussian.language.relevancy import Scorer, relevancy
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_order_does_not_depend_on_temperature_and_bounds_hold(seed, temperature)
     rng = np.random.default_rng(seed)
     features, queries, canonical = unit(rng, 12, 2, 8), unit(rng, 3, 8), unit(rng, 2, 8)
     present = rng.random((12, 2)) < 0.8
-    gaps = relevancy_gap(features, present, queries, canonical)
+    gaps = Scorer(features, present, canonical).gaps(queries)
     scores = relevancy(features, present, queries, canonical, temperature)
     assert ((scores >= 0) & (scores <= 1)).all()
     order = np.argsort(gaps, axis=1, kind="stable")
@@ -100,6 +100,39 @@ def test_a_query_equal_to_its_only_rival_is_exactly_even():
     features = unit(np.random.default_rng(1), 5, 1, 8)
     got = relevancy(features, np.ones((5, 1), bool), text, text, 1000)
     np.testing.assert_array_equal(got, np.full((1, 5), 0.5))
+
+
+def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
+    features, present, queries, canonical = case
+    skip, zero = (
+        relevancy(features, present, queries, canonical, absent=how) for how in ("skip", "zero")
+    )
+    whole = present.all(1)
+    np.testing.assert_array_equal(zero[:, whole], skip[:, whole])
+    np.testing.assert_array_equal(zero[:, ~whole], np.maximum(skip, 0.5)[:, ~whole])
+    # The paper's bank, literally: a zero vector has cosine 0 with everything.
+    literal_zero = literal(features * present[..., None], np.ones_like(present), *case[2:], 10)
+    np.testing.assert_allclose(zero, literal_zero, rtol=1e-14)
+    with pytest.raises(InputError, match="absent is 'maybe', expected one of skip, zero"):
+        relevancy(features, present, queries, canonical, absent="maybe")
+
+
+def test_vectors_are_made_unit_within_half_precision_and_refused_beyond(case):
+    features, present, queries, canonical = case
+    plain = relevancy(*case)
+    lengths = 1 + np.random.default_rng(0).uniform(-9e-4, 9e-4, present.shape)[..., None]
+    np.testing.assert_allclose(
+        relevancy(features * lengths, present, queries * 1.0009, canonical * 0.9991),
+        plain,
+        atol=1e-15,
+    )
+    for args, name in (
+        ((features * 1.01, present, queries, canonical), "features"),
+        ((features, present, queries * 2, canonical), "queries"),
+        ((features, present, queries, canonical / 2), "canonical"),
+    ):
+        with pytest.raises(InputError, match=f"{name} hold a vector of length"):
+            relevancy(*args)
 
 
 def test_bad_vectors_and_settings_are_refused(case):

@@ -22,7 +22,7 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.automatic import Automatic
 from slgaussian.masks.flow import FlowTracker
 from slgaussian.masks.sam import normalised, pixel_values
-from slgaussian.pretrained import model_digest, model_folder
+from slgaussian.pretrained import find_model, model_digest
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)
@@ -264,7 +264,7 @@ def test_a_damaged_folder_is_one_sentence(folders, tmp_path, capfd, how, says):
         ("sam2", {"model": "sam"}, "is of type 'sam', but sam2 needs 'sam2' or 'sam2_video'"),
         ("sam", {"model": "no/such/folder"}, "there is no such folder; expected one with config"),
         ("sam", {"model": "nowhere"}, "there is no such folder"),
-        ("sam", {"model": __file__}, "is a file; expected a folder"),
+        ("sam", {"model": __file__}, "is a file, or of open_clip; sam expected"),
         ("sam", {"model": "sam", "preset": "dino"}, "found 'dino', expected one of sam, sam2, lan"),
         ("sam2", {"model": "sam2", "level": "xl"}, "sam2 level: found 'xl', expected s, m, l or"),
         ("sam", {"model": "sam", "points": 0}, "sam points: found 0, expected at least 1"),
@@ -328,7 +328,7 @@ def test_a_name_is_found_in_the_cache(folders, offline):
     # A cache that holds a part of the model is no model.
     (place / "snapshots" / ("0" * 40) / "model.safetensors").unlink()
     with pytest.raises(InputError, match=r"could not be downloaded|has no model\.safetensors"):
-        model_folder("someone/small-sam")
+        find_model("someone/small-sam")
 
 
 def test_a_model_is_known_by_its_weights_and_config(folders, tmp_path):

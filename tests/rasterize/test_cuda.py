@@ -43,6 +43,8 @@ def test_what_gsplat_cannot_do_is_refused():
     made, values = cloud(5)
     with pytest.raises(InputError, match="no median depth; use backend 'cpu'"):
         rasterize(made, values, camera(), backend="cuda", median=True)
+    with pytest.raises(InputError, match="no labels; use backend 'cpu'"):
+        rasterize(made, values, camera(), backend="cuda", labels=torch.ones(5, dtype=torch.int32))
     with pytest.raises(InputError, match=r"camera K: found a skew of 1\.5 px, expected 0"):
         rasterize(made, values, camera(skew=1.5), backend="cuda")
     with pytest.raises(InputError, match=r"alpha_max: found 0\.5, expected 0\.99 or more"):

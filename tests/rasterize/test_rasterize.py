@@ -227,6 +227,78 @@ def test_median_depth(name):
     torch.testing.assert_close(fast.double(), true, rtol=2e-7, atol=0)
 
 
+LABEL_TOLERANCE = 5e-6
+"""Of the weights of labels, which are sums as the values are. Measured: at most 1.1e-6."""
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+@pytest.mark.parametrize(
+    "name",
+    ["ordinary_cloud", "dense_overlap", "opacity_1", "a_gaussian_per_pixel", "image_of_17x33",
+     "no_channel", "nothing"],
+)  # fmt: skip
+def test_labels(name, count):
+    made = case(name)
+    labels = (torch.arange(len(made.gaussians)) * 7 % (count + 1)).int()
+    fast, true = (
+        rasterize(
+            made.gaussians, made.values, made.camera, backend=b, settings="exact", labels=labels
+        )
+        for b in BACKENDS
+    )
+    assert fast.label.dtype == true.label.dtype == torch.int32
+    assert (fast.label_weights - true.label_weights).abs().max() < LABEL_TOLERANCE
+    # Where one leads by more than rounding it is found.
+    best, second, _ = true.label_weights.unbind(-1)
+    clear = best - second > 2 * LABEL_TOLERANCE
+    assert torch.equal(fast.label[clear], true.label[clear])
+    plain = rasterize(made.gaussians, made.values, made.camera, settings="exact")
+    assert torch.equal(plain.values, fast.values)
+    assert plain.label is None
+    assert plain.label_weights is None
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_label_with_most_of_the_light_wins_and_ties_go_to_the_lowest(backend):
+    made = splats(
+        [[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0], [0, 0, 6.0]], 1e6, [0.25, 0.3333333, 0.5, 1]
+    )
+
+    def seen(*labels):
+        drawn = rasterize(
+            made, torch.ones(4, 1), camera(), backend=backend,
+            labels=torch.tensor(labels, dtype=torch.int32),
+        )  # fmt: skip
+        return int(drawn.label[12, 16]), drawn.label_weights[12, 16].tolist()
+
+    # A quarter each. Two together lead; nothing that is not labelled has a say.
+    assert seen(9, 4, 9, 7) == (9, pytest.approx([0.5, 0.25, 1], abs=1e-6))
+    assert seen(0, 0, 0, 7) == (7, pytest.approx([0.25, 0, 0.25], abs=1e-6))
+    assert seen(0, 0, 0, 0) == (0, [0, 0, 0])
+    equal = splats([[0, 0, 2.0], [0, 0, 3.0]], 1e9, [0.5, 1.0])
+    for labels in ([2, 1], [1, 2]):
+        drawn = rasterize(
+            equal, torch.ones(2, 1), camera(), backend=backend,
+            labels=torch.tensor(labels, dtype=torch.int32),
+        )  # fmt: skip
+        assert drawn.label[12, 16] == 1
+
+
+@pytest.mark.parametrize(
+    ("labels", "found"),
+    [
+        (torch.zeros(4, dtype=torch.int32), r"torch.int32 \(4,\)"),
+        (torch.zeros(5), r"torch.float32 \(5,\)"),
+        (torch.tensor([0, 1, -1, 0, 0], dtype=torch.int32), "-1 to 1"),
+        (torch.tensor([0, 1, 2**24, 0, 0], dtype=torch.int32), "0 to 16777216"),
+    ],
+)
+def test_labels_that_are_none_are_refused(labels, found):
+    made, values = cloud(5)
+    with pytest.raises(InputError, match=f"rasterize labels: found {found}"):
+        rasterize(made, values, camera(), labels=labels)
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_median_depth_is_where_half_the_light_is_gone(backend):
     made = splats([[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0]], 100.0, [0.3, 0.4, 0.5])
@@ -317,8 +389,9 @@ def test_the_order_of_the_input_changes_no_byte(n, seed):
     """No two depths here are equal."""
     made, values = cloud(n, seed)
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
-    one = rasterize(made, values, camera(), median=True)
-    other = rasterize(made[order], values[order], camera(), median=True)
+    labels = (torch.arange(n) % 5).int()
+    one = rasterize(made, values, camera(), median=True, labels=labels)
+    other = rasterize(made[order], values[order], camera(), median=True, labels=labels[order])
     for name, drawn in vars(one).items():
         assert torch.equal(drawn, getattr(other, name)), name
 
@@ -351,7 +424,8 @@ def test_no_finite_input_gives_nan(seed, preset):
     )
     made.quats[(made.quats == 0).all(1)] = 1
     seen = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotated(seed))
-    image = rasterize(made, torch.ones(30, 2), seen, settings=preset, median=True)
+    labels = (torch.arange(30) % 4).int()
+    image = rasterize(made, torch.ones(30, 2), seen, settings=preset, median=True, labels=labels)
     for name, drawn in vars(image).items():
         assert torch.isfinite(drawn).all(), name
         assert drawn.min() >= 0, name
@@ -377,8 +451,11 @@ def in_threads(threads: int, chunk: int, draw):
 def test_bytes_do_not_depend_on_the_threads(preset):
     made, values = cloud(300, seen=camera(100, 80, 90))
 
+    labels = (torch.arange(300) % 40).int()
+
     def draw():
-        return rasterize(made, values, camera(100, 80, 90), settings=preset, median=True)
+        seen = camera(100, 80, 90)
+        return rasterize(made, values, seen, settings=preset, median=True, labels=labels)
 
     first = in_threads(1, 0, draw)
     for threads, chunk in [(1, 0), (2, 0), (2, 1), (2, 3)]:

@@ -1,0 +1,86 @@
+"""Settings of the flows that make a corpus of chunks ready to learn from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
+
+from flows.settings import SIDES, Method, checked, refuse_idle
+from slgaussian import threads
+from slgaussian.datasets.pairs import Bounds
+from slgaussian.errors import InputError
+
+
+def _parse_sides(value: Any) -> tuple[int, int]:
+    try:
+        height, width = map(int, value.split("x") if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        height = width = 0
+    if height not in SIDES or width not in SIDES:
+        raise PydanticCustomError(
+            "size",
+            f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}",
+        )
+    return height, width
+
+
+_BOUNDS = Bounds()
+
+
+class CorpusSettings(Method):
+    """What views, samples and lessons depend on, and where they go."""
+
+    size: Annotated[tuple[int, int], BeforeValidator(_parse_sides)] = Field(
+        (256, 256), description="Height and width of the views of a lesson, as 256x256."
+    )
+    min_overlap: float = Field(
+        _BOUNDS.min_overlap, ge=0, le=1, description="Least share that context views see in common."
+    )
+    max_overlap: float = Field(
+        _BOUNDS.max_overlap, ge=0, le=1, description="Greatest share that they see in common."
+    )
+    min_baseline: float = Field(
+        _BOUNDS.min_baseline,
+        ge=0,
+        description="Least distance of context cameras, as a share of the depth of what they see.",
+    )
+    max_baseline: float = Field(
+        _BOUNDS.max_baseline, ge=0, description="Greatest distance of context cameras, likewise."
+    )
+    max_blur: float = Field(
+        _BOUNDS.max_blur,
+        ge=0,
+        description="By how much a view may be more blurred than the median of its clip, 0 to 1.",
+    )
+    max_clipped: float = Field(
+        _BOUNDS.max_clipped, ge=0, le=1, description="Share of a view that may be black or white."
+    )
+    most: int = Field(
+        _BOUNDS.most, ge=0, description="Most samples of a clip; 0 for as many as there are."
+    )
+    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
+    workers: int = Field(
+        min(2, threads.cores()), ge=1, description="Chunks worked on at the same time."
+    )
+    chunks: str = Field(description="Folder or fsspec URL of the chunks.")
+    out: Path = Field(description="Folder for the tables and contact sheets.")
+
+    def bounds(self) -> dict[str, Any]:
+        """What is asked of a pair, as :class:`slgaussian.datasets.pairs.Bounds` takes it."""
+        return self.model_dump(include=Bounds.__dataclass_fields__.keys())
+
+
+def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
+    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits."""
+    settings = checked(CorpusSettings, values, source)
+    refuse_idle(values, settings, source)
+    for name in ("overlap", "baseline"):
+        low, high = getattr(settings, f"min_{name}"), getattr(settings, f"max_{name}")
+        if low > high:
+            raise InputError(
+                f"{source}: min_{name} {low:g} is above max_{name} {high:g}; no pair can fit"
+            )
+    return settings

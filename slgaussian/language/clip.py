@@ -1,0 +1,244 @@
+"""The encoder ``clip``: CLIP (Radford et al., ICML 2021) out of ``transformers``.
+
+Regions are encoded as LangSplat does, and so the paper: see :mod:`slgaussian.language.crops`. Texts
+are encoded as they are, without a template around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.language.crops import check_regions, region_crop
+from slgaussian.language.open_clip import load_open_clip
+from slgaussian.language.room import Surroundings
+from slgaussian.pretrained import (
+    OPEN_CLIP_CONFIG,
+    PREPROCESSOR,
+    Family,
+    ModelFiles,
+    find_model,
+    find_tokenizer,
+    load_pretrained,
+    load_tokenizer,
+    read_json,
+)
+
+MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
+"""Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
+
+CROPS = ("masked", "context")
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Regions and texts by CLIP, in one space of ``projection_dim`` axes (512 for a ViT-B).
+
+    The same input gives the same bytes on the same machine, whatever else is encoded with it:
+    texts go through the network one by one, regions ``batch`` by ``batch``, the last batch filled
+    up. Another batch changes vectors by about 1e-7.
+
+    Attributes
+    ----------
+    model : path or str
+        Folder, name on the Hugging Face hub, or a checkpoint of open_clip, file or folder. The
+        default is the model of LangSplat and the paper.
+    tokenizer : path or str, optional
+        Folder, or name on the hub, of the tokenizer, if it is not beside the model.
+    crops : "masked" or "context"
+        ``masked`` shows a region alone on black. Walls and such say little without their
+        surroundings: ``context`` is the mean of that vector and of the whole bounding box's, made a
+        unit vector again. Twice the time, and not what the paper does.
+    batch : int
+        Regions encoded together; memory goes with it.
+    precision : "float32" or "bfloat16"
+        Of the image tower on a CPU; elsewhere it is always bfloat16. Where the CPU has bfloat16 it
+        is a third of the time, and cosines change by up to 1e-3; where not, it is slower.
+    device : str
+        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu".
+
+    Raises
+    ------
+    InputError
+        If a setting is none of these, there is no tokenizer, it belongs to another model, or as
+        :func:`slgaussian.pretrained.load_pretrained`.
+    """
+
+    FAMILY: ClassVar[Family] = Family(
+        "clip", "CLIPModel", ("clip",), "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", load_open_clip
+    )
+    name: ClassVar[str] = "clip"
+    canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
+
+    model: str | Path = FAMILY.example
+    tokenizer: str | Path | None = None
+    crops: str = "masked"
+    batch: int = 4
+    precision: str = "float32"
+    device: str = "auto"
+    network: Any = field(init=False, repr=False)
+    _words: Any = field(init=False, repr=False)
+    _colours: tuple[torch.Tensor, torch.Tensor] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, choices in (("crops", CROPS), ("precision", PRECISIONS)):
+            if getattr(self, name) not in choices:
+                raise InputError(
+                    f"clip {name}: found {getattr(self, name)!r}, expected "
+                    f"{' or '.join(map(repr, choices))}"
+                )
+        if self.batch < 1:
+            raise InputError(f"clip batch: found {self.batch}, expected at least 1")
+        network = load_pretrained(self.model, self.FAMILY, self.device)
+        object.__setattr__(self, "network", network)
+        object.__setattr__(self, "_words", self._load_words())
+        object.__setattr__(self, "_colours", _colours(find_model(self.model)))
+
+    def encode_regions(
+        self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
+    ) -> np.ndarray:
+        """Unit vectors of regions.
+
+        Parameters
+        ----------
+        image : uint8 [H, W, 3]
+            sRGB.
+        masks : bool [M, H, W]
+            The regions, each with at least one pixel; they may overlap.
+        around : Surroundings, optional
+            Not looked at.
+
+        Returns
+        -------
+        float32 [M, C]
+
+        Raises
+        ------
+        InputError
+            If image and masks do not match, or a mask is empty.
+        """
+        check_regions(self.name, image, masks)
+        vectors = [
+            self._pictures(image, masks[start : start + self.batch])
+            for start in range(0, len(masks), self.batch)
+        ]
+        return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
+
+    def encode_text(self, texts: Sequence[str]) -> np.ndarray:
+        """Unit vectors float32 [Q, C] of texts.
+
+        Raises
+        ------
+        InputError
+            If a text is empty, longer than the model reads, or cannot be read at all.
+        """
+        vectors = [self._text(text) for text in texts]
+        return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """None: any word has a vector, though a rare one may mean little to the model."""
+        return ()
+
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """None: words are what they are."""
+        return {}
+
+    @property
+    def _width(self) -> int:
+        return self.network.config.projection_dim
+
+    @torch.inference_mode()
+    def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        """Unit vectors of at most ``batch`` regions."""
+        side = self.network.config.vision_config.image_size
+        kinds = (False,) if self.crops == "masked" else (False, True)
+        total = np.zeros((len(masks), self._width))
+        for context in kinds:
+            pixels = np.zeros((self.batch, side, side, 3), np.uint8)
+            for picture, mask in zip(pixels, masks, strict=False):
+                picture[:] = region_crop(image, mask, side, context)
+            mean, std = self._colours
+            values = (torch.from_numpy(pixels).permute(0, 3, 1, 2) / 255 - mean) / std
+            kind = self.network.device.type
+            reduced = kind != "cpu" or self.precision == "bfloat16"
+            with torch.autocast(kind, torch.bfloat16, enabled=reduced):
+                found = self.network.get_image_features(values.to(self.network.device))
+            total += _unit(found)[: len(masks)]
+        return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
+
+    @torch.inference_mode()
+    def _text(self, text: str) -> np.ndarray:
+        shown = text if len(text) <= 60 else text[:57] + "..."
+        if not text.strip():
+            raise InputError(f"query {shown!r}: is empty; describe an object, as in 'red ball'")
+        try:
+            tokens = self._words(text)["input_ids"]
+        except (TypeError, ValueError):  # halves of surrogate pairs, which no file can hold
+            raise InputError(f"query {shown!r}: is not valid text; write it anew") from None
+        most = self.network.config.text_config.max_position_embeddings
+        if len(tokens) > most:
+            raise InputError(
+                f"query {shown!r}: has {len(tokens)} tokens, but the model reads at most {most}; "
+                "say it in fewer words"
+            )
+        if self._words.eos_token_id in tokens[:-1]:
+            raise InputError(f"query {shown!r}: cannot be read by the tokenizer; use other words")
+        found = self.network.get_text_features(torch.tensor([tokens], device=self.network.device))
+        return _unit(found).astype(np.float32)
+
+    def _load_words(self) -> Any:
+        """The tokenizer, checked against the network."""
+        place = self.tokenizer
+        if place is None:
+            place = find_model(self.model).folder
+            try:
+                find_tokenizer(place)
+            except InputError:
+                raise InputError(
+                    f"model {self.model}: has no tokenizer beside it; put its tokenizer.json, or "
+                    "vocab.json and merges.txt, there, or say where they are, as in "
+                    f"--clip-tokenizer {self.FAMILY.example}"
+                ) from None
+        words = load_tokenizer(place, "CLIPTokenizer")
+        config = self.network.config.text_config
+        # 2 stands for the greatest token of a text in configurations older than this number.
+        ends = (config.eos_token_id, config.vocab_size - 1 if config.eos_token_id == 2 else None)
+        if words.eos_token_id not in ends or len(words) > config.vocab_size:
+            raise InputError(
+                f"tokenizer {place}: has {len(words)} tokens and ends texts with "
+                f"{words.eos_token_id}, but the model has {config.vocab_size} and reads up to "
+                f"{config.eos_token_id}; give the tokenizer of this model"
+            )
+        return words
+
+
+def _unit(found: Any) -> np.ndarray:
+    """Unit vectors float64 of what the network gives: from version 5 on, it says more as well."""
+    vectors = getattr(found, "pooler_output", found).double().cpu().numpy()
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _colours(found: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and deviation that colours are normalised by, each [3, 1, 1]."""
+    if found.checkpoint is None:
+        file, keys = found.folder / PREPROCESSOR, ("image_mean", "image_std")
+        said = read_json(file) if file.is_file() else {}
+    else:
+        file, keys = found.folder / OPEN_CLIP_CONFIG, ("mean", "std")
+        said = read_json(file).get("preprocess_cfg", {}) if file.is_file() else {}
+    given = [said.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
+    try:
+        mean, std = (torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in given)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(
+            f"{file}: {keys[0]} and {keys[1]} are {given[0]!r} and {given[1]!r}, expected three "
+            "numbers each; get it again"
+        ) from None
+    return mean, std

@@ -1,0 +1,83 @@
+"""The one pixel that stands for a region: the middle of where it is thickest."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numba
+import numpy as np
+
+
+def central_point(region: np.ndarray) -> tuple[int, int]:
+    """The pixel (x, y) = (column, row) of a region that lies deepest inside it.
+
+    In the largest 4-connected component of the bool [H, W] mask (the first in row-major order if
+    several are largest), the pixel whose Euclidean distance to the nearest pixel outside is
+    largest; the image ends at its edges. Ties go to the first pixel in row-major order.
+    """
+    x, y, w, h = cv2.boundingRect(region.view(np.uint8))
+    window = np.pad(region[y : y + h, x : x + w], 1).view(np.uint8)
+    _, components, stats, _ = cv2.connectedComponentsWithStats(window, connectivity=4)
+    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    row, column = _deepest(components == largest)
+    return int(column) + x - 1, int(row) + y - 1
+
+
+@numba.njit(cache=True)
+def _deepest(inside: np.ndarray) -> tuple[int, int]:
+    """First pixel, in row-major order, with the greatest distance to the nearest one outside.
+
+    What the exact distance transform would say, without most of it: distances are whole numbers
+    once squared, and from a pixel to the next they grow by 1 at most, so a pixel known to be too
+    near the outside rules out those beside it. ``inside`` [h, w] is False along its borders.
+    """
+    h, w = inside.shape
+    upright = np.zeros((h, w), np.int32)  # distance to the nearest pixel outside in the column
+    for i in range(1, h):
+        for j in range(w):
+            upright[i, j] = upright[i - 1, j] + 1 if inside[i, j] else 0
+    for i in range(h - 2, -1, -1):
+        for j in range(w):
+            upright[i, j] = min(upright[i, j], upright[i + 1, j] + 1)
+    # A first guess, halfway across the row that holds the highest column, is what others must beat.
+    guess = np.int64(0)
+    row, column = 0, 0
+    for i in range(h):
+        start = 0
+        for j in range(1, w):
+            if inside[i, j] and not inside[i, j - 1]:
+                start = j
+            if inside[i, j - 1] and not inside[i, j]:
+                middle = (start + j - 1) // 2
+                half = np.int64(min(upright[i, middle], middle - start + 1))
+                if half > guess:
+                    guess, row, column = half, i, middle
+    best = _squared_distance(upright[row], column) - 1
+    root = math.sqrt(best)
+    for i in range(h):
+        if not inside[i].any():
+            continue
+        j = 0
+        while j < w:
+            reach = np.float64(upright[i, j])
+            if reach > root:
+                squared = _squared_distance(upright[i], j)
+                reach = math.sqrt(squared)
+                if squared > best:
+                    best, root, row, column = squared, reach, i, j
+            j += 1 + max(0, int(root - reach - 1e-6))
+    return row, column
+
+
+@numba.njit(cache=True)
+def _squared_distance(upright: np.ndarray, column: int) -> int:
+    """To the nearest pixel outside, by its distances along every column of the pixel's row."""
+    nearest = np.int64(upright[column]) ** 2
+    step = np.int64(1)
+    while step * step < nearest:
+        for j in (column - step, column + step):
+            if 0 <= j < len(upright):
+                nearest = min(nearest, step * step + np.int64(upright[j]) ** 2)
+        step += 1
+    return nearest

@@ -1,0 +1,217 @@
+"""The ID code nearest to a value in L1 (paper, section 3.2), by a table over code space.
+
+The cube is cut into cells, and each knows the codes that are nearest to any point of it: mostly one
+code, and then no distance need be computed to know the answer.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from slgaussian.errors import InputError
+
+MOST_DIMENSIONS = 3
+
+LEVELS = {1: 12, 2: 7, 3: 5}
+"""How often the cube is halved along every axis, by the dimension: 4,096 to 32,768 cells, which
+stay in the cache of a core. More made the answers no faster."""
+
+SLACK = 1e-9
+"""By how much another code must be nearer everywhere in a cell for a code to be left out: far above
+what rounding does to a distance in float64, 1e-15, so that it cannot change the answer."""
+
+BEYOND = 1.0
+"""How far outside the cube the table serves. Farther out distances lose digits, and every code is
+compared, as the definition says."""
+
+
+class Lookup(NamedTuple):
+    """The codes and, for each cell, those that may be nearest in it.
+
+    Attributes
+    ----------
+    codes : float64 [N, 3]
+        Zero in the dimensions that the codes do not have.
+    cells : three of int
+        Cells along each axis.
+    starts : int32 [cells + 1]
+        Cell c has the candidates ``members[starts[c] : starts[c + 1]]``.
+    members : int32 [candidates]
+        Rows of ``codes``, ascending in each cell.
+    """
+
+    codes: np.ndarray
+    cells: tuple[int, int, int]
+    starts: np.ndarray
+    members: np.ndarray
+
+
+def make_lookup(codes: np.ndarray) -> Lookup:
+    """The table for ``codes`` float [N, D] in the cube [0, 1]^D, D from 1 to 3, N at least 1.
+
+    Raises
+    ------
+    InputError
+        If the shape is another, or a number is NaN or outside [0, 1].
+    """
+    codes = np.asarray(codes)
+    if codes.ndim != 2 or not 1 <= codes.shape[1] <= MOST_DIMENSIONS or len(codes) == 0:
+        raise InputError(
+            f"nearest code: found codes {codes.shape}, expected [N, D] with N at least 1 and D "
+            f"from 1 to {MOST_DIMENSIONS}"
+        )
+    bad = ~((codes >= 0) & (codes <= 1)).all(1)
+    if bad.any():
+        raise InputError(
+            f"nearest code: codes at index {int(bad.argmax())} are {codes[bad.argmax()].tolist()}, "
+            "expected numbers in [0, 1]"
+        )
+    n, dimension = codes.shape
+    padded = np.zeros((n, MOST_DIMENSIONS))
+    padded[:, :dimension] = codes
+    axes = np.arange(MOST_DIMENSIONS) < dimension
+    cells = np.ones(MOST_DIMENSIONS, np.int64)
+    starts, members = np.array([0, n], np.int32), np.arange(n, dtype=np.int32)
+    for _ in range(LEVELS[dimension]):
+        cells = np.where(axes, 2 * cells, 1)
+        none = np.empty(0, np.int32)
+        counts = _divide(padded, cells, axes, starts, members, none, none)
+        divided = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        kept = np.empty(divided[-1], np.int32)
+        _divide(padded, cells, axes, starts, members, divided, kept)
+        starts, members = divided, kept
+    return Lookup(padded, tuple(cells.tolist()), starts, members)
+
+
+def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """Index of the code nearest to each value in L1 distance; ties go to the lowest index.
+
+    Parameters
+    ----------
+    values : float [..., D]
+        Rendered codes. They may lie outside the cube.
+    codes : float [N, D]
+        In [0, 1], D from 1 to 3.
+
+    Returns
+    -------
+    int32 [...]
+        Indices into ``codes``, what comparing with every code in float64 gives.
+
+    Raises
+    ------
+    InputError
+        If there are no codes, shapes do not fit, a code is outside [0, 1], or a number is NaN or
+        infinite: a value that is not a number is near no code.
+    """
+    values, codes = np.asarray(values), np.asarray(codes)
+    lookup = make_lookup(codes)
+    if values.shape[-1:] != codes.shape[1:]:
+        raise InputError(
+            f"nearest code: found values {values.shape} and codes {codes.shape}, expected "
+            f"[..., {codes.shape[1]}]"
+        )
+    bad = ~np.isfinite(values).all(-1)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(f"nearest code: values at index {where} hold NaN or infinity")
+    flat = np.zeros((bad.size, MOST_DIMENSIONS))
+    flat[:, : codes.shape[1]] = values.reshape(-1, codes.shape[1])
+    found = np.empty(len(flat), np.int32)
+    _find(flat, lookup, found)
+    return found.reshape(values.shape[:-1])
+
+
+@numba.njit(cache=True)
+def _divide(codes, cells, axes, starts, members, divided, kept):
+    """Pass the candidates of each cell on to those of its halves that they may be nearest in.
+
+    With ``divided`` empty, count them: int64 a new cell; else write them to ``kept`` where it says.
+    """
+    counts = np.zeros(cells[0] * cells[1] * cells[2], np.int64)
+    low, high, place = np.zeros(3), np.zeros(3), np.empty(3, np.int64)
+    for x in range(cells[0]):
+        for y in range(cells[1]):
+            for z in range(cells[2]):
+                cell = (x * cells[1] + y) * cells[2] + z
+                place[0], place[1], place[2] = x, y, z
+                parent = 0
+                for k in range(3):
+                    if axes[k]:
+                        low[k], high[k] = place[k] / cells[k], (place[k] + 1) / cells[k]
+                        parent = parent * (cells[k] // 2) + place[k] // 2
+                first, last = starts[parent], starts[parent + 1]
+                best, middle = np.inf, 0
+                for m in range(first, last):
+                    code = codes[members[m]]
+                    d = 0.0
+                    for k in range(3):
+                        d += abs((low[k] + high[k]) / 2 - code[k])
+                    if d < best:
+                        best, middle = d, members[m]
+                for m in range(first, last):
+                    if _may_win(codes[members[m]], codes[middle], low, high):
+                        if len(divided):
+                            kept[divided[cell] + counts[cell]] = members[m]
+                        counts[cell] += 1
+    return counts
+
+
+@numba.njit(cache=True)
+def _may_win(code, other, low, high):
+    """Whether ``code`` may be as near as ``other`` to some point between ``low`` and ``high``.
+
+    Along an axis ``|x - other| - |x - code|`` is monotonous: its greatest value is at an end.
+    """
+    lead = 0.0
+    for k in range(3):
+        at_low = abs(low[k] - other[k]) - abs(low[k] - code[k])
+        at_high = abs(high[k] - other[k]) - abs(high[k] - code[k])
+        lead += max(at_low, at_high)
+    return lead >= -SLACK
+
+
+@numba.njit(cache=True, inline="always")
+def find(x, y, z, codes, across, down, deep, starts, members):
+    """Row of the code nearest to a value, and its distance, float64; zeros past the dimension.
+
+    The arguments after the value are a :class:`Lookup` taken apart, its cells one by one: Numba
+    counts references to what it takes out of a tuple, each time.
+
+    Outside the cube an axis adds one distance to all codes, so the nearest cell has the answer.
+    """
+    best, row = np.inf, np.uint32(0)
+    if max(abs(x - 0.5), abs(y - 0.5), abs(z - 0.5)) <= 0.5 + BEYOND:
+        # Unsigned, so that Numba does not look for indices that count from the end.
+        i = np.uint32(min(max(x * across, 0.0), across - 1.0))
+        j = np.uint32(min(max(y * down, 0.0), down - 1.0))
+        k = np.uint32(min(max(z * deep, 0.0), deep - 1.0))
+        cell = (i * np.uint32(down) + j) * np.uint32(deep) + k
+        for m in range(np.uint32(starts[cell]), np.uint32(starts[cell + 1])):
+            candidate = np.uint32(members[m])
+            d = distance(x, y, z, codes, candidate)
+            if d < best:
+                best, row = d, candidate
+    else:
+        for m in range(np.uint32(len(codes))):
+            d = distance(x, y, z, codes, m)
+            if d < best:
+                best, row = d, np.uint32(m)
+    return row, best
+
+
+@numba.njit(cache=True, inline="always")
+def distance(x, y, z, codes, row):
+    """L1 distance of a value from a code, summed in the order of the axes."""
+    return abs(x - codes[row, 0]) + abs(y - codes[row, 1]) + abs(z - codes[row, 2])
+
+
+@numba.njit(cache=True, parallel=True)
+def _find(values, lookup, found):
+    codes, (across, down, deep), starts, members = lookup
+    for i in numba.prange(len(values)):
+        x, y, z = values[i]
+        found[i], _ = find(x, y, z, codes, across, down, deep, starts, members)

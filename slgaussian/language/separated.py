@@ -1,0 +1,285 @@
+"""ID codes placed so that what mixes at a border does not read as a third object.
+
+Compositing at the border of objects a and b gives ``(1 - s) a + s b``. On its way from code a to
+code b that value is nearest to a, then to b, if and only if no other code lies within the L1 ball
+that has a and b on opposite sides: centre ``m = (a + b) / 2``, radius ``r = |a - b| / 2``. (At s
+below one half it is s |a - b| from a. A code c with |m - c| >= r is at least r - (1/2 - s) |a - b|
+= s |a - b| away. The other half is alike.) So objects that touch should have codes with room
+between them, which often means close ones, and which object gets which code is searched for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numba
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
+from slgaussian.language.codes import check_dimension, count_objects
+from slgaussian.language.nearest import nearest_code
+from slgaussian.simd import LANES, vabs, vload, vsum, vwhere, vzero
+
+GAPS = (1, 2, 4, 8, 16)
+"""Objects that are so many pixels apart, along rows or columns, are neighbours; they count by one
+over the square. What is not in touch in any given view may be in another: a step to the side moves
+what is in front of what."""
+
+MARGIN = 1.2
+"""Codes are kept out of the ball between two neighbours' codes times this: other neighbours, not
+given, and noise take their part too."""
+
+MOVES_PER_OBJECT = 1000
+MOST_COMPARISONS = 6e7
+"""Moves tried, and the bound on moves times pairs of neighbours: half a second at most."""
+
+HEAT = (1e-3, 1e-6)
+"""Temperature at the start and the end of the search, as a share of the crowding at the start."""
+
+SHARES = 16
+"""Mixtures of two neighbours that are looked at to say how many read as a third object."""
+
+
+class Pairs(NamedTuple):
+    """Objects that are near each other in some view.
+
+    Attributes
+    ----------
+    rows : int64 [E, 2]
+        Places in the ascending ids, the smaller first.
+    weights : float64 [E]
+        How much border they share; they sum to 1.
+    """
+
+    rows: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class Separated:
+    """Every second point of a grid, as on a chessboard, given to objects by simulated annealing.
+
+    Such points are farther from each other in L1 than as many of the whole grid. For as few objects
+    as the cube has corners, the corners.
+
+    Attributes
+    ----------
+    dimension : 1, 2, 3 or "auto"
+        Numbers a code. "auto" takes the fewest with which at most ``error`` of the mixtures of
+        neighbours read as a third object, and three if none do.
+    error : float
+        See ``dimension``; a share from 0 to 1, of mixtures and not of pixels.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of its range.
+    """
+
+    dimension: int | Literal["auto"] = 3
+    error: float = 0.01
+
+    def __post_init__(self) -> None:
+        if self.dimension != "auto":
+            check_dimension(self.dimension)
+        if not 0 <= self.error <= 1:
+            raise InputError(f"code error: found {self.error}, expected a share from 0 to 1")
+
+    def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
+        """See :class:`slgaussian.language.CodeStrategy`."""
+        n = count_objects(label_maps)
+        pairs = neighbours(label_maps)
+        if self.dimension != "auto":
+            return place(n, pairs, self.dimension, rng)
+        for dimension in (1, 2, 3):
+            codes = place(n, pairs, dimension, rng)
+            if misread(codes, pairs) <= self.error:
+                break
+        return codes
+
+
+def neighbours(label_maps: LabelMaps) -> Pairs:
+    """Which objects come near each other, in any view; see :data:`GAPS`."""
+    ids = label_maps.ids
+    rows = np.searchsorted(ids, label_maps.labels)
+    rows[label_maps.labels == 0] = -1
+    keys, weights = [np.empty(0, np.int64)], [np.empty(0)]
+    for gap in GAPS:
+        for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
+            meet = (a != b) & (a >= 0) & (b >= 0)
+            a, b = a[meet], b[meet]
+            found, counts = np.unique(
+                np.minimum(a, b) * len(ids) + np.maximum(a, b), return_counts=True
+            )
+            keys.append(found)
+            weights.append(counts / gap**2)
+    found, place_of = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.bincount(place_of, np.concatenate(weights), len(found))
+    pairs = np.stack([found // max(len(ids), 1), found % max(len(ids), 1)], 1)
+    return Pairs(pairs, total / max(total.sum(), 1e-300))
+
+
+def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.ndarray:
+    """Codes float32 [n, dimension] for objects with these neighbours, distinct points in [0, 1]."""
+    points = _points(n, dimension)
+    taken = rng.permutation(len(points))[:n]
+    weight = pairs.weights
+    moves = int(min(MOVES_PER_OBJECT * n, MOST_COMPARISONS / max(len(weight), 1)))
+    if n > 2 and len(weight):
+        first = np.argsort(pairs.rows.ravel(), kind="stable")
+        starts = np.searchsorted(pairs.rows.ravel()[first], np.arange(n + 1))
+        padded = np.zeros((len(points), 3), np.float32)
+        padded[:, :dimension] = points
+        _anneal(
+            padded, taken, pairs.rows, weight.astype(np.float32), starts, first // 2,
+            rng.integers(n, size=moves), rng.integers(len(points), size=moves),
+            rng.random(moves), HEAT[0], HEAT[1],
+        )  # fmt: skip
+    return points[taken].astype(np.float32)
+
+
+def misread(codes: np.ndarray, pairs: Pairs) -> float:
+    """Share of all mixtures of two neighbours whose nearest code is a third object's.
+
+    Each pair counts by its weight, and each share of the one in the other alike.
+    """
+    a, b = pairs.rows.T
+    shares = ((np.arange(SHARES) + 0.5) / SHARES)[:, None, None]
+    found = nearest_code((1 - shares) * codes[a] + shares * codes[b], codes)
+    return float((((found != a) & (found != b)) * pairs.weights).sum() / SHARES)
+
+
+def _points(n: int, dimension: int) -> np.ndarray:
+    """At least ``n`` points of [0, 1]^dimension, float64, of the coarsest grid that has them."""
+    side = 1
+    while True:
+        side += 1
+        grid = np.stack(np.indices((side,) * dimension), -1).reshape(-1, dimension)
+        # Between no two corners of the cube is there a third, so few objects get corners.
+        if dimension > 1 and side > 2:
+            grid = grid[grid.sum(1) % 2 == 0]
+        if len(grid) >= n:
+            return grid / (side - 1)
+
+
+@numba.njit(cache=True)
+def _anneal(points, taken, pairs, weights, starts, touching, movers, targets, luck, hot, cold):
+    """Move objects to free points, or swap two, so that balls between neighbours get emptier.
+
+    ``taken`` [n], the point of each object, is changed in place. The pairs of object i are
+    ``touching[starts[i] : starts[i + 1]]``.
+    """
+    n, count = len(taken), len(pairs)
+    owners = np.full(len(points), -1, np.int64)
+    # Coordinates one after the other, filled up to whole vectors with codes far from all balls and
+    # balls that weigh nothing.
+    room, balls_room = -(-n // LANES) * LANES, -(-count // LANES) * LANES
+    codes = np.full((3, room), np.float32(1e6))
+    balls = np.zeros((5, balls_room), np.float32)  # centre, 1 / (radius times MARGIN), weight
+    for i in range(n):
+        owners[taken[i]] = i
+        codes[:, i] = points[taken[i]]
+    balls[4, :count] = weights
+    for e in range(count):
+        _blow(e, pairs, codes, balls)
+    start = np.float32(0)
+    for e in range(count):
+        start += weights[e] * _crowd(e, codes, balls)
+    for step in range(len(movers)):
+        i, target = movers[step], targets[step]
+        j, source = owners[target], taken[i]
+        if j == i:
+            continue
+        before = _part(i, j, pairs, starts, touching, codes, balls)
+        _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls)
+        if j >= 0:
+            _move(j, source, points, taken, owners, pairs, starts, touching, codes, balls)
+        else:
+            owners[source] = -1
+        worse = _part(i, j, pairs, starts, touching, codes, balls) - before
+        heat = start * hot * (cold / hot) ** (step / len(movers))
+        if worse > 0 and luck[step] >= np.exp(-worse / heat):
+            _move(i, source, points, taken, owners, pairs, starts, touching, codes, balls)
+            if j >= 0:
+                _move(j, target, points, taken, owners, pairs, starts, touching, codes, balls)
+            else:
+                owners[target] = -1
+
+
+@numba.njit(cache=True)
+def _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls):
+    taken[i], owners[target] = target, i
+    codes[:, i] = points[target]
+    for at in range(starts[i], starts[i + 1]):
+        _blow(touching[at], pairs, codes, balls)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _blow(e, pairs, codes, balls):
+    """Make the ball of pair ``e`` anew; half way through a swap it may be a point."""
+    a, b = pairs[e]
+    radius = np.float32(0)
+    for k in range(3):
+        balls[k, e] = np.float32(0.5) * (codes[k, a] + codes[k, b])
+        radius += np.float32(0.5) * abs(codes[k, a] - codes[k, b])
+    balls[3, e] = np.float32(1) / (radius * np.float32(MARGIN))
+
+
+@numba.njit(cache=True)
+def _crowd(e, codes, balls):
+    """How deep all codes are in the ball of pair ``e``: 1 in the middle, 0 at the edge and outside.
+
+    Those of the pair itself count too, the same wherever they are.
+    """
+    x, y, z, inverse = balls[0, e], balls[1, e], balls[2, e], balls[3, e]
+    flat, room, total = codes.ravel(), codes.shape[1], vzero()
+    for c in range(0, room, LANES):
+        far = vabs(vload(flat, c) - x) + vabs(vload(flat, room + c) - y)
+        far = far + vabs(vload(flat, 2 * room + c) - z)
+        deep = np.float32(1) - far * inverse
+        total = total + vwhere(deep > np.float32(0), deep, np.float32(0))
+    return vsum(total)
+
+
+@numba.njit(cache=True)
+def _deep(e, i, codes, balls):
+    far = abs(codes[0, i] - balls[0, e]) + abs(codes[1, i] - balls[1, e])
+    far += abs(codes[2, i] - balls[2, e])
+    return max(np.float32(0), np.float32(1) - far * balls[3, e])
+
+
+@numba.njit(cache=True)
+def _part(i, j, pairs, starts, touching, codes, balls):
+    """The part of the weighted crowding that depends on the codes of i and j; j may be -1."""
+    total = _everywhere(i, codes, balls)
+    if j >= 0:
+        total += _everywhere(j, codes, balls)
+    for which, k in enumerate((i, j)):
+        if k < 0:
+            continue
+        for at in range(starts[k], starts[k + 1]):
+            e = touching[at]
+            if which == 1 and (pairs[e, 0] == i or pairs[e, 1] == i):
+                continue
+            # All codes in this ball, but those that were counted above.
+            crowd = _crowd(e, codes, balls) - _deep(e, i, codes, balls)
+            if j >= 0:
+                crowd -= _deep(e, j, codes, balls)
+            total += balls[4, e] * crowd
+    return total
+
+
+@numba.njit(cache=True)
+def _everywhere(i, codes, balls):
+    """How deep the code of i is in all balls, by their weights."""
+    x, y, z = codes[0, i], codes[1, i], codes[2, i]
+    flat, room, total = balls.ravel(), balls.shape[1], vzero()
+    for e in range(0, room, LANES):
+        far = vabs(vload(flat, e) - x) + vabs(vload(flat, room + e) - y)
+        far = far + vabs(vload(flat, 2 * room + e) - z)
+        deep = np.float32(1) - far * vload(flat, 3 * room + e)
+        deep = vwhere(deep > np.float32(0), deep, np.float32(0))
+        total = total + deep * vload(flat, 4 * room + e)
+    return vsum(total)

@@ -1,0 +1,295 @@
+"""The semantic branch: from code images to the feature of every Gaussian (paper, section 3.1).
+
+A convolution, residual blocks that each halve the resolution (He et al. 2016), up-sampling back,
+all added to the input, then an MLP for each pixel, whose output is the feature of the Gaussians
+that come from it. The last layers start at zero, so that an untrained branch is the control
+without a network, :class:`slgaussian.semantic.hard.HardIndex`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.torch
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.semantic.code_images import code_images
+from slgaussian.semantic.others import Others, find_others
+
+SHIPPED = Path(__file__).parent / "weights" / "branch.safetensors"
+"""Weights that come with the package."""
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What a branch is made of; weights of one do not fit another.
+
+    Attributes
+    ----------
+    widths : tuple of int
+        Channels at full resolution, then after each residual block, at half of it, a quarter ...
+        Without any there are no convolutions: the MLP gets the input itself.
+    hidden : int
+        Of the MLP's one hidden layer.
+    others : bool
+        Whether it also sees what other views say about each pixel
+        (:mod:`slgaussian.semantic.others`). The paper's does not.
+    dimension : int
+        Numbers an ID code.
+    """
+
+    widths: tuple[int, ...] = (16, 24, 32)
+    hidden: int = 32
+    others: bool = True
+    dimension: int = 3
+
+    @property
+    def channels(self) -> int:
+        """Of the input: code times weight, the weight, and as much from others, and how near."""
+        own = self.dimension + 1
+        return 2 * own + 1 if self.others else own
+
+
+class Branch(nn.Module):
+    """The network.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    seed : int
+        Decides the weights at the start; the same seed gives the same weights.
+    """
+
+    def __init__(self, architecture: Architecture, seed: int = 0) -> None:
+        super().__init__()
+        self.architecture = architecture
+        channels, hidden = architecture.channels, architecture.hidden
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.convolutions = _Convolutions(channels, architecture.widths)
+            self.first = nn.Conv2d(channels, hidden, 1)
+            self.last = nn.Conv2d(hidden, architecture.dimension + 1, 1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Features float [V, H, W, D + 1] of input images float [V, H, W, C], of any size.
+
+        C is :attr:`Architecture.channels`, D + 1 of them the view's own. Features are linear
+        shares of light like any other, and not held to [0, 1].
+        """
+        own = self.architecture.dimension + 1
+        stacked = images.permute(0, 3, 1, 2)
+        mixed = stacked + self.convolutions(stacked)
+        features = mixed[:, :own] + self.last(F.relu(self.first(mixed)))
+        return features.permute(0, 2, 3, 1)
+
+
+class _Convolutions(nn.Module):
+    def __init__(self, channels: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.stem = nn.Conv2d(channels, widths[0], 3, padding=1) if widths else None
+        pairs = list(pairwise(widths))
+        self.down = nn.ModuleList(_HalvingBlock(*pair) for pair in pairs)
+        self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairs)
+        self.head = nn.Conv2d(widths[0], channels, 1) if widths else None
+        if self.head is not None:
+            nn.init.zeros_(self.head.weight)
+            nn.init.zeros_(self.head.bias)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor | float:
+        if self.stem is None:
+            return 0.0
+        levels = [F.relu(self.stem(images))]
+        for block in self.down:
+            levels.append(block(levels[-1]))
+        found = levels.pop()
+        for lateral, finer in zip(reversed(self.up), reversed(levels), strict=True):
+            found = finer + F.interpolate(lateral(found), finer.shape[-2:], mode="bilinear")
+        return self.head(found)
+
+
+class _HalvingBlock(nn.Module):
+    """A residual block that halves the resolution, odd sizes rounded up."""
+
+    def __init__(self, before: int, after: int) -> None:
+        super().__init__()
+        self.one = nn.Conv2d(before, after, 3, stride=2, padding=1)
+        self.two = nn.Conv2d(after, after, 3, padding=1)
+        self.past = nn.Conv2d(before, after, 1)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        # Not a 1x1 convolution of stride 2: oneDNN's backward, channels last, corrupts the heap.
+        halved = F.avg_pool2d(images, 2, ceil_mode=True)
+        return F.relu(self.past(halved) + self.two(F.relu(self.one(images))))
+
+
+class BranchLifting:
+    """The lifting by a trained branch.
+
+    Parameters
+    ----------
+    weights : path, optional
+        A file that :func:`save_branch` wrote; by default that which comes with the package.
+
+    Raises
+    ------
+    InputError
+        If the file is not there, damaged or of another architecture.
+    """
+
+    def __init__(self, weights: str | Path | None = None) -> None:
+        if weights is None and not SHIPPED.is_file():
+            raise InputError(
+                "lifting 'branch': no weights come with this install; train some with "
+                "`slgaussian train` and give the file, or choose the lifting 'hard'"
+            )
+        self._branch = load_branch(weights or SHIPPED)
+
+    def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
+        """See :class:`slgaussian.semantic.Lifting`; InputError for a bank of other codes."""
+        return lift(self._branch, gaussians, label_maps.labels, bank.ids, bank.codes)
+
+
+def lift(
+    branch: Branch, gaussians: Gaussians, labels: np.ndarray, ids: np.ndarray, codes: np.ndarray
+) -> Gaussians:
+    """The Gaussians with the features that a branch gives them, without gradients.
+
+    Parameters
+    ----------
+    branch : Branch
+    gaussians : Gaussians
+    labels : int32 [V, H, W]
+        Of the context views.
+    ids, codes : int32 [N], float32 [N, D]
+        The ID code of each object.
+
+    Raises
+    ------
+    InputError
+        If codes have another dimension than the branch was trained for.
+    """
+    architecture = branch.architecture
+    if codes.shape[1] != architecture.dimension:
+        raise InputError(
+            f"lifting 'branch': found codes of {codes.shape[1]} numbers, expected "
+            f"{architecture.dimension}, which its weights were trained for; choose such codes, or "
+            "the lifting 'hard'"
+        )
+    others = find_others(gaussians, labels.shape) if architecture.others else None
+    images = torch.from_numpy(input_images(labels, ids, codes, others))
+    with torch.no_grad():
+        return replace(gaussians, features=features_of(branch, images, gaussians.source.long()))
+
+
+def input_images(
+    labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: Others | None
+) -> np.ndarray:
+    """What a branch looks at, float32 [V, H, W, C]; ``others`` if its architecture wants them."""
+    own = code_images(labels, ids, codes)
+    return own if others is None else np.concatenate([own, others.images(own)], -1)
+
+
+def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
+    """The feature of each Gaussian, float32 [N, D + 1]: that of its source pixel, int64 [N]."""
+    return branch(images).flatten(0, 2).index_select(0, source)
+
+
+def save_branch(branch: Branch) -> bytes:
+    """The weights and the architecture as a safetensors file; the same branch, the same bytes."""
+    tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
+    return encode_tensors(tensors, {"architecture": asdict(branch.architecture)})
+
+
+def load_branch(path: str | Path, expected: Architecture | None = None) -> Branch:
+    """Read what :func:`save_branch` wrote, ready to infer.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no branch, or is not of the ``expected`` architecture.
+    """
+    tensors, about = read_tensors(path)
+    return branch_of(tensors, about, path, expected)
+
+
+def branch_of(
+    tensors: Mapping[str, torch.Tensor],
+    about: Mapping[str, Any],
+    path: str | Path,
+    expected: Architecture | None = None,
+) -> Branch:
+    """The branch of named tensors; see :func:`load_branch`."""
+    try:
+        given = about["architecture"]
+        architecture = Architecture(**{**given, "widths": tuple(given["widths"])})
+    except (KeyError, TypeError):
+        raise InputError(
+            f"weights {path}: does not say which branch it is of, expected a file that "
+            "`slgaussian train` wrote"
+        ) from None
+    if expected is not None and architecture != expected:
+        raise InputError(
+            f"weights {path}: is of another architecture ({_differences(architecture, expected)}); "
+            "train with that one, or begin without these weights"
+        )
+    with torch.device("meta"):
+        branch = Branch(architecture)
+    try:
+        branch.load_state_dict(dict(tensors), assign=True)
+    except RuntimeError as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise InputError(
+            f"weights {path}: tensors are not those of the architecture that it says it is of "
+            f"({reason}); train again"
+        ) from None
+    return branch.eval()
+
+
+def encode_tensors(tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any]) -> bytes:
+    """A safetensors file; ``about`` is plain data that is kept with it."""
+    # One entry only: several are written in an order that differs from run to run.
+    note = {"slgaussian": json.dumps(about, sort_keys=True)}
+    return safetensors.torch.save(dict(sorted(tensors.items())), note)
+
+
+def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Inverse of :func:`encode_tensors`; ``about`` is empty in files made elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is damaged.
+    """
+    try:
+        with safetensors.safe_open(path, "pt") as file:
+            note = (file.metadata() or {}).get("slgaussian", "{}")
+            return {name: file.get_tensor(name) for name in file.keys()}, json.loads(note)  # noqa: SIM118
+    except (OSError, safetensors.SafetensorError, ValueError) as error:
+        raise InputError(
+            f"weights {path}: cannot be read ({error}); expected a safetensors file that "
+            "`slgaussian train` wrote"
+        ) from None
+
+
+def _differences(found: Architecture, expected: Architecture) -> str:
+    mine, theirs = asdict(found), asdict(expected)
+    return ", ".join(
+        f"{name} {mine[name]} instead of {theirs[name]}"
+        for name in mine
+        if mine[name] != theirs[name]
+    )

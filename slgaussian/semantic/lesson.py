@@ -1,0 +1,113 @@
+"""A lesson: what the semantic branch learns from, and what liftings are judged by.
+
+The base Gaussians of two or more context views, frozen, with labels of those views, and labels of
+other views of the same scene, which the rendered features should agree with (section 3.1 of the
+paper, and its Implementation Details).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.scene import Camera
+
+GEOMETRY = ("means", "scales", "quats", "opacities", "source")
+"""The arrays of the Gaussians that a lesson stores; labels have no use for colours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """One sample as the trainer takes it. ID codes are not in it: they are drawn whenever it is.
+
+    Attributes
+    ----------
+    sample : str
+        A name that no other sample has: its clip and frames. Random draws are seeded by it.
+    gaussians : Gaussians
+        Predicted from the context views; ``source`` is a flat index into ``labels``. Features are
+        not looked at, nor are colours, which are not stored.
+    labels : int32 [V, H, W]
+        Object ids of the context views, 0 unassigned.
+    cameras : tuple of T Camera
+        Of the target views, H x W pixels.
+    targets : int32 [T, H, W]
+        Object ids of the target views, the same ids as in ``labels``; 0 unassigned.
+
+    Raises
+    ------
+    InputError
+        If any of this does not hold; the message names the sample.
+    """
+
+    sample: str
+    gaussians: Gaussians
+    labels: np.ndarray
+    cameras: tuple[Camera, ...]
+    targets: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("labels", "targets"):
+            array = getattr(self, name)
+            if array.dtype != np.int32 or array.ndim != 3 or array.min(initial=0) < 0:
+                raise self._wrong(
+                    f"{name} are {array.dtype} {array.shape}, smallest {array.min(initial=0)}",
+                    "int32 of three dimensions from 0 on",
+                )
+        H, W = self.labels.shape[1:]
+        sizes = [(camera.height, camera.width) for camera in self.cameras]
+        if self.targets.shape != (len(sizes), H, W) or sizes != [(H, W)] * len(sizes):
+            raise self._wrong(
+                f"targets {self.targets.shape} and cameras of {sizes} for labels "
+                f"{self.labels.shape}",
+                "a target map for each camera, all of the size of the labels",
+            )
+        if not self.cameras:
+            raise self._wrong("no target view", "at least one")
+        source = self.gaussians.source
+        if len(source) and not 0 <= int(source.min()) <= int(source.max()) < self.labels.size:
+            raise self._wrong(
+                f"a Gaussian from pixel {int(source.min())} or {int(source.max())}",
+                f"pixels 0 to {self.labels.size - 1} of the context views",
+            )
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name, as ``data_specs/lesson.toml`` says."""
+        geometry = self.gaussians.to_arrays()
+        return {
+            "sample": np.array(self.sample),
+            **{name: geometry[name] for name in GEOMETRY},
+            "labels": self.labels,
+            "targets": self.targets,
+            "K": np.stack([camera.K for camera in self.cameras]),
+            "c2w": np.stack([camera.c2w for camera in self.cameras]),
+            "near_far": np.array([[c.near or 0, c.far or 0] for c in self.cameras], np.float64),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> Lesson:
+        """Inverse of :meth:`to_arrays`; the Gaussians come back without colours, sh [N, 0, 3]."""
+        geometry = {name: torch.from_numpy(np.array(arrays[name])) for name in GEOMETRY}
+        sh = torch.zeros(len(geometry["means"]), 0, 3)
+        H, W = arrays["targets"].shape[1:]
+        cameras = tuple(
+            Camera(K, c2w, W, H, near or None, far or None)
+            for K, c2w, (near, far) in zip(
+                arrays["K"], arrays["c2w"], arrays["near_far"].tolist(), strict=True
+            )
+        )
+        return Lesson(
+            str(arrays["sample"]),
+            Gaussians(**geometry, sh=sh),
+            arrays["labels"],
+            cameras,
+            arrays["targets"],
+        )
+
+    def _wrong(self, found: str, expected: str) -> InputError:
+        return InputError(f"lesson {self.sample!r}: found {found}, expected {expected}")

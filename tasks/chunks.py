@@ -1,0 +1,91 @@
+"""Chunks as inputs of stages: known by content, and read through one door."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from typing import Any
+
+import fsspec
+
+from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactStore
+from tasks.stage import CHANGED, StageCall
+
+SETTLED = 2.0
+"""Seconds after which a file's time stamp tells that it was changed: clocks of file systems tick
+this slowly, and a chunk may be written twice within a tick."""
+
+STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
+"""Where file systems of fsspec say which version of a file it is."""
+
+
+def digest_of(store: ArtifactStore, file: str) -> str:
+    """SHA-256 of a file's content, hexadecimal, read once for each path, size and time stamp.
+
+    The store remembers it under ``digests/``; a file changed within the last :data:`SETTLED`
+    seconds, or without a time stamp, is read every time.
+
+    Parameters
+    ----------
+    store : ArtifactStore
+    file : path or fsspec URL
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or the store not written.
+    """
+    fs, path = fsspec.core.url_to_fs(os.fspath(file))
+    try:
+        info = fs.info(path)
+        stamp = next((str(info[name]) for name in STAMPS if info.get(name) is not None), None)
+        known = {"path": str(file), "size": info.get("size"), "stamp": stamp}
+        uri = f"digests/{hashlib.sha256(str(file).encode()).hexdigest()}.json"
+        remembered = _remembered(store, uri)
+        if stamp is not None and remembered.items() >= known.items():
+            return remembered["sha256"]
+        with fs.open(path, "rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror or error})") from error
+    if "mtime" not in info or time.time() - info["mtime"] > SETTLED:
+        store.write(uri, json.dumps({**known, "sha256": digest}).encode())
+    return digest
+
+
+def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:
+    try:
+        found = json.loads(store.fs.cat_file(f"{store.path}/{uri}"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) and "sha256" in found else {}
+
+
+def read_chunk(store: ArtifactStore, call: StageCall) -> dict[str, re10k.Clip]:
+    """The clips of the chunk at ``where["chunk"]`` by key.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, two clips have one key, or it is no longer the one that
+        ``settings["chunk"]`` is the digest of.
+    """
+    file = call.where["chunk"]
+    clips: dict[str, re10k.Clip] = {}
+    for clip in re10k.read_chunk(file):
+        if clip.key in clips:
+            raise InputError(f"{file}: two clips have the key {clip.key!r}; give them their own")
+        clips[clip.key] = clip
+    if digest_of(store, file) != call.settings["chunk"]:
+        raise InputError(f"{file}: {CHANGED}")
+    return clips
+
+
+def left_out(scene: str, error: InputError) -> dict[str, str]:
+    """What ``meta["left_out"]`` of a stage's ref says of an item that it could not do."""
+    reason = " ".join(str(error).split())
+    return {"scene": scene, "kind": type(error).__name__, "reason": reason}

@@ -1,0 +1,153 @@
+"""Labels of the contexts and targets of all samples of a chunk, and the lessons they make."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+
+from data_specs import load_spec
+from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.masks import load_proposer, load_tracker
+from slgaussian.masks.associate import associate
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Sample
+from slgaussian.semantic.lesson import Lesson
+from slgaussian.store import ArtifactRef, ArtifactStore
+from tasks import masks
+from tasks.chunks import left_out, read_chunk
+from tasks.predictions import read_sample
+from tasks.stage import StageCall
+
+STAGE = "lessons"
+VERSION = 1000 * masks.VERSION + 1
+"""Raised with that of the stage that labels the views of a single scene."""
+
+SHEET_ROWS = 24
+"""Most samples on a contact sheet."""
+
+SHEET_SIDE = 144
+"""Pixels of a picture on it."""
+
+
+def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
+    """Spec ``lessons``. Inputs: pairs, predictions.
+
+    Settings: chunk (its SHA-256), size, near, far, proposer, tracker, replicas, and under the name
+    of a part its own. ``where["chunk"]`` is the chunk, ``where[part]`` the model or folder that the
+    part's settings hold the digest of. ``meta`` has the contact sheet's place in the store (spec
+    ``sheet``), seconds by part, and under ``left_out`` the samples that could not be done.
+    """
+    watch = _Watch()
+    with watch("read"):
+        clips = read_chunk(store, call)
+        samples = {row["sample"]: row for row in store.get(call.inputs["pairs"]).to_pylist()}
+    own = masks.own_settings(call)
+    name, tracker = call.settings["proposer"], call.settings["tracker"]
+    proposer = load_proposer(name, **own[name])
+    rows, bad, tiles = [], [], []
+    for made in store.get(call.inputs["predictions"]).to_pylist():
+        row = samples[made["sample"]]
+        with watch("read"):
+            ref = ArtifactRef("gaussians", made["uri"], made["digest"])
+            gaussians = Gaussians.from_arrays(store.get(ref))
+        try:
+            with watch("read"):
+                sample = read_sample(clips[row["clip"]], row, call.settings, targets=True)
+            with watch("depth"):
+                depths = _depths(sample, gaussians)
+            with watch("masks"):
+                views = (*sample.context, *sample.targets)
+                fresh = load_tracker(tracker, **own[tracker])
+                found = associate(views, proposer, fresh, call.settings["replicas"], depths)
+        except InputError as error:
+            bad.append(left_out(made["sample"], error))
+            continue
+        lesson = _lesson(sample, gaussians, found.labels)
+        with watch("write"):
+            ref = store.put("lesson", lesson.to_arrays())
+        rows.append({**_row(lesson, ref), "clip": row["clip"]})
+        if len(rows) <= SHEET_ROWS:
+            tiles += _tiles(sample, lesson)
+    parts, sheet = [row["uri"] for row in rows], None
+    if tiles:
+        with watch("sheet"):
+            columns = len(tiles) // min(len(rows), SHEET_ROWS)
+            png = encode_png(contact_sheet(tiles, SHEET_SIDE, columns))
+            sheet = store.put("sheet", {"png": np.frombuffer(png, np.uint8)})
+        parts.append(sheet.uri)
+    table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
+    meta = {"samples": len(rows), "left_out": bad, "parts": parts, "times": dict(watch.spent)}
+    if sheet is not None:
+        meta["sheet"] = {"uri": sheet.uri, "digest": sheet.digest}
+    return store.put("lessons", table, meta)
+
+
+def _depths(sample: Sample, gaussians: Gaussians) -> list[np.ndarray]:
+    """Of the contexts from the Gaussians that their pixels gave birth to, of targets rendered."""
+    nothing = torch.zeros(len(gaussians), 1)
+    rendered = [
+        # The mean would put a surface between what is before and behind an edge.
+        rasterize(gaussians, nothing, view.camera, median=True).median.numpy()
+        for view in sample.targets
+    ]
+    return [*source_depths(gaussians, [view.camera for view in sample.context]), *rendered]
+
+
+def _lesson(sample: Sample, gaussians: Gaussians, found: np.ndarray) -> Lesson:
+    count = len(sample.context)
+    labels, targets = found[:count], found[count:]
+    # What no context shows has no code: nothing could be learnt of it.
+    targets = np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
+    cameras = tuple(view.camera for view in sample.targets)
+    return Lesson(sample.scene, gaussians, labels, cameras, targets)
+
+
+def _row(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
+    ids, seen = np.unique(lesson.labels), np.unique(lesson.targets)
+    return {
+        "sample": lesson.sample,
+        "uri": ref.uri,
+        "digest": ref.digest,
+        "gaussians": len(lesson.gaussians),
+        "objects": int((ids > 0).sum()),
+        "shared": int((seen > 0).sum()),
+        "unlabelled_context": float((lesson.labels == 0).mean()),
+        "unlabelled_target": float((lesson.targets == 0).mean()),
+    }
+
+
+def _tiles(sample: Sample, lesson: Lesson) -> list[tuple[str, np.ndarray]]:
+    """A row of the contact sheet: each photograph, then its labels over it."""
+    tiles = []
+    views, labels = (*sample.context, *sample.targets), (*lesson.labels, *lesson.targets)
+    for number, (view, own) in enumerate(zip(views, labels, strict=True)):
+        role = "context" if number < len(sample.context) else "target"
+        caption = sample.scene if not number else f"{role} {view.name}"
+        without = f"{(own == 0).mean():.0%} without an id"
+        tiles += [(caption, view.image), (without, paint_labels(own, view.image))]
+    return tiles
+
+
+@dataclass
+class _Watch:
+    """Seconds spent by part."""
+
+    spent: Counter = field(default_factory=Counter)
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.spent[part] += time.perf_counter() - start

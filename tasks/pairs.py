@@ -1,0 +1,70 @@
+"""Which views of each clip of a chunk make a sample."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from data_specs import load_spec
+from slgaussian.datasets import re10k
+from slgaussian.datasets.pairs import Bounds, Views, choose
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactRef, ArtifactStore
+from tasks.chunks import left_out
+from tasks.stage import StageCall
+from tasks.views import ROW
+
+STAGE = "pairs"
+VERSION = 1
+
+
+def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
+    """Spec ``pairs``. Settings: bounds. Inputs: views.
+
+    The photographs are not read again. A clip that has no sample is named in ``meta["left_out"]``.
+    """
+    bounds = Bounds(**call.settings["bounds"])
+    rows: list[dict[str, Any]] = []
+    bad: list[dict[str, str]] = []
+    views = store.get(call.inputs["views"]).to_pylist()
+    for clip, own in groupby(views, key=lambda row: row["clip"]):
+        try:
+            rows += _samples(clip, list(own), bounds)
+        except InputError as error:
+            bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
+    table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
+    return store.put("pairs", table, {"samples": len(rows), "left_out": bad})
+
+
+def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:
+    def column(name: str) -> np.ndarray:
+        return np.array([view[name] for view in views], np.float64)
+
+    numbers = np.insert([[view[name] for name in ROW] for view in views], (4, 4), 0, axis=1)
+    cameras = [
+        re10k.camera_of(row, view["width"], view["height"])
+        for row, view in zip(numbers, views, strict=True)
+    ]
+    known = Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))
+    frames = [view["frame"] for view in views]
+    rows = []
+    for pair in choose(known, bounds):
+        context = [frames[i] for i in pair.context]
+        targets = [frames[i] for i in pair.targets]
+        rows.append(
+            {
+                "sample": f"{clip}_{context[0]:04d}_{context[1]:04d}",
+                "clip": clip,
+                "context_0": context[0],
+                "context_1": context[1],
+                **{f"target_{i}": frame for i, frame in enumerate(targets)},
+                "overlap": pair.overlap,
+                "baseline": pair.baseline,
+                "depth": pair.depth,
+                "score": pair.score,
+            }
+        )
+    return rows

@@ -1,0 +1,367 @@
+"""CLIP, named vectors and synonyms by command and by flow, with small random weights."""
+
+import importlib.util
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from flows import cli, pipeline
+from flows.settings import ClipTable, LexiconTable, NamedTable, Settings, make_settings, read_toml
+from slgaussian import datasets, threads
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.language.clip import Clip
+from slgaussian.pretrained import model_digest
+from slgaussian.store import ArtifactStore
+from tasks import geometry, masks, supervision
+from tasks.artifacts import sample_to_arrays
+from tasks.stage import StageCall
+
+ROOM = {
+    "name": "room",
+    "format": "procedural",
+    "options": {"seed": 1, "objects": 4, "views": 3},
+    "context": ["view_00", "view_02"],
+    "targets": ["view_01"],
+    "queries": ["red basket"],
+}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """At this size a thread more gains little, and on a busy machine it costs much."""
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+def small(name: str):
+    """A module of ``tests/language``."""
+    file = Path(__file__).parents[1] / "language" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory) -> Path:
+    return small("small_clip").save_clip(tmp_path_factory.mktemp("models") / "clip")
+
+
+@pytest.fixture(scope="module")
+def sentences(tmp_path_factory) -> Path:
+    """A sentence model that knows what a chesterfield is."""
+    return small("small_bert").save_bert(tmp_path_factory.mktemp("models") / "bert")
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory) -> Path:
+    """Two photographs of 64 x 64 pixels and their cameras."""
+    folder = tmp_path_factory.mktemp("photos")
+    scene = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
+    frames = []
+    for name in ("view_00", "view_02"):
+        camera = scene.cameras[name]
+        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
+        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 64, "h": 64}
+        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    return folder
+
+
+def run(monkeypatch, *words) -> int:
+    """Exit status of ``slgaussian WORDS``."""
+    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    return left.value.code or 0
+
+
+def said(capsys) -> str:
+    """The one sentence of an error."""
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    return error
+
+
+def sample():
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
+    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
+
+
+def settings_for(model: Path, out: Path, **own) -> Settings:
+    values = {"size": "64x64", "near": 0.8, "far": 12.0, "encoder": "clip", "replicas": 1}
+    table = {"model": str(model), **own}
+    return make_settings({**values, "clip": table, "scenes": [ROOM], "out": out}, "test")
+
+
+@pytest.fixture(scope="module")
+def made(model, photos, tmp_path_factory) -> Path:
+    """A field that ``slgaussian field`` built with CLIP."""
+    folder = tmp_path_factory.mktemp("made") / "field"
+    words = ["field", photos / "view_00.png", photos / "view_02.png", "--cameras", photos]
+    words += [
+        "--near",
+        "0.8",
+        "--far",
+        "12",
+        "--replicas",
+        "1",
+        "--encoder",
+        "clip",
+        "--clip-model",
+        model,
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        assert run(patch, *words, "--clip-crops", "context", "-o", folder) == 0
+    return folder
+
+
+def test_a_field_knows_its_model_by_content_and_where_it_was(made, model):
+    about = json.loads((made / "field.json").read_text())
+    assert about["settings"]["encoder"] == "clip"
+    assert about["settings"]["clip"] == {
+        "model": model_digest(model),
+        "tokenizer": None,
+        "crops": "context",
+        "batch": 4,
+        "precision": "float32",
+    }
+    assert about["places"] == {"model": str(model.resolve())}
+    assert str(model) not in json.dumps(about["settings"])
+    bank = SemanticField.load(made).bank
+    assert bank.features.shape[1:] == (2, 24)
+
+
+def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, tmp_path):
+    assert run(monkeypatch, "query", made, "red basket", "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert 0 < answer["score"] < 1 and answer["unknown"] == [] and answer["point"] is not None
+
+    # The model has moved: the field still draws, and is asked with the place.
+    moved = shutil.copytree(model, tmp_path / "moved")
+    about = json.loads((made / "field.json").read_text())
+    about["places"] = {"model": str(tmp_path / "gone")}
+    field = shutil.copytree(made, tmp_path / "field")
+    (field / "field.json").write_text(json.dumps(about))
+    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png") == 0
+    capsys.readouterr()
+    assert run(monkeypatch, "query", field, "red basket") == 2
+    sentence = said(capsys)
+    assert "encoder 'clip' needs its model, which is not stored with a field and is" in sentence
+    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --clip-model" in sentence
+    assert run(monkeypatch, "query", field, "red basket", "--json", "--clip-model", moved) == 0
+    assert json.loads(capsys.readouterr().out) == answer
+    assert run(monkeypatch, "query", field, "--list", "red", "box", "--clip-model", moved) == 0
+
+
+def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
+    other = shutil.copytree(model, tmp_path / "other")
+    config = json.loads((other / "config.json").read_text())
+    (other / "config.json").write_text(json.dumps({**config, "note": 1}))
+    assert run(monkeypatch, "query", made, "red", "--clip-model", other) == 2
+    assert f"model {other}: is not what the field was built with" in said(capsys)
+    assert run(monkeypatch, "query", made, "red", "--clip-model", "no/such/place") == 2
+    assert "model no/such/place: there is no such folder" in said(capsys)
+    assert run(monkeypatch, "query", made, "red", "--named-table", tmp_path / "x.npz") == 2
+    assert "settings of 'named' are given, but the field's encoder is 'clip'" in said(capsys)
+    assert run(monkeypatch, "query", made, "word " * 100) == 2
+    assert "tokens, but the model reads at most 77" in said(capsys)
+
+
+def test_from_python_too(model, tmp_path, monkeypatch):
+    own = {"clip": {"model": model}}
+    field = build_field(sample(), encoder="clip", replicas=1, settings=own)
+    camera = field.cameras["view_00"]
+    hit = field.render(camera).query("red basket")
+    field.save(tmp_path / "field")
+    assert field.settings["clip"] == {"model": model_digest(model)}
+    moved = shutil.copytree(model, tmp_path / "moved")
+    about = json.loads((tmp_path / "field" / "field.json").read_text())
+    (tmp_path / "field" / "field.json").write_text(json.dumps({**about, "places": {}}))
+    loaded = SemanticField.load(tmp_path / "field", encoder={"model": moved})
+    again = loaded.render(camera).query("red basket")
+    assert np.array_equal(again.scores, hit.scores)
+    silent = SemanticField.load(tmp_path / "field")
+    with pytest.raises(InputError, match="needs its model, which is not stored with a field; say"):
+        silent.render(camera).query("red basket")
+    with pytest.raises(InputError, match="settings of 'clip'"):
+        replace(loaded, places={**loaded.places, "weights": str(moved)}).encoder  # noqa: B018
+
+
+def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    place = tmp_path / f"models--{Clip.model.replace('/', '--')}"
+    (place / "refs").mkdir(parents=True)
+    (place / "refs" / "main").write_text("0" * 40)
+    shutil.copytree(model, place / "snapshots" / ("0" * 40))
+    field = build_field(sample(), encoder="clip", replicas=1)
+    assert field.settings["clip"] == {"model": model_digest(model)}
+    assert field.places == {"model": Clip.model}
+
+
+def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, capsys):
+    store = ArtifactStore(tmp_path / "store")
+    finished = pipeline.run(settings_for(model, tmp_path / "out"), store)
+    assert [result.scene for result in finished.results] == ["room"]
+    rows = finished.results[0].rows
+    assert all(row["score"] is not None for row in rows) and len(rows) >= 2
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert f"<dt>settings.clip.model</dt><dd>{model_digest(model)}</dd>" in page
+    assert "clip" in capsys.readouterr().err.splitlines()[0]
+
+    # The same model in another place: nothing is computed. Other crops: the bank is.
+    moved = shutil.copytree(model, tmp_path / "moved")
+    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    assert "room  benchmark  cached" in capsys.readouterr().err
+    pipeline.run(settings_for(moved, tmp_path / "third", crops="context"), store)
+    progress = capsys.readouterr().err
+    assert "room  masks  cached" in progress and "room  supervision  cached" not in progress
+    for file in Path(store.path).rglob("*"):
+        assert not file.is_file() or str(model).encode() not in file.read_bytes()
+
+
+def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path):
+    settings = settings_for(model, tmp_path)
+    scene = settings.scenes[0]
+    steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+    own = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
+    own["precision"] = "float32"
+    assert steps["supervision"].settings["clip"] == own == steps["field"].settings["clip"]
+    for stage in ("supervision", "benchmark"):
+        assert steps[stage].where == {"model": str(model.resolve())}
+    assert "clip" not in {**steps["geometry"].settings, **steps["masks"].settings}
+    plain = {step.stage: step for step in pipeline.plan(Settings(), scene)}
+    assert plain["supervision"].where == plain["benchmark"].where == {}
+    assert "clip" not in plain["field"].settings
+
+
+def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
+    store = ArtifactStore(tmp_path / "store")
+    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
+    inputs = {**inputs, "gaussians": geometry.run(store, made)}
+    named = {"proposer": "regions", "tracker": "flow", "replicas": 1}
+    inputs["labels"] = masks.run(store, StageCall("tasks.masks", named, inputs))
+    own = {"encoder": "clip", "codes": "grid", "seed": 0, "clip": {"model": model_digest(model)}}
+    call = StageCall("tasks.supervision", own, inputs, {"model": str(model)})
+    assert supervision.run(store, call).meta["objects"] >= 1
+    other = shutil.copytree(model, tmp_path / "other")
+    (other / "merges.txt").write_text((other / "merges.txt").read_text("utf-8") + "x y\n", "utf-8")
+    with pytest.raises(InputError, match="was changed after the run had begun"):
+        supervision.run(store, replace(call, where={"model": str(other)}))
+
+
+def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
+    """With true names, real masks and real depth, whatever is seen well is found."""
+    scene = datasets.load("procedural", seed=1, objects=4, views=3)
+    names = sorted(set(scene.phrases.values()))
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(len(names), 32)) + 1.7
+    np.savez(tmp_path / "names.npz", names=np.array(names), features=features)
+    config = tmp_path / "run.toml"
+    room = {key: value for key, value in ROOM.items() if key != "queries"}
+    config.write_text(
+        'size = "96x128"\nnear = 0.8\nfar = 12.0\nencoder = "named"\nreplicas = 1\nout = "out"\n'
+        'store = "store"\n[named]\ntable = "names.npz"\n[[scenes]]\n'
+        + "\n".join(f"{key} = {_toml(value)}" for key, value in room.items())
+    )
+    settings = read_toml(config, {})
+    finished = pipeline.run(settings, ArtifactStore(settings.store))
+    rows = finished.results[0].rows
+    assert len(rows) >= 4 and all(row["note"] == "" for row in rows)
+    assert np.mean([row["iou"] for row in rows]) > 0.4
+
+
+def test_words_are_taken_for_others_where_a_model_says_so(
+    photos, sentences, tmp_path, monkeypatch, capsys
+):
+    words = ["field", photos / "view_00.png", photos / "view_02.png", "--cameras", photos]
+    words += ["--near", "0.8", "--far", "12", "--replicas", "1", "-o", tmp_path / "field"]
+    assert run(monkeypatch, *words) == 0
+    ask = ["query", tmp_path / "field", "vermilion chesterfield"]
+    assert run(monkeypatch, *ask) == 2
+    capsys.readouterr()
+    # Regions do not depend on the model, so a field built without it can be asked with it.
+    assert run(monkeypatch, *ask, "--json", "--lexicon-synonyms", sentences) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {word: other for word, (other, _) in answer["taken_for"].items()} == {
+        "vermilion": "red",
+        "chesterfield": "sofa",
+    }
+    assert run(monkeypatch, *ask, "--lexicon-synonyms", sentences) == 0
+    assert "not known and taken for sofa: chesterfield (similarity 1.00)" in capsys.readouterr().out
+    assert run(monkeypatch, "query", tmp_path / "field", "red sofa", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["objects"] == answer["objects"]
+
+    # Built with it, the field finds it where it was, and says when it is another one.
+    assert run(monkeypatch, *words, "--lexicon-synonyms", sentences) == 0
+    capsys.readouterr()
+    assert run(monkeypatch, *ask, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["objects"] == answer["objects"]
+    other = shutil.copytree(sentences, tmp_path / "other")
+    (other / "vocab.txt").write_text((other / "vocab.txt").read_text() + "more\n")
+    assert run(monkeypatch, *ask, "--lexicon-synonyms", other) == 2
+    assert "is not what the field was built with" in said(capsys)
+
+
+def _toml(value) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return json.dumps(value)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--encoder", "clip", "--clip-model", "no/such/folder"], "there is no such folder"),
+        (["--encoder", "clip", "--clip-model", "CLIP", "--clip-crops", "x"], "crops: found 'x'"),
+        (["--encoder", "clip", "--clip-model", "CLIP", "--clip-batch", "0"], "batch: found 0"),
+        (["--clip-batch", "2"], "settings of 'clip' are given, but no part is 'clip'"),
+        (["--encoder", "named"], "named table: none given"),
+        (["--encoder", "named", "--named-table", "none.npz"], "named table none.npz: cannot be"),
+    ],
+)
+def test_a_run_that_cannot_be_does_not_begin(model, tmp_path, monkeypatch, capsys, words, sentence):
+    config = tmp_path / "run.toml"
+    config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    words = [model if word == "CLIP" else word for word in words]
+    assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
+    assert sentence in said(capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
+
+
+def test_files_beside_the_configuration_are_found_and_a_name_is_left(tmp_path):
+    (tmp_path / "clip.bin").touch()
+    config = tmp_path / "run.toml"
+    config.write_text(
+        '[clip]\nmodel = "clip.bin"\ntokenizer = "a/b"\n[named]\ntable = "n.npz"\n'
+        '[lexicon]\nsynonyms = "sentences"\n'
+    )
+    (tmp_path / "sentences").mkdir()
+    read = read_toml(config, {})
+    assert read.clip.model == str(tmp_path / "clip.bin")
+    assert read.clip.tokenizer == "a/b"
+    assert read.named.table == tmp_path / "n.npz"
+    assert read.lexicon.synonyms == str(tmp_path / "sentences")
+
+
+def test_defaults_are_those_of_the_encoder():
+    for name, value in ClipTable():
+        assert value == Clip.__dataclass_fields__[name].default
+    assert NamedTable().table is None
+    assert LexiconTable().synonyms is None

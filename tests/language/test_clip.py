@@ -1,0 +1,388 @@
+"""CLIP with random weights: what goes in and out is right, what it means is not.
+
+The models are made here and saved to a folder (``small_clip``); nothing is downloaded.
+"""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+import torch
+import transformers
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from small_clip import SIDE, WIDTH, clip_model, save_clip, save_tokenizer
+
+from slgaussian import threads
+from slgaussian.errors import InputError
+from slgaussian.language import load_encoder
+from slgaussian.language.clip import MEAN, STD
+from slgaussian.language.crops import region_crop
+from slgaussian.pretrained import model_digest, tokenizer_digest
+
+# Between float32 and float64, the largest difference in any unit vector here is 4e-7.
+NOISE = 1e-6
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    threads.share(threads.cores())
+    yield
+    threads.share()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return save_clip(tmp_path_factory.mktemp("clip") / "model")
+
+
+@pytest.fixture(scope="module")
+def clip(folder):
+    return load_encoder("clip", model=folder)
+
+
+@pytest.fixture(scope="module")
+def in_float64(folder):
+    return transformers.CLIPModel.from_pretrained(folder, local_files_only=True).double().eval()
+
+
+def picture(height=60, width=80, seed=0):
+    coarse = np.random.default_rng(seed).integers(0, 256, (6, 8, 3), np.uint8)
+    return np.ascontiguousarray(coarse.repeat(-(-height // 6), 0).repeat(-(-width // 8), 1))[
+        :height, :width
+    ].copy()
+
+
+def regions(count=6, height=60, width=80):
+    """Discs and half discs, overlapping, some cut off by an edge."""
+    y, x = np.mgrid[:height, :width]
+    masks = [
+        ((x - 11 * i - 5) ** 2 + (y - 7 * i - 12) ** 2 < (6 + 2 * i) ** 2)
+        & ((i % 2 == 0) | (y % 3 > 0))
+        for i in range(count)
+    ]
+    return np.array(masks)
+
+
+def expected_crop(image, mask):
+    """The margins and the black, spelled out pixel by pixel."""
+    rows, columns = np.nonzero(mask)
+    top, left = rows.min(), columns.min()
+    height, width = rows.max() - top + 1, columns.max() - left + 1
+    side = max(height, width)
+    square = np.zeros((side, side, 3), np.uint8)
+    for row, column in zip(rows, columns, strict=True):
+        down, right = (side - height) // 2, (side - width) // 2
+        square[row - top + down, column - left + right] = image[row, column]
+    return square
+
+
+@pytest.mark.parametrize("i", range(6))
+def test_a_region_is_shown_on_a_black_square(i):
+    image, mask = picture(), regions()[i]
+    expected = expected_crop(image, mask)
+    found = region_crop(image, mask, len(expected), context=False)
+    assert np.array_equal(found, expected)
+    # Scaled to the double, every pixel lies between four, a quarter and three quarters from them.
+    double = region_crop(image, mask, 2 * len(expected), context=False).astype(float)
+    near = expected.astype(float)
+    mixed = (9 * near[:-1, :-1] + 3 * near[1:, :-1] + 3 * near[:-1, 1:] + near[1:, 1:]) / 16
+    assert np.abs(double[1:-1:2, 1:-1:2] - mixed).max() <= 1
+
+
+def test_context_keeps_the_box():
+    image, mask = picture(), regions()[3]
+    rows, columns = np.nonzero(mask)
+    box = np.zeros_like(mask)
+    box[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = True
+    found = region_crop(image, mask, SIDE, context=True)
+    assert np.array_equal(found, region_crop(image, box, SIDE, context=False))
+
+
+@pytest.mark.parametrize("where", [np.s_[:1, :1], np.s_[-1:, :], np.s_[:, 5:6], np.s_[:, :]])
+def test_thin_and_whole_regions_have_a_picture(clip, where):
+    mask = np.zeros((1, 60, 80), bool)
+    mask[0][where] = True
+    found = clip.encode_regions(picture(), mask)
+    assert np.abs(np.linalg.norm(found, axis=1) - 1).max() < NOISE
+
+
+def reference_regions(network, image, masks, context=False):
+    vectors = []
+    for mask in masks:
+        pixels = region_crop(image, mask, SIDE, context).astype(np.float64) / 255
+        pixels = torch.from_numpy(((pixels - MEAN) / STD).transpose(2, 0, 1)[None].copy())
+        with torch.no_grad():
+            vectors.append(network.get_image_features(pixels).pooler_output[0].numpy())
+    vectors = np.array(vectors)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def test_regions_are_what_transformers_says_in_float64(clip, in_float64):
+    image, masks = picture(), regions()
+    found = clip.encode_regions(image, masks)
+    assert found.dtype == np.float32 and found.shape == (6, WIDTH)
+    expected = reference_regions(in_float64, image, masks)
+    assert np.abs(found - expected).max() < NOISE
+    assert (found @ found.T).min() < 0.9  # not all alike
+
+
+def test_context_is_the_mean_of_two_pictures(folder, in_float64):
+    image, masks = picture(), regions()
+    found = load_encoder("clip", model=folder, crops="context").encode_regions(image, masks)
+    alone = reference_regions(in_float64, image, masks)
+    both = alone + reference_regions(in_float64, image, masks, context=True)
+    assert np.abs(found - both / np.linalg.norm(both, axis=1, keepdims=True)).max() < NOISE
+    assert np.abs(found - alone).max() > 0.01
+
+
+TEXTS = ["red basket", "Red  BASKET", "things", "Pokémon 球 🎈", "it's 23.5% wool!"]
+
+
+def test_texts_are_what_transformers_says_in_float64(clip, in_float64, folder):
+    words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+    found = clip.encode_text(TEXTS)
+    assert found.dtype == np.float32 and found.shape == (5, WIDTH)
+    # Padded to the full length with the token that ends texts, and with 0 as open_clip does.
+    for pad in (words.eos_token_id, 0):
+        ids = np.full((5, 77), pad)
+        for row, text in zip(ids, TEXTS, strict=True):
+            tokens = words(text)["input_ids"]
+            row[: len(tokens)] = tokens
+        with torch.no_grad():
+            expected = in_float64.get_text_features(torch.from_numpy(ids)).pooler_output.numpy()
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+        assert np.abs(found - expected).max() < NOISE
+    assert np.array_equal(found[0], found[1])  # case and spaces do not matter
+    assert (found[1:] @ found[1:].T).min() < 0.9
+
+
+def test_same_bytes_in_any_company(clip):
+    image, masks = picture(), regions()
+    found = clip.encode_regions(image, masks)
+    assert np.array_equal(clip.encode_regions(image, masks[::-1])[::-1], found)
+    assert np.array_equal(clip.encode_regions(image, masks[4:5]), found[4:5])
+    texts = clip.encode_text(TEXTS)
+    assert np.array_equal(clip.encode_text(TEXTS[::-1])[::-1], texts)
+    assert np.array_equal(clip.encode_text(TEXTS[2:3]), texts[2:3])
+
+
+def test_same_bytes_with_two_threads(clip):
+    results = []
+    for count in (1, 2, 1):
+        torch.set_num_threads(count)
+        results.append((clip.encode_regions(picture(), regions()), clip.encode_text(TEXTS)))
+    for other in results[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+@pytest.mark.parametrize("batch", [1, 3, 64])
+def test_the_batch_changes_rounding_alone(folder, clip, batch):
+    other = load_encoder("clip", model=folder, batch=batch)
+    assert other.network is clip.network  # loaded once
+    difference = other.encode_regions(picture(), regions()) - clip.encode_regions(
+        picture(), regions()
+    )
+    assert np.abs(difference).max() < NOISE
+
+
+def test_bfloat16_is_near(folder, clip):
+    rough = load_encoder("clip", model=folder, precision="bfloat16")
+    found, fine = (e.encode_regions(picture(), regions()) for e in (rough, clip))
+    assert 1e-5 < np.abs(found - fine).max() < 0.03  # 8 bits in each of a few dozen sums
+    assert np.array_equal(rough.encode_text(TEXTS), clip.encode_text(TEXTS))
+
+
+def test_nothing_to_encode(clip):
+    assert clip.encode_regions(picture(), np.zeros((0, 60, 80), bool)).shape == (0, WIDTH)
+    assert clip.encode_text([]).shape == (0, WIDTH)
+
+
+def test_what_it_is(clip):
+    assert clip.name == "clip"
+    assert clip.canonical == ("object", "things", "stuff", "texture")
+    assert clip.unknown_words("gnarly frobnicator") == ()
+
+
+@hypothesis_settings(max_examples=60, deadline=None)
+@given(text=st.text(max_size=40))
+def test_any_text_has_a_direction_or_is_refused(clip, text):
+    try:
+        found = clip.encode_text([text])
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert abs(np.linalg.norm(found) - 1) < NOISE
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "is empty; describe an object"),
+        (" \t\n", "is empty"),
+        ("word " * 76, "tokens, but the model reads at most 77; say it in fewer words"),
+        ("a" * 5000, "has 5002 tokens, but the model reads at most 77"),
+        ("\ud800", "is not valid text"),
+        ("a <|endoftext|> b", "cannot be read by the tokenizer"),
+    ],
+)
+def test_a_text_that_cannot_be_read_is_refused(clip, text, says):
+    with pytest.raises(InputError, match=says) as error:
+        clip.encode_text(["red", text])
+    assert "\n" not in str(error.value) and len(str(error.value)) < 250
+
+
+def test_a_text_of_full_length_is_read(clip):
+    longest = "a" * 75  # and two marks
+    assert np.array_equal(clip.encode_text([longest]), clip.encode_text([f" {longest} "]))
+
+
+@pytest.mark.parametrize(
+    ("image", "masks", "says"),
+    [
+        (np.zeros((9, 9), np.uint8), np.ones((1, 9, 9), bool), "clip: image is uint8"),
+        (np.zeros((9, 9, 3)), np.ones((1, 9, 9), bool), "clip: image is float64"),
+        (np.zeros((9, 9, 3), np.uint8), np.ones((1, 9, 8), bool), "clip: masks are bool"),
+        (np.zeros((9, 9, 3), np.uint8), np.ones((1, 9, 9)), "clip: masks are float64"),
+        (np.zeros((9, 9, 3), np.uint8), np.zeros((2, 9, 9), bool), "clip: mask 0 is empty"),
+    ],
+)
+def test_regions_that_cannot_be_are_refused(clip, image, masks, says):
+    with pytest.raises(InputError, match=says):
+        clip.encode_regions(image, masks)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"crops": "square"}, "clip crops: found 'square', expected 'masked' or 'context'"),
+        ({"precision": "half"}, "clip precision: found 'half', expected 'float32' or 'bfloat16'"),
+        ({"batch": 0}, "clip batch: found 0, expected at least 1"),
+        ({"device": "tpu"}, "clip device 'tpu': cannot be used"),
+        ({"model": None}, "clip model: none given; .* --clip-model laion/CLIP-ViT-B-16-laion2B"),
+        ({"model": "no/such/folder"}, "there is no such folder"),
+        ({"tokenizer": "no/such/folder"}, "tokenizer no/such/folder: there is no such folder"),
+        ({"tokenizer": __file__}, "tokenizer .*: there is no such folder"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(folder, settings, says):
+    with pytest.raises(InputError, match=says) as error:
+        load_encoder("clip", **{"model": folder, **settings})
+    assert "\n" not in str(error.value)
+
+
+def test_another_kind_of_model_is_named(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "model")
+    config = tmp_path / "model" / "config.json"
+    config.write_text(json.dumps({**json.loads(config.read_text()), "model_type": "siglip"}))
+    with pytest.raises(InputError, match="is of type 'siglip', but clip needs 'clip'"):
+        load_encoder("clip", model=tmp_path / "model")
+
+
+def without_tokenizer(folder, target):
+    shutil.copytree(folder, target)
+    for name in ("vocab.json", "merges.txt"):
+        (target / name).unlink()
+    return target
+
+
+def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
+    alone = without_tokenizer(folder, tmp_path / "model")
+    with pytest.raises(InputError, match=r"has no tokenizer beside it.*--clip-tokenizer") as error:
+        load_encoder("clip", model=alone)
+    assert "\n" not in str(error.value)
+    save_tokenizer(tmp_path / "words")
+    named = load_encoder("clip", model=alone, tokenizer=tmp_path / "words")
+    assert np.array_equal(named.encode_text(TEXTS), clip.encode_text(TEXTS))
+    with pytest.raises(InputError, match=r"tokenizer .* holds none; expected tokenizer\.json"):
+        load_encoder("clip", model=alone, tokenizer=alone)
+
+
+def test_one_file_may_hold_the_tokenizer(folder, clip, tmp_path):
+    words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+    alone = without_tokenizer(folder, tmp_path / "model")
+    words.save_pretrained(alone)
+    assert (alone / "tokenizer.json").is_file() and not (alone / "merges.txt").exists()
+    found = load_encoder("clip", model=alone).encode_text(TEXTS)
+    assert np.array_equal(found, clip.encode_text(TEXTS))
+
+
+@pytest.mark.parametrize("tokens", [400, 700])
+def test_the_tokenizer_of_another_model_is_refused(folder, tmp_path, tokens):
+    clip_model(tokens).save_pretrained(tmp_path)
+    with pytest.raises(InputError, match="give the tokenizer of this model"):
+        load_encoder("clip", model=tmp_path, tokenizer=folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("vocab.json", "<html>", "cannot be loaded as CLIPTokenizer"),
+        ("vocab.json", '{"a": 0}', "give the tokenizer of this model|cannot be loaded"),
+        ("preprocessor_config.json", "{", "cannot be read as JSON"),
+        ("preprocessor_config.json", '{"image_mean": [0, 1]}', "expected three numbers each"),
+        ("preprocessor_config.json", '{"image_std": "x"}', "expected three numbers each"),
+    ],
+)
+def test_damaged_files_beside_the_model_are_one_sentence(folder, tmp_path, name, content, says):
+    shutil.copytree(folder, tmp_path / "model")
+    (tmp_path / "model" / name).write_text(content)
+    with pytest.raises(InputError, match=says) as error:
+        load_encoder("clip", model=tmp_path / "model")
+    assert "\n" not in str(error.value)
+
+
+def test_colours_are_normalised_as_the_model_says(folder, clip, tmp_path):
+    shutil.copytree(folder, tmp_path / "model")
+    said = {"image_mean": list(MEAN), "image_std": list(STD), "do_resize": True}
+    (tmp_path / "model" / "preprocessor_config.json").write_text(json.dumps(said))
+    same = load_encoder("clip", model=tmp_path / "model").encode_regions(picture(), regions())
+    assert np.array_equal(same, clip.encode_regions(picture(), regions()))
+    said["image_mean"] = said["image_std"] = [0.5, 0.5, 0.5]
+    (tmp_path / "model" / "preprocessor_config.json").write_text(json.dumps(said))
+    other = load_encoder("clip", model=tmp_path / "model").encode_regions(picture(), regions())
+    assert np.abs(other - same).max() > 0.01
+
+
+def test_configurations_from_before_the_end_token_was_a_setting(folder, clip, tmp_path):
+    shutil.copytree(folder, tmp_path / "model")
+    config = json.loads((folder / "config.json").read_text())
+    config["text_config"]["eos_token_id"] = 2
+    (tmp_path / "model" / "config.json").write_text(json.dumps(config))
+    found = load_encoder("clip", model=tmp_path / "model").encode_text(TEXTS)
+    assert np.array_equal(found, clip.encode_text(TEXTS))
+
+
+def test_a_model_is_known_by_what_it_is_read_with(folder, tmp_path):
+    digest = model_digest(folder)
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    (copy / "README.md").write_text("about")
+    assert model_digest(copy) == digest
+    assert tokenizer_digest(copy) == tokenizer_digest(folder) != digest
+    merges = (copy / "merges.txt").read_text("utf-8")
+    (copy / "merges.txt").write_text(merges + "b l\n", "utf-8")
+    assert model_digest(copy) != digest
+    assert tokenizer_digest(copy) != tokenizer_digest(folder)
+
+
+def test_a_name_is_found_in_the_cache(folder, clip, tmp_path, monkeypatch):
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    with pytest.raises(InputError, match=r"laion/CLIP-ViT-B-16.* could not be downloaded \(\w+: "):
+        load_encoder("clip")
+    place = tmp_path / "models--laion--CLIP-ViT-B-16-laion2B-s34B-b88K"
+    (place / "refs").mkdir(parents=True)
+    (place / "refs" / "main").write_text("0" * 40)
+    shutil.copytree(folder, place / "snapshots" / ("0" * 40))
+    assert np.array_equal(load_encoder("clip").encode_text(TEXTS), clip.encode_text(TEXTS))
+
+
+def test_without_transformers_the_extra_is_named(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(InputError, match=r"clip: needs the package transformers.*\[models\]"):
+        load_encoder("clip", model=folder)

@@ -1,0 +1,105 @@
+"""LangSplat's post-processing against a plain float64 version with SciPy's filters."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from slgaussian.language import langsplat
+
+
+def plain_smoothed(relevancy: np.ndarray) -> np.ndarray:
+    return ndimage.uniform_filter(relevancy.astype(np.float64), 30, mode="mirror")
+
+
+def plain_mask(relevancy: np.ndarray) -> np.ndarray:
+    """Step by step; the majority by counting the pixels of every window."""
+    blend = 0.5 * (plain_smoothed(relevancy) + relevancy)
+    stretched = (blend - blend.min()) / (blend.max() - blend.min() + 1e-9)
+    above = np.clip(2 * stretched - 1, 0, 1) > 0.4
+    out = np.zeros_like(above)
+    for row, column in np.ndindex(*above.shape):
+        window = above[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
+        out[row, column] = 2 * window.sum() > window.size
+    return out
+
+
+def objects_image(seed: int, shape: tuple[int, int]) -> np.ndarray:
+    """Relevancies of patches, as a field has them."""
+    rng = np.random.default_rng(seed)
+    patches = ndimage.zoom(rng.integers(0, 6, (4, 5)), (shape[0] / 4, shape[1] / 5), order=0)
+    return rng.random(6)[patches]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90))
+def test_the_smoothed_image_is_that_of_the_plain_filter(seed, height, width):
+    """SciPy's filter adds up as it goes along; its own error is some 1e-15 a pixel."""
+    relevancy = np.random.default_rng(seed).random((height, width))
+    got = langsplat.smoothed(relevancy)
+    assert got.shape == relevancy.shape
+    np.testing.assert_allclose(got, plain_smoothed(relevancy), atol=2**-30)
+
+
+def test_the_window_reaches_15_before_and_14_after():
+    image = np.zeros((80, 80))
+    image[40, 40] = 1
+    ys, xs = np.nonzero(langsplat.smoothed(image))
+    assert (ys.min(), ys.max(), xs.min(), xs.max()) == (26, 55, 26, 55)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_mask_is_that_of_the_plain_steps(seed):
+    relevancy = objects_image(seed, (60, 85))
+    got = langsplat.find_mask(relevancy)
+    assert got.dtype == bool and 0 < got.mean() < 1
+    np.testing.assert_array_equal(got, plain_mask(relevancy))
+
+
+def test_an_image_of_one_value_has_no_mask():
+    assert not langsplat.find_mask(np.full((50, 60), 0.7)).any()
+    assert not langsplat.find_mask(np.zeros((50, 60))).any()
+
+
+def test_the_mask_is_what_rises_above_seven_tenths_of_the_range():
+    """Two squares too large for the filter to reach their middles: 0.66 and 0.74 of the range."""
+    relevancy = np.full((300, 300), 0.2)
+    relevancy[10:90, 10:90] = 0.8
+    relevancy[110:190, 110:190] = 0.2 + 0.66 * 0.6
+    relevancy[210:290, 210:290] = 0.2 + 0.74 * 0.6
+    mask = langsplat.find_mask(relevancy)
+    assert mask[50, 50] and mask[250, 250] and not mask[150, 150] and not mask[5, 5]
+
+
+def test_the_point_is_the_plateaus_pixel_nearest_its_centroid():
+    relevancy = np.zeros((200, 260))
+    relevancy[60:120, 100:171] = 0.9
+    point, peak = langsplat.find_point(relevancy)
+    # Full windows fit where all of rows -15 .. +14 and columns alike are inside.
+    ys, xs = np.nonzero(peak)
+    assert (ys.min(), ys.max(), xs.min(), xs.max()) == (75, 105, 115, 156)
+    assert peak.sum() == 31 * 42
+    # The centroid's column is 135.5; of the two beside it the first.
+    assert point == (135, 90)
+
+
+def test_of_two_equal_objects_the_point_is_on_the_peak_and_not_between():
+    relevancy = np.zeros((200, 260))
+    relevancy[60:120, 20:90] = relevancy[60:120, 170:240] = 0.9
+    (x, y), peak = langsplat.find_point(relevancy)
+    assert peak[y, x]
+    assert peak[90, 50] and peak[90, 200]
+
+
+def test_the_same_values_tie_wherever_they_lie():
+    """Running sums of floats would prefer one of two equal windows by their rounding."""
+    rng = np.random.default_rng(0)
+    relevancy = np.zeros((120, 400))
+    patch = rng.random((40, 40))
+    for left in (30, 171, 313):
+        relevancy[40:80, left : left + 40] = patch
+    smooth = langsplat.smoothed(relevancy)
+    np.testing.assert_array_equal(smooth[40:80, 30:70], smooth[40:80, 171:211])
+    np.testing.assert_array_equal(smooth[40:80, 30:70], smooth[40:80, 313:353])
+    assert langsplat.find_point(relevancy)[1].sum() % 3 == 0

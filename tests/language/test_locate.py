@@ -1,0 +1,50 @@
+"""The located point against its definition, with SciPy's exact transforms."""
+
+import numpy as np
+from drawn import ball
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from slgaussian.language.locate import central_point
+
+
+def reference_point(region: np.ndarray) -> tuple[int, int]:
+    """The definition of the located point, with SciPy's exact transforms."""
+    components, _ = ndimage.label(region)  # 4-connected, numbered in row-major order
+    largest = 1 + np.bincount(components.ravel())[1:].argmax()
+    depth = ndimage.distance_transform_edt(np.pad(components == largest, 1))[1:-1, 1:-1]
+    row, column = np.unravel_index(depth.argmax(), depth.shape)
+    return int(column), int(row)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 1), st.floats(0, 4))
+def test_the_located_point_follows_its_definition(seed, density, blur):
+    rng = np.random.default_rng(seed)
+    noise = ndimage.gaussian_filter(rng.random(rng.integers(1, 60, 2)), blur)
+    region = noise <= np.quantile(noise, density)
+    assert central_point(region) == reference_point(region)
+
+
+def test_the_located_point_follows_its_definition_on_ragged_regions():
+    rng = np.random.default_rng(11)
+    for density in np.linspace(0.3, 0.95, 60):
+        region = rng.random((31, 44)) < density
+        assert central_point(region) == reference_point(region)
+
+
+def test_the_located_point_of_known_regions():
+    assert central_point(ball(100, 90, 20)) == (100, 90)
+    # Of two equal squares the first in reading order; of its four middle pixels the first.
+    region = np.zeros((20, 30), bool)
+    region[10:14, 3:7] = region[2:6, 20:24] = True
+    assert central_point(region) == (21, 3)
+    # The edge of the image is a border: in a band along it the middle is taken, not the edge.
+    band = np.zeros((9, 9), bool)
+    band[:, :3] = True
+    assert central_point(band) == (1, 1)
+    # A ring is located on its body, not in its hole.
+    ring = ball(100, 90, 20) & ~ball(100, 90, 12)
+    x, y = central_point(ring)
+    assert ring[y, x]

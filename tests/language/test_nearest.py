@@ -1,0 +1,140 @@
+"""The code nearest to a value: what comparing with every code gives, ties included."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.language.codes import grid_codes
+from slgaussian.language.nearest import make_lookup, nearest_code
+
+
+def by_comparing_all(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """The reference: every value against every code, float64; argmin takes the lowest index."""
+    difference = values[..., None, :].astype(np.float64) - codes.astype(np.float64)
+    # Summed in the order x, y, z: np.sum may associate differently.
+    distance = np.abs(difference[..., 0])
+    for axis in range(1, codes.shape[1]):
+        distance = distance + np.abs(difference[..., axis])
+    return distance.argmin(-1)
+
+
+@pytest.mark.parametrize("n", [1, 2, 8, 30, 700])
+def test_nearest_code_equals_comparing_all_on_every_pixel(n):
+    rng = np.random.default_rng(n)
+    codes = grid_codes(n, rng)
+    values = rng.uniform(-0.2, 1.2, (37, 53, 3)).astype(np.float32)
+    found = nearest_code(values, codes)
+    assert found.dtype == np.int32
+    np.testing.assert_array_equal(found, by_comparing_all(values, codes))
+
+
+def test_nearest_code_equals_comparing_all_on_ties_and_corners():
+    rng = np.random.default_rng(3)
+    codes = grid_codes(60, rng)
+    halves = np.stack(np.meshgrid(*[np.arange(9) / 8] * 3), -1).astype(np.float32)
+    values = np.concatenate([halves.reshape(-1, 3), codes, (codes[:-1] + codes[1:]) / 2])
+    np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
+
+
+def test_a_tie_goes_to_the_lowest_index_whatever_the_place():
+    corners = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 0], [1, 1, 1]], np.float32)
+    middle = np.array([0.5, 0.5, 0], np.float32)  # distance 1 from the first three
+    for turn in range(3):
+        order = np.roll([0, 1, 2], turn).tolist()
+        assert nearest_code(middle, corners[[*order, 3]]) == 0
+
+
+@pytest.mark.parametrize("corner", [(0, 0, 0), (1, 1, 1), (1, 0, 1)])
+def test_a_code_at_a_corner_answers_to_values_at_and_beyond_it(corner):
+    codes = np.array([(0.5, 0.5, 0.5), corner], np.float32)
+    corner = np.array(corner, np.float32)
+    values = np.stack([corner, corner + 0.3 * (2 * corner - 1)])
+    np.testing.assert_array_equal(nearest_code(values, codes), [1, 1])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_every_code_is_nearest_to_itself_even_when_disturbed(n, seed):
+    rng = np.random.default_rng(seed)
+    codes = grid_codes(n, rng)
+    # Codes differ by at least one grid step in some axis, so under half a step is always safe.
+    step = 1 / max(np.ceil(np.cbrt(n)) - 1, 1)
+    noise = rng.dirichlet([1, 1, 1], n) * 0.49 * step * rng.choice([-1, 1], (n, 3))
+    np.testing.assert_array_equal(nearest_code(codes + noise, codes), np.arange(n))
+
+
+def test_a_value_that_is_not_a_number_is_refused_with_its_place():
+    values = np.zeros((4, 5, 3), np.float32)
+    values[2, 3, 1] = np.nan
+    with pytest.raises(InputError, match=r"\(2, 3\)"):
+        nearest_code(values, np.zeros((1, 3), np.float32))
+    for bad in (np.nan, np.inf, 1.5):
+        with pytest.raises(InputError, match="codes at index 0"):
+            nearest_code(values[:1], np.full((1, 3), bad, np.float32))
+
+
+@pytest.mark.parametrize("codes", [np.zeros((0, 3)), np.zeros((2, 2)), np.zeros((2, 4))])
+def test_codes_of_the_wrong_shape_are_refused(codes):
+    with pytest.raises(InputError, match="nearest code"):
+        nearest_code(np.zeros((2, 3)), codes)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 3), st.integers(1, 60), st.sampled_from([4, 16, 0]), st.integers(0, 2**32 - 1)
+)
+def test_any_codes_and_values(dimension, n, steps, seed):
+    """On a coarse grid (``steps``) most values are as near to several codes."""
+    rng = np.random.default_rng(seed)
+    codes, values = rng.random((n, dimension)), rng.uniform(-0.5, 1.5, (300, dimension))
+    if steps:
+        codes, values = np.round(codes * steps) / steps, np.round(values * steps) / steps
+    codes, values = codes.astype(np.float32), values.astype(np.float32)
+    np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
+
+
+@pytest.mark.parametrize("far", [1.5, 2.5, 1e3, 1e8, 1e30])
+def test_values_far_outside_the_cube(far):
+    rng = np.random.default_rng(0)
+    codes = grid_codes(40, rng)
+    values = (rng.choice([-1, 0.3, 1], (200, 3)) * far).astype(np.float32)
+    np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
+
+
+def test_ten_thousand_codes():
+    rng = np.random.default_rng(0)
+    codes = grid_codes(10_000, rng)
+    values = rng.random((500, 3)).astype(np.float32)
+    np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
+    np.testing.assert_array_equal(nearest_code(codes, codes), np.arange(10_000))
+
+
+def test_half_way_between_two_codes():
+    codes = grid_codes(27, np.random.default_rng(1))
+    a, b = np.triu_indices(27, 1)
+    middle = (codes[a].astype(np.float64) + codes[b]) / 2
+    np.testing.assert_array_equal(nearest_code(middle, codes), by_comparing_all(middle, codes))
+
+
+def test_most_cells_know_their_code():
+    """What makes the table fast: within one code's region nothing else is looked at."""
+    lookup = make_lookup(grid_codes(60, np.random.default_rng(0)))
+    counts = np.diff(lookup.starts)
+    assert counts.min() >= 1
+    assert counts.mean() < 3
+
+
+def test_the_threads_do_not_matter():
+    rng = np.random.default_rng(2)
+    codes, values = grid_codes(60, rng), rng.random((50, 70, 3)).astype(np.float32)
+    both = nearest_code(values, codes)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        one = nearest_code(values, codes)
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(one, both)
