@@ -5,13 +5,13 @@ import io
 import matplotlib
 import matplotlib.ticker
 import numpy as np
+from charts import BLUE, FAINT, GREEN, ORANGE, STYLE
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rasterize_picture import FAINT, INK, OURS, PRUNED, THEIRS
 from tables import Table, count, hundredths, ms
 
 PICTURE = "Label error of code strategies against the time of a view, and a part of one view"
-COLOURS = {"exact": PRUNED, "grid": THEIRS, "separated": OURS}
+COLOURS = {"exact": GREEN, "grid": ORANGE, "separated": BLUE}
 MARKERS = {3: "o", 2: "s", 1: "^"}
 WINDOW = np.s_[120:330, 150:430]
 
@@ -156,20 +156,7 @@ def picture(
     errors: list[dict], times: list[dict], crops: dict[str, tuple[np.ndarray, np.ndarray]]
 ) -> bytes:
     """PNG: errors over objects and over time, and a part of one view."""
-    style = {
-        "font.size": 9,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.axisbelow": True,
-        "axes.titlelocation": "left",
-        "axes.titlesize": 10,
-    }
-    with matplotlib.rc_context(style):
+    with matplotlib.rc_context({**STYLE, "font.size": 9, "axes.titlesize": 10}):
         figure = Figure(figsize=(11, 6.6), layout="constrained", dpi=100)
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.6, 1))
         left, middle, right = upper.subplots(1, 3)

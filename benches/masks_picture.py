@@ -5,6 +5,7 @@ import io
 import matplotlib
 import numpy as np
 from association import OVERLAPS
+from charts import BLUE, FAINT, GREEN, ORANGE, STYLE
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
@@ -12,10 +13,8 @@ from PIL import Image
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
 
-COLORS = {"geometric": "#0072B2", "flow": "#D55E00", "noisy": "#009E73"}
+COLORS = {"geometric": BLUE, "flow": ORANGE, "noisy": GREEN}
 MARKERS = {"geometric": "o", "flow": "s", "noisy": "^"}
-"""Okabe and Ito's colours, which colour-blind people tell apart; markers differ too."""
-INK, FAINT = "#3c4043", "#e3e6ea"
 GAP = 6
 
 
@@ -37,21 +36,7 @@ def pairs_picture(pictured: list[tuple[Sample, dict[str, LabelMaps]]]) -> Image.
 
 def chart(rows: dict[str, list[dict]]) -> bytes:
     """SVG of the rows of ``association.py``."""
-    style = {
-        "font.size": 10,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.axisbelow": True,
-        "axes.titlelocation": "left",
-        "axes.titlesize": 11,
-        "svg.hashsalt": "the same names from run to run",
-    }
-    with matplotlib.rc_context(style):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10, 7), layout="constrained")
         (baseline, overlap), (copies, time) = figure.subplots(2, 2)
         draw_lines(baseline, rows["baselines"], "baseline", "matched")

@@ -3,6 +3,7 @@
 import io
 
 import matplotlib
+from charts import BLUE, FAINT, GREEN, INK, ORANGE, PINK, STYLE
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -10,9 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 from sweeps import LOOP
 from tables import fraction
 
-OURS, THEIRS, PRUNED, UNSEEN = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-"""Okabe and Ito's colours, which colour-blind people tell apart; markers differ too."""
-INK, FAINT = "#3c4043", "#e3e6ea"
+OURS, THEIRS, PRUNED, UNSEEN = BLUE, ORANGE, GREEN, PINK
 HALO = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 GREY_LEVEL = 1 / 255
 
@@ -25,21 +24,7 @@ def picture(
     channels: list[dict],
 ) -> bytes:
     """SVG of the rows of ``sweeps.py``, and of ``prune.py`` (``tolerances``)."""
-    style = {
-        "font.size": 10,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.axisbelow": True,
-        "axes.titlelocation": "left",
-        "axes.titlesize": 11,
-        "svg.hashsalt": "the same names from run to run",
-    }
-    with matplotlib.rc_context(style):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10, 8), layout="constrained")
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.15, 1), hspace=0.04)
         left, right = upper.subplots(1, 2, sharey=True, width_ratios=(3, 2))
