@@ -10,12 +10,13 @@ TABLES = {
     "speed": Table(
         "Speed",
         "A field of 60 objects with features of 512 numbers, seen at 416 x 576; texts are encoded "
-        "already. Times in ms, medians. A query gives mask, relevancy image, point and objects. "
-        "*LangSplat's way* decodes the rendered code of every pixel to 512 numbers with its "
-        "network (3-16-32-64-128-256-256-512, random weights, PyTorch) and scores each pixel "
-        "against the text and four canonical phrases, which makes the relevancy image alone; "
-        "further queries reuse the decoded image, half a gigabyte. *Processor* is time on all cores "
-        "together, which says more on a busy machine; *times less* compares that.",
+        "already. Times in ms, the least of up to 11 rounds, as others used the machine too. A "
+        "query gives mask, relevancy image, point and objects. *LangSplat's way* decodes the "
+        "rendered code of every pixel to 512 numbers with its network "
+        "(3-16-32-64-128-256-256-512, random weights, PyTorch) and scores each pixel against the "
+        "text and four canonical phrases, which makes the relevancy image alone; further queries "
+        "reuse the decoded image, half a gigabyte. *Processor* is time on all cores together, of "
+        "which *times less* tells the ratio.",
         {
             "what": ("what", str),
             "asked": ("asked, ms", str),

@@ -59,7 +59,7 @@ class Descriptors:
     ) -> np.ndarray:
         """Evidence float64 [M, len(names)] of non-empty masks bool [M, H, W] on uint8 [H, W, 3]."""
         lab, memberships = to_lab(image), self._colours(image)
-        crops, rows = [], []
+        crops, rows, room = [], [], []
         for mask in masks:
             x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
             window = np.s_[y : y + h, x : x + w]
@@ -69,12 +69,12 @@ class Descriptors:
             kinds = np.concatenate([shares, np.minimum(shares @ self._groups, 1)])
             surface = _surface(lab[window], inside, shares)
             outline, place = _outline(inside), _place(mask, (x, y, w, h))
+            room.append(_room(inside, window, around))
             rows.append(np.concatenate([_share_evidence(kinds), surface, outline, place]))
         table = np.array(rows)
         shape = _solid_evidence(silhouettes.match(crops))
         split = table.shape[1] - len(OUTLINES) - len(PLACES)
-        room = np.array([_room(mask, around) for mask in masks])
-        return np.hstack([table[:, :split], shape, table[:, split:], room])
+        return np.hstack([table[:, :split], shape, table[:, split:], np.array(room)])
 
 
 def _ramp(value: float | np.ndarray, low: float, high: float) -> float | np.ndarray:
@@ -179,17 +179,20 @@ def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
     ]
 
 
-def _room(mask: np.ndarray, around: Surroundings | None) -> np.ndarray:
+def _room(
+    inside: np.ndarray, window: tuple[slice, slice], around: Surroundings | None
+) -> np.ndarray:
     """Evidence of :data:`ROOM`, 0 for what is not known of enough of the region."""
     out = dict.fromkeys(ROOM, 0.0)
     if around is None:
         return np.array(list(out.values()))
     level, height = (
-        known[np.isfinite(known)] for known in (around.level[mask], around.height[mask])
+        known[np.isfinite(known)]
+        for known in (around.level[window][inside], around.height[window][inside])
     )
-    points = around.points[mask]
+    points = around.points[window][inside]
     points = points[np.isfinite(points[:, 0])]
-    if len(level) >= _KNOWN * mask.sum():
+    if len(level) >= _KNOWN * inside.sum():
         out["level"] = _ramp((level > 0.85).mean(), 0.2, 0.7)
         out["sheer"] = _ramp((np.abs(level) < 0.35).mean(), 0.3, 0.8)
     if len(points) >= _FEW:

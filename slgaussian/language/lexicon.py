@@ -28,6 +28,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language.colours import ColourNames
+from slgaussian.language.crops import check_regions
 from slgaussian.language.descriptors import Descriptors
 from slgaussian.language.room import Surroundings
 from slgaussian.language.vocabulary import load_vocabulary
@@ -99,15 +100,7 @@ class Lexicon:
         InputError
             If image, masks and surroundings do not match, or a mask is empty.
         """
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-            raise InputError(
-                f"lexicon: image is {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
-            )
-        if masks.dtype != bool or masks.shape[1:] != image.shape[:2]:
-            raise InputError(
-                f"lexicon: masks are {masks.dtype} {masks.shape}, expected bool "
-                f"[M, {image.shape[0]}, {image.shape[1]}]"
-            )
+        check_regions(self.name, image, masks)
         if around is not None and around.height.shape != image.shape[:2]:
             raise InputError(
                 f"lexicon: surroundings are {around.height.shape}, expected {image.shape[:2]}"
@@ -115,9 +108,6 @@ class Lexicon:
         vectors = np.zeros((len(masks), self.width))
         if len(masks) == 0:
             return vectors.astype(np.float32)
-        empty = ~masks.any((1, 2))
-        if empty.any():
-            raise InputError(f"lexicon: mask {int(empty.argmax())} is empty, expected a region")
         evidence = self._descriptors.measure(image, masks, around)
         axes = len(self._axis)
         vectors[:, :axes] = np.where(evidence > 0, POSITIVE * evidence, evidence) / np.sqrt(axes)

@@ -17,11 +17,60 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
     largest; the image ends at its edges. Ties go to the first pixel in row-major order.
     """
     x, y, w, h = cv2.boundingRect(region.view(np.uint8))
-    window = np.pad(region[y : y + h, x : x + w], 1).view(np.uint8)
-    _, components, stats, _ = cv2.connectedComponentsWithStats(window, connectivity=4)
-    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-    row, column = _deepest(components == largest)
+    row, column = _deepest(_largest_part(region[y : y + h, x : x + w]))
     return int(column) + x - 1, int(row) + y - 1
+
+
+@numba.njit(cache=True)
+def _largest_part(region: np.ndarray) -> np.ndarray:
+    """The largest 4-connected part of bool [h, w], the first of equal ones, in a border of False.
+
+    Runs of set pixels are joined with those that they touch in the row above; each points to an
+    earlier run of its part, and the first stands for all.
+    """
+    h, w = region.shape
+    most = h * ((w + 1) // 2)
+    start, stop, row = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    parent = np.empty(most, np.int32)
+    runs, above = 0, 0
+    for i in range(h):
+        first, touching = runs, above
+        j = 0
+        while j < w:
+            if not region[i, j]:
+                j += 1
+                continue
+            start[runs], row[runs], parent[runs] = j, i, runs
+            while j < w and region[i, j]:
+                j += 1
+            stop[runs] = j
+            while touching < first and stop[touching] <= start[runs]:
+                touching += 1
+            k = touching
+            while k < first and start[k] < j:
+                a, b = _root(parent, k), _root(parent, runs)
+                parent[max(a, b)] = min(a, b)
+                k += 1
+            runs += 1
+        above = first
+    sizes = np.zeros(runs, np.int64)
+    for k in range(runs):
+        parent[k] = parent[parent[k]]
+        sizes[parent[k]] += stop[k] - start[k]
+    largest = sizes.argmax()
+    part = np.zeros((h + 2, w + 2), np.bool_)
+    for k in range(runs):
+        if parent[k] == largest:
+            part[row[k] + 1, start[k] + 1 : stop[k] + 1] = True
+    return part
+
+
+@numba.njit(cache=True)
+def _root(parent: np.ndarray, run: int) -> int:
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
 
 
 @numba.njit(cache=True)

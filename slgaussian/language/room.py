@@ -17,8 +17,8 @@ import numpy as np
 from slgaussian.scene import Camera
 
 REACH = 1 / 45
-"""A normal is that of the plane through pixels so far to the left, right, top and bottom: a share of
-the image's height."""
+"""A normal is that of the plane through pixels so far to the left, right, top and bottom, a share
+of the image's height."""
 STEP = 8
 """One normal is taken in so many rows and columns."""
 BEND = 0.02
@@ -165,7 +165,7 @@ def _find_up(normals: np.ndarray, upright: np.ndarray) -> np.ndarray:
 
 
 def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray:
-    """How much surface is level or upright, ``within`` so many degrees, by each of ``ups`` [K, 3]."""
+    """How much surface is level or upright, ``within`` so many degrees, by ``ups`` [K, 3]."""
     cosine = np.abs(normals @ ups.T)
     level = 1 - (1 - cosine) / (1 - np.cos(np.radians(within)))
     wall = 1 - (cosine / np.sin(np.radians(within))) ** 2

@@ -112,7 +112,7 @@ class Vocabulary:
             word.name: word for (_, word), counted in zip(known, counts, strict=True) if counted
         }
         words |= {word.name: word for word in places}
-        left_out = [s for (s, _), counted in zip(known, counts, strict=True) if not counted]
+        left_out = [s for s, word in known if word is None or word.name not in words]
         left_out += [s for s in spelled[end:] if s not in self.stop]
         if not words:
             unused = _short(", ".join(left_out)) or "they carry no meaning here"

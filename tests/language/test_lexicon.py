@@ -371,6 +371,7 @@ def test_left_and_right_are_told_apart(lexicon):
         ("cup on the table on the left", ["cup"], ("on", "table", "left")),
         ("ball to the left of the door", ["ball"], ("to", "left", "door")),
         ("on the floor", ["standing"], ()),
+        ("red ball red ball", ["red", "ball"], ()),
     ],
 )
 def test_places_are_heard_and_relations_are_not(text, names, left_out):
