@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -46,7 +45,7 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         ready()
         start_up = time.perf_counter() - begun
         wall, cpu = time.perf_counter(), time.process_time()
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        before = peak_mb()
         made = corpus.prepare(settings, ArtifactStore(store), stages)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     last = [refs[stages[-1]].meta for refs in made.refs.values()]
@@ -62,12 +61,21 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         "all_work": sum(
             refs[stage].meta["seconds"] for refs in made.refs.values() for stage in stages
         ),
-        "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "idle": before / 1024,
+        "peak": peak_mb(),
+        "idle": before,
         "items": sum(meta.get("views", meta.get("samples")) for meta in last),
         "times": times,
         "failures": len(made.failures),
     }
+
+
+def peak_mb() -> float:
+    """Most memory that this process ever held, megabytes.
+
+    Not ``getrusage``, whose peak a process has from the one that started it.
+    """
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 def apart(*words: object) -> dict:

@@ -1,12 +1,14 @@
 """The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from flows.corpus_settings import CorpusSettings
+from flows.corpus_settings import CorpusSettings, PackSettings
 from flows.options import with_options
+from flows.training_settings import RetrainSettings, TrainSettings
 from slgaussian.errors import InputError, SLGaussianError
 
 METHOD = (
@@ -27,6 +29,7 @@ SUPERVISE = (
     "size", "near", "far", "predictor", "proposer", "tracker", "replicas",
     "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
 )  # fmt: skip
+TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -258,6 +261,38 @@ def export(
 
 
 @app.command()
+@with_options(*PackSettings.model_fields, of=PackSettings)
+def pack(
+    settings: dict,
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="nerfstudio folder, or procedural:FIRST-LAST (seeds of rooms).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the chunks.")],
+) -> None:
+    """Write scenes as chunks of the format in which RealEstate10K is published.
+
+    Each scene is one clip, called as its folder is. Into a folder that has chunks, new ones are
+    added; clips that are there already are refused.
+
+    \b
+    slgaussian pack procedural:0-39 office_walk -o chunks/train
+    slgaussian pack procedural:40-59 -o chunks/train --views 24 --baseline 1.6
+    """
+    from flows.packing import pack as write
+    from flows.settings import checked
+
+    packed = write(sources, out, checked(PackSettings, settings, "pack"))
+    typer.echo(f"{packed.clips} clips in {len(packed.chunks)} chunks  {out}")
+    if packed.left_out:
+        typer.echo(f"left out: {len(packed.left_out)}, each said above", err=True)
+        raise typer.Exit(1)
+
+
+@app.command()
 @with_options(*INGEST, of=CorpusSettings)
 def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Look at every view of a corpus of RealEstate10K chunks and choose samples to learn from.
@@ -286,6 +321,142 @@ def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False
     slgaussian supervise chunks/train -o corpus --proposer sam --sam-model facebook/sam-vit-base
     """
     _prepare("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
+
+
+@app.command()
+@with_options(*TRAIN, "store", of=TrainSettings)
+def train(
+    settings: dict,
+    lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
+    start: Annotated[
+        Path | None,
+        typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
+    ] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Train the semantic branch on lessons, and judge it on clips that it has not seen.
+
+    Leaves branch.safetensors, metrics.parquet (a row a step), judgements.parquet (a row a held-out
+    lesson and lifting) and report.html. The same lessons and settings are not trained again; a
+    training that was interrupted, or killed, goes on where it was.
+
+    \b
+    slgaussian train --lessons corpus -o trained
+    slgaussian train --lessons corpus --from trained/branch.safetensors --steps 500 -o more
+    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
+        --branch-weights trained/branch.safetensors -o field/
+    """
+    from flows.settings import checked
+
+    given = {"lessons": lessons, "out": out} | ({} if start is None else {"start": start})
+    chosen = checked(TrainSettings, {**settings, **given}, "train")
+
+    def work(store: Any) -> Any:
+        from flows import training
+
+        return training.train(chosen, store, verbose)
+
+    made = _orchestrated(chosen.store, work)
+    from flows.tables import judgements_table
+    from flows.training import FILES
+
+    typer.echo(judgements_table(made.judgements))
+    typer.echo(f"weights  {chosen.out / FILES['weights']}")
+    typer.echo(f"report   {chosen.out / FILES['report']}")
+
+
+@app.command()
+@with_options("chunks", "out", "models", *TRAIN, *SUPERVISE, of=RetrainSettings)
+def retrain(
+    settings: dict,
+    config: Annotated[
+        Path | None, typer.Argument(help="TOML file with any of the settings.")
+    ] = None,
+    every: Annotated[
+        float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
+    ] = None,
+    cron: Annotated[
+        str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
+    ] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Learn what is new in a corpus, and put the new weights to use if they are better.
+
+    Chunks that arrived are ingested and supervised; a candidate is trained from the weights in use;
+    both are judged on the same held-out clips, and the candidate is put to use if its gain is
+    beyond noise. Every version is kept; see `versions`. Without anything new nothing is done.
+
+    With --every or --cron it waits for its times; that needs a Prefect server, which `prefect
+    server start` starts, and PREFECT_API_URL. Options win over the file, whose relative paths are
+    relative to it:
+
+    \b
+    chunks = "chunks/train"
+    out = "corpus"
+    models = "models"
+    store = "slg-data"
+    \b
+    slgaussian retrain retrain.toml
+    slgaussian retrain retrain.toml --cron "0 3 * * *"
+    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
+        --branch-weights models -o field/
+    """
+    from flows.training_settings import read_retraining
+
+    chosen = read_retraining(config, settings)
+    if every is not None or cron is not None:
+        from flows.environment import home_of, prepare
+        from slgaussian.store import ArtifactStore
+
+        prepare(home_of(ArtifactStore(chosen.store)))
+        from flows.schedule import serve
+
+        serve(config, settings, every, cron)
+        return
+
+    def work(store: Any) -> Any:
+        from flows import retraining
+
+        return retraining.retrain(chosen, store, verbose)
+
+    made = _orchestrated(chosen.store, work)
+    if made.prepared.failures:
+        file = chosen.out / "failures.parquet"
+        typer.echo(f"left out: {len(made.prepared.failures)}; see {file}", err=True)
+    typer.echo(made.said)
+
+
+@app.command()
+def versions(
+    models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
+    use: Annotated[int | None, typer.Option(help="Put the version of this number to use.")] = None,
+    roll_back: Annotated[
+        bool, typer.Option("--roll-back", help="Put to use what the one in use was trained from.")
+    ] = False,
+) -> None:
+    """List the weights that `retrain` keeps, or put others of them to use.
+
+    \b
+    slgaussian versions models
+    slgaussian versions models --use 3
+    slgaussian versions models --roll-back
+    """
+    from flows.tables import versions_table
+    from slgaussian.versions import Versions
+
+    kept = Versions(models)
+    known = {version.number: version for version in kept.all()}
+    if use is not None and roll_back:
+        raise InputError("versions: --use and --roll-back are two ways; choose one")
+    if use is not None:
+        if use not in known:
+            numbers = ", ".join(map(str, known)) or "none"
+            raise InputError(f"--use: found {use}, expected one of the versions there: {numbers}")
+        kept.use(known[use])
+    if roll_back:
+        kept.roll_back()
+    typer.echo(versions_table(known.values(), kept.current()) if known else f"{models}: no version")
 
 
 @app.command()
@@ -367,6 +538,23 @@ def _prepare(command: str, values: dict[str, Any], verbose: bool) -> None:
             err=True,
         )
         raise typer.Exit(1)
+
+
+def _orchestrated(place: str, work: Callable[[Any], Any]) -> Any:
+    """What ``work`` does with the store at ``place`` and Prefect ready."""
+    from flows.environment import orchestration
+    from slgaussian.store import ArtifactStore
+
+    store = ArtifactStore(place)
+    with orchestration(store) as ready:
+        import flows.training  # noqa: F401  while the server comes up
+
+        ready()
+        try:
+            return work(store)
+        except KeyboardInterrupt:
+            typer.echo("\nstopped; the same command goes on from here", err=True)
+            raise
 
 
 def _spoken(answers: list[dict]) -> str:

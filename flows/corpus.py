@@ -55,7 +55,7 @@ def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False
     InputError
         If there is no chunk, or the store or the output folder cannot be written.
     """
-    return _prepare(settings, store, INGEST, verbose)
+    return prepare(settings, store, INGEST, verbose)
 
 
 def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
@@ -67,7 +67,7 @@ def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = Fa
         As :func:`ingest`, and if a part of the method is unknown.
     """
     check_parts(**settings.part_names(), settings=settings.part_settings())
-    return _prepare(settings, store, SUPERVISE, verbose)
+    return prepare(settings, store, SUPERVISE, verbose)
 
 
 def steps(
@@ -109,9 +109,10 @@ def steps(
     return [step for step in made if step.stage in stages]
 
 
-def _prepare(
-    settings: CorpusSettings, store: ArtifactStore, stages: Sequence[str], verbose: bool
+def prepare(
+    settings: CorpusSettings, store: ArtifactStore, stages: Sequence[str], verbose: bool = False
 ) -> Prepared:
+    """Run ``stages``, the first few of :data:`SUPERVISE`, on all chunks and write their tables."""
     chunks = re10k.chunk_names(settings.chunks)
     if not chunks:
         raise InputError(
@@ -214,5 +215,6 @@ def _own_rows(
             failure = Failure(clip, "views", "InputError", reason)
             if failure not in failures:
                 failures.append(failure)
-    table = table.set_column(0, load_spec("views").schema.field("chunk"), [[chunk] * len(clips)])
+    names = pa.array([chunk] * len(clips), pa.string())
+    table = table.set_column(table.column_names.index("chunk"), "chunk", names)
     return table.filter(pa.array([owners[clip] == chunk for clip in clips], pa.bool_()))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from flows.settings import SIDES, Method, checked, refuse_idle
 from slgaussian import threads
-from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
 
 
@@ -27,40 +26,60 @@ def _parse_sides(value: Any) -> tuple[int, int]:
     return height, width
 
 
-_BOUNDS = Bounds()
+Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
+
+
+class PackSettings(BaseModel):
+    """How made-up rooms are photographed, and how large chunks are."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    views: int = Field(12, ge=2, description="Views of each made-up room, evenly on an arc.")
+    baseline: float = Field(
+        1.2, gt=0, description="Metres between the first and the last; the middle is 3.3 m away."
+    )
+    size: Sides = Field((360, 640), description="Their height and width, as 360x640.")
+    chunk_mb: float = Field(
+        100.0, gt=0, description="Megabytes of images after which a chunk is closed."
+    )
+
+
+BOUNDS = {
+    "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped", "most",
+}  # fmt: skip
+"""The settings that are the fields of :class:`slgaussian.datasets.pairs.Bounds`, which is not
+imported here as it takes OpenCV with it."""
 
 
 class CorpusSettings(Method):
     """What views, samples and lessons depend on, and where they go."""
 
-    size: Annotated[tuple[int, int], BeforeValidator(_parse_sides)] = Field(
+    size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
     )
     min_overlap: float = Field(
-        _BOUNDS.min_overlap, ge=0, le=1, description="Least share that context views see in common."
+        0.6, ge=0, le=1, description="Least share that context views see in common."
     )
     max_overlap: float = Field(
-        _BOUNDS.max_overlap, ge=0, le=1, description="Greatest share that they see in common."
+        1.0, ge=0, le=1, description="Greatest share that they see in common."
     )
     min_baseline: float = Field(
-        _BOUNDS.min_baseline,
+        0.08,
         ge=0,
         description="Least distance of context cameras, as a share of the depth of what they see.",
     )
     max_baseline: float = Field(
-        _BOUNDS.max_baseline, ge=0, description="Greatest distance of context cameras, likewise."
+        0.4, ge=0, description="Greatest distance of context cameras, likewise."
     )
     max_blur: float = Field(
-        _BOUNDS.max_blur,
+        0.16,
         ge=0,
         description="By how much a view may be more blurred than the median of its clip, 0 to 1.",
     )
     max_clipped: float = Field(
-        _BOUNDS.max_clipped, ge=0, le=1, description="Share of a view that may be black or white."
+        0.4, ge=0, le=1, description="Share of a view that may be black or white."
     )
-    most: int = Field(
-        _BOUNDS.most, ge=0, description="Most samples of a clip; 0 for as many as there are."
-    )
+    most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
     store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
     workers: int = Field(
         min(2, threads.cores()), ge=1, description="Chunks worked on at the same time."
@@ -70,17 +89,22 @@ class CorpusSettings(Method):
 
     def bounds(self) -> dict[str, Any]:
         """What is asked of a pair, as :class:`slgaussian.datasets.pairs.Bounds` takes it."""
-        return self.model_dump(include=Bounds.__dataclass_fields__.keys())
+        return self.model_dump(include=BOUNDS)
 
 
 def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
     """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits."""
     settings = checked(CorpusSettings, values, source)
     refuse_idle(values, settings, source)
+    check_bounds(settings, source)
+    return settings
+
+
+def check_bounds(settings: CorpusSettings, source: str) -> None:
+    """InputError if no pair can fit."""
     for name in ("overlap", "baseline"):
         low, high = getattr(settings, f"min_{name}"), getattr(settings, f"max_{name}")
         if low > high:
             raise InputError(
                 f"{source}: min_{name} {low:g} is above max_{name} {high:g}; no pair can fit"
             )
-    return settings

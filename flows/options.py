@@ -62,7 +62,9 @@ def with_options(*names: str, of: type[BaseModel] = Settings) -> Callable[[Calla
 
 def _option(name: str, field: FieldInfo) -> inspect.Parameter:
     kind = {int: int, float: float, float | None: float}.get(field.annotation, str)
-    default_text = "" if field.default is None else f" [default: {field.default}]"
+    value = field.default
+    shown = "x".join(map(str, value)) if isinstance(value, tuple) else value
+    default_text = "" if value is None else f" [default: {shown}]"
     help_text = field.description + default_text
     flag = f"--{name.replace('_', '-')}"
     default = typer.Option(None, flag, help=help_text, show_default=False)

@@ -37,12 +37,19 @@ class Progress:
         self.start = self.last = time.perf_counter()
         self.steps = self.computed = 0
         self.active: dict[str, str] = {}
+        self.detail = ""
         self.done: dict[str, list[tuple[str, float, bool]]] = {}
         self.totals: dict[str, list[tuple[float, bool]]] = {}
 
     def started(self, scene: str, stage: str) -> None:
         """A stage of a scene begins."""
         self.active[scene] = stage
+        self.detail = ""
+        self._status()
+
+    def said(self, text: str) -> None:
+        """The one stage that is being worked on is so far."""
+        self.detail = f", {text}"
         self._status()
 
     def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
@@ -95,7 +102,7 @@ class Progress:
             return
         self.last = now
         doing = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())
-        told = f"{self.steps}/{self.total} stages{_rate(self, now)}  {doing}"
+        told = f"{self.steps}/{self.total} stages{_rate(self, now)}  {doing}{self.detail}"
         if self.live:
             self.stream.write(f"\r\x1b[2K{told[:110]}")
             self.stream.flush()

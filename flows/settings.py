@@ -330,7 +330,10 @@ class Settings(Method):
     scenes: list[SceneSettings] = Field([], description="The scenes, in place of a labelled set.")
 
 
-PATHS = ("out", "data", "pairs", "labels")
+PATHS = ("out", "data", "pairs", "labels", "models")
+"""The settings that are paths,"""
+URLS = ("store", "chunks")
+"""and those that may be URLs."""
 
 
 def make_settings(values: dict[str, Any], source: str) -> Settings:
@@ -361,7 +364,7 @@ def _validated(values: dict[str, Any], source: str) -> Settings:
 
 
 def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
-    """Read a configuration; its relative paths are relative to the file, those given to hand not.
+    """Read a configuration, over which ``overrides`` win.
 
     It may hold tables of parts that are not chosen, so that one is changed for another easily.
 
@@ -370,32 +373,53 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     InputError
         If the file cannot be read, a key is unknown or a value does not fit.
     """
+    settings = _validated(read_values(path, overrides), str(path))
+    refuse_idle(overrides, settings, "run")
+    return settings
+
+
+def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
+    """The values in a TOML file, and over them, key by key of a part's table, ``overrides``.
+
+    Its relative paths are relative to the file, those given to hand not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     try:
         values = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    here = path.resolve().parent
-    _anchor(values, PATHS, here)
-    if isinstance(values.get("store"), str) and "://" not in values["store"]:
-        values["store"] = str(here / values["store"])
-    scenes = values.get("scenes")
-    for scene in scenes if isinstance(scenes, list) else []:
-        if isinstance(scene, dict):
-            _anchor(scene, ("path", "labels"), here)
-    merged = {**values, **overrides}
-    for name in TABLES:
-        if isinstance(values.get(name), dict):
-            _anchor(values[name], ("checkpoint", "folder", "table"), here)
-            for key in ("model", "tokenizer", "synonyms"):
-                place = values[name].get(key)
-                if isinstance(place, str) and (here / place).exists():
-                    values[name][key] = str(here / place)
-            merged[name] = {**values[name], **overrides.get(name, {})}
-    settings = _validated(merged, str(path))
-    refuse_idle(overrides, settings, "run")
-    return settings
+    values = anchored(values, path.resolve().parent)
+    tables = {
+        name: {**values[name], **overrides.get(name, {})}
+        for name in TABLES
+        if isinstance(values.get(name), dict)
+    }
+    return {**values, **overrides, **tables}
+
+
+def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A copy of settings whose relative paths are relative to ``folder``."""
+    values = _anchored(values, PATHS, folder)
+    for name in URLS:
+        if isinstance(values.get(name), str) and "://" not in values[name]:
+            values[name] = str(folder / values[name])
+    if isinstance(values.get("scenes"), list):
+        values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
+    for name in TABLES.keys() & values.keys():
+        table = _anchored(values[name], ("checkpoint", "folder", "table", "weights"), folder)
+        # These may be names on a hub as well.
+        for key in ("model", "tokenizer", "synonyms"):
+            place = table.get(key) if isinstance(table, dict) else None
+            if isinstance(place, str) and (folder / place).exists():
+                table[key] = str(folder / place)
+        values[name] = table
+    return values
 
 
 def refuse_idle(given: dict[str, Any], settings: Method, source: str) -> None:
@@ -410,10 +434,11 @@ def refuse_idle(given: dict[str, Any], settings: Method, source: str) -> None:
             )
 
 
-def _anchor(table: dict[str, Any], keys: tuple[str, ...], folder: Path) -> None:
-    for key in keys:
-        if isinstance(table.get(key), str):
-            table[key] = folder / table[key]
+def _anchored(table: Any, keys: tuple[str, ...], folder: Path) -> Any:
+    if not isinstance(table, dict):
+        return table  # which is said where settings are checked
+    places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
+    return {**table, **{key: str(folder / place) for key, place in places.items()}}
 
 
 SAID = {

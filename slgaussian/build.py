@@ -18,7 +18,7 @@ from slgaussian.predict import load_predictor
 from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
-from slgaussian.semantic import load_lifting
+from slgaussian.semantic import LIFTINGS, load_lifting
 
 
 def build_field(
@@ -46,8 +46,7 @@ def build_field(
     seed : int
         Decides which ID codes are drawn; the same seed gives the same bytes.
     settings : mapping, optional
-        Settings of the predictor, proposer, tracker, encoder and codes, each under its name (see
-        its class):
+        Settings of these parts, each under its name (see its class):
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
 
     Returns
@@ -61,7 +60,7 @@ def build_field(
         If a name or a setting is unknown, a checkpoint does not fit, or the views cannot be used;
         the message says which and why.
     """
-    settings = _with_default_model(encoder, settings or {})
+    settings = _with_defaults(encoder, lifting, settings or {})
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
@@ -80,7 +79,8 @@ def build_field(
         **made_by,
     }
     where = places(settings.get(encoder, {}))
-    return lift_field(sample, gaussians, label_maps, bank, lifting, about, where)
+    own = settings.get(lifting, {})
+    return lift_field(sample, gaussians, label_maps, bank, lifting, about, where, own)
 
 
 def check_parts(
@@ -97,23 +97,25 @@ def check_parts(
     Raises
     ------
     InputError
-        If no part has one of these names, settings are of another part than the predictor,
-        proposer, tracker, encoder or codes, or files do not fit.
+        If no part has one of these names, settings are of another part than these, or files do
+        not fit.
     """
-    takers = predictor, proposer, tracker, encoder, codes
+    takers = predictor, proposer, tracker, encoder, codes, lifting
     for name in settings:
         if name not in takers:
             raise InputError(
                 f"settings: found some of {name!r}, expected none but those of the predictor, "
-                f"proposer, tracker, encoder and codes, which are {', '.join(map(repr, takers))}"
+                "proposer, tracker, encoder, codes and lifting, which are "
+                f"{', '.join(map(repr, takers))}"
             )
-    loads = load_predictor, load_proposer, load_tracker, load_encoder, load_codes
+    loads = (
+        load_predictor, load_proposer, load_tracker, load_encoder, load_codes, load_lifting
+    )  # fmt: skip
     for name, load in zip(takers, loads, strict=True):
         try:
             load(name, **settings.get(name, {}))
         except TypeError as error:
             raise InputError(f"settings of {name!r}: {error}") from None
-    load_lifting(lifting)
 
 
 def label_views(
@@ -168,19 +170,24 @@ def lift_field(
     lifting: str,
     settings: Mapping[str, Any],
     where: Mapping[str, str] | None = None,
+    own: Mapping[str, Any] | None = None,
 ) -> SemanticField:
     """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
 
     ``where`` says where the encoder's files are; see :class:`slgaussian.field.SemanticField`.
+    ``own`` are settings of the lifting, and ``settings`` what the field says of itself.
     """
     cameras = {view.name: view.camera for view in sample.context}
-    lifted = load_lifting(lifting)(gaussians, label_maps, bank)
+    lifted = load_lifting(lifting, **(own or {}))(gaussians, label_maps, bank)
     return SemanticField(lifted, bank, cameras, settings, where or {})
 
 
-def _with_default_model(encoder: str, settings: PartSettings) -> PartSettings:
-    """The model of an encoder is written down even where it is the one that it has by default."""
-    default = getattr(resolve("encoder", ENCODERS, encoder), "model", None)
-    if default is None:
-        return settings
-    return {**settings, encoder: {"model": default, **settings.get(encoder, {})}}
+def _with_defaults(encoder: str, lifting: str, settings: PartSettings) -> PartSettings:
+    """The model or weights of a part are written down even where they are those by default."""
+    parts = {"model": (ENCODERS, "encoder", encoder), "weights": (LIFTINGS, "lifting", lifting)}
+    filled = dict(settings)
+    for key, (registry, kind, name) in parts.items():
+        default = getattr(resolve(kind, registry, name), key, None)
+        if default is not None:
+            filled[name] = {key: default, **settings.get(name, {})}
+    return filled

@@ -184,6 +184,28 @@ class Versions:
         return self.folder / "versions" / f"{number:06d}.parquet"
 
 
+def weights_in(place: str | os.PathLike[str]) -> Path:
+    """The weights file that a place stands for: itself, or of a folder the version in use.
+
+    Raises
+    ------
+    InputError
+        If nothing is in use in the folder.
+    SpecError
+        If what is in use is damaged.
+    """
+    if not Path(place).is_dir():
+        return Path(place)
+    versions = Versions(place)
+    current = versions.current()
+    if current is None:
+        raise InputError(
+            f"{place}: holds no version in use; expected a file of weights, or a folder that "
+            "`slgaussian retrain` has put one into"
+        )
+    return versions.weights(current)
+
+
 def _table(version: Version) -> pa.Table:
     row = {**vars(version), "facts": json.dumps(version.facts, sort_keys=True)}
     return pa.Table.from_pylist([row], schema=load_spec("versions").schema)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass, field, replace
@@ -27,6 +27,7 @@ CHANGED = "was changed after the run had begun; start the run again"
 """What is said of a file whose content is no longer that of the settings."""
 
 _active_store: ContextVar[ArtifactStore] = ContextVar("active_store")
+_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
 @dataclass(frozen=True)
@@ -102,13 +103,24 @@ class RefSerializer(Serializer):
 
 
 @contextmanager
-def using(store: ArtifactStore) -> Iterator[None]:
-    """Make ``store`` the one that tasks submitted within read, write and check."""
-    token = _active_store.set(store)
+def using(store: ArtifactStore, listener: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Make ``store`` the one that tasks submitted within read, write and check.
+
+    ``listener`` gets what they :func:`tell`.
+    """
+    tokens = _active_store.set(store), _listener.set(listener)
     try:
         yield
     finally:
-        _active_store.reset(token)
+        _active_store.reset(tokens[0])
+        _listener.reset(tokens[1])
+
+
+def tell(text: str) -> None:
+    """Say how far a long stage is, to whoever watches the run."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(text)
 
 
 def run_stage(call: StageCall) -> ArtifactRef:

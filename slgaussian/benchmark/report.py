@@ -90,14 +90,14 @@ def render_report(
     """
     shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
     scenes = [_scene(result, f"scene-{i}") for i, result in enumerate(results)]
-    return _template("report.html.j2").render(
+    return template("report.html.j2").render(
         metrics=shown,
         scenes=scenes,
         hero=_hero(results, scenes),
         means={m.key: _macro_mean(results, m.key) for m in shown},
         protocol=_protocol(results),
         failures=failures,
-        manifest=_flatten(manifest),
+        manifest=flatten(manifest),
         error_top=ERROR_TOP,
         times_here=TIMES_HERE,
     )
@@ -114,8 +114,8 @@ def with_times(
     ``times`` are seconds by stage, ``scene_times`` those of the evaluation by scene, and ``host``
     says where it ran.
     """
-    section = _template("times.html.j2").render(
-        times=times, scene_times=scene_times, host=_flatten(host)
+    section = template("times.html.j2").render(
+        times=times, scene_times=scene_times, host=flatten(host)
     )
     return page.replace(TIMES_HERE, section)
 
@@ -161,7 +161,8 @@ def file_name(text: str) -> str:
     return f"{safe}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
-def _template(name: str) -> jinja2.Template:
+def template(name: str) -> jinja2.Template:
+    """The template of that file name beside this module."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("slgaussian.benchmark", "."),
         autoescape=True,
@@ -242,11 +243,12 @@ def _protocol(results: Sequence[SceneResult]) -> dict[str, Any]:
     }
 
 
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """The leaves of nested mappings as text, keys joined by dots."""
     flat: list[tuple[str, str]] = []
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            flat += _flatten(value, f"{prefix}{key}.")
+            flat += flatten(value, f"{prefix}{key}.")
         else:
             flat.append((f"{prefix}{key}", str(value)))
     return flat

@@ -7,7 +7,11 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.registry import resolve
 
-LIFTINGS = {"hard": "slgaussian.semantic.hard:HardIndex"}
+LIFTINGS = {
+    "hard": "slgaussian.semantic.hard:HardIndex",
+    "filled": "slgaussian.semantic.filled:Filled",
+    "branch": "slgaussian.semantic.branch:load_lifting",
+}
 
 
 class Lifting(Protocol):

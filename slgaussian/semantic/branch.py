@@ -4,6 +4,11 @@ A convolution, residual blocks that each halve the resolution (He et al. 2016), 
 all added to the input, then an MLP for each pixel, whose output is the feature of the Gaussians
 that come from it. The last layers start at zero, so that an untrained branch is the control
 without a network, :class:`slgaussian.semantic.hard.HardIndex`.
+
+One that also sees the other views (:mod:`slgaussian.semantic.others`) is given label images in
+which pixels without an object took that of their other, and what the others say beside them, which
+it may take a share of. Untrained, it is :class:`slgaussian.semantic.filled.Filled`. That is beyond
+the paper.
 """
 
 from __future__ import annotations
@@ -32,6 +37,12 @@ from slgaussian.semantic.others import Others, find_others
 SHIPPED = Path(__file__).parent / "weights" / "branch.safetensors"
 """Weights that come with the package."""
 
+DIMENSION = 3
+"""Numbers an ID code, as in the paper."""
+
+OWN = DIMENSION + 1
+"""Channels of a code image, and of a feature: the code times the weight, and the weight."""
+
 
 @dataclass(frozen=True)
 class Architecture:
@@ -45,22 +56,17 @@ class Architecture:
     hidden : int
         Of the MLP's one hidden layer.
     others : bool
-        Whether it also sees what other views say about each pixel
-        (:mod:`slgaussian.semantic.others`). The paper's does not.
-    dimension : int
-        Numbers an ID code.
+        Whether it also sees what other views say about each pixel. The paper's does not.
     """
 
     widths: tuple[int, ...] = (16, 24, 32)
     hidden: int = 32
     others: bool = True
-    dimension: int = 3
 
     @property
     def channels(self) -> int:
-        """Of the input: code times weight, the weight, and as much from others, and how near."""
-        own = self.dimension + 1
-        return 2 * own + 1 if self.others else own
+        """Of the input: a view's own code image and, if wanted, what others say about it."""
+        return 2 * OWN + 2 if self.others else OWN
 
 
 class Branch(nn.Module):
@@ -81,20 +87,24 @@ class Branch(nn.Module):
             torch.manual_seed(seed)
             self.convolutions = _Convolutions(channels, architecture.widths)
             self.first = nn.Conv2d(channels, hidden, 1)
-            self.last = nn.Conv2d(hidden, architecture.dimension + 1, 1)
+            self.last = nn.Conv2d(hidden, OWN + 2 * architecture.others, 1)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Features float [V, H, W, D + 1] of input images float [V, H, W, C], of any size.
+        """Features float [V, H, W, 4] of input images float [V, H, W, C], of any size.
 
-        C is :attr:`Architecture.channels`, D + 1 of them the view's own. Features are linear
+        C is :attr:`Architecture.channels`, the first 4 of them the view's own. Features are linear
         shares of light like any other, and not held to [0, 1].
         """
-        own = self.architecture.dimension + 1
         stacked = images.permute(0, 3, 1, 2)
         mixed = stacked + self.convolutions(stacked)
-        features = mixed[:, :own] + self.last(F.relu(self.first(mixed)))
+        found = self.last(F.relu(self.first(mixed)))
+        features = mixed[:, :OWN] + found[:, :OWN]
+        if self.architecture.others:
+            # Copying is a product, which sums of half-planes are slow to learn: codes change.
+            more, taken = found[:, OWN : OWN + 1], found[:, OWN + 1 :]
+            features = features + more * stacked[:, :OWN] + taken * stacked[:, OWN : 2 * OWN]
         return features.permute(0, 2, 3, 1)
 
 
@@ -137,8 +147,24 @@ class _HalvingBlock(nn.Module):
         return F.relu(self.past(halved) + self.two(F.relu(self.one(images))))
 
 
+@dataclass(frozen=True, eq=False)
 class BranchLifting:
-    """The lifting by a trained branch.
+    """The lifting by a branch."""
+
+    branch: Branch
+
+    def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
+        """See :class:`slgaussian.semantic.Lifting`; InputError for codes not of three numbers."""
+        wanted = self.branch.architecture.others
+        others = find_others(gaussians, label_maps.labels.shape) if wanted else None
+        images = input_images(label_maps.labels, bank.ids, bank.codes, others)
+        with torch.no_grad():
+            features = features_of(self.branch, images, gaussians.source)
+        return replace(gaussians, features=features)
+
+
+def load_lifting(weights: str | Path | None = None) -> BranchLifting:
+    """The lifting by the branch with these weights.
 
     Parameters
     ----------
@@ -150,62 +176,51 @@ class BranchLifting:
     InputError
         If the file is not there, damaged or of another architecture.
     """
-
-    def __init__(self, weights: str | Path | None = None) -> None:
-        if weights is None and not SHIPPED.is_file():
-            raise InputError(
-                "lifting 'branch': no weights come with this install; train some with "
-                "`slgaussian train` and give the file, or choose the lifting 'hard'"
-            )
-        self._branch = load_branch(weights or SHIPPED)
-
-    def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
-        """See :class:`slgaussian.semantic.Lifting`; InputError for a bank of other codes."""
-        return lift(self._branch, gaussians, label_maps.labels, bank.ids, bank.codes)
-
-
-def lift(
-    branch: Branch, gaussians: Gaussians, labels: np.ndarray, ids: np.ndarray, codes: np.ndarray
-) -> Gaussians:
-    """The Gaussians with the features that a branch gives them, without gradients.
-
-    Parameters
-    ----------
-    branch : Branch
-    gaussians : Gaussians
-    labels : int32 [V, H, W]
-        Of the context views.
-    ids, codes : int32 [N], float32 [N, D]
-        The ID code of each object.
-
-    Raises
-    ------
-    InputError
-        If codes have another dimension than the branch was trained for.
-    """
-    architecture = branch.architecture
-    if codes.shape[1] != architecture.dimension:
+    if weights is None and not SHIPPED.is_file():
         raise InputError(
-            f"lifting 'branch': found codes of {codes.shape[1]} numbers, expected "
-            f"{architecture.dimension}, which its weights were trained for; choose such codes, or "
-            "the lifting 'hard'"
+            "lifting 'branch': no weights come with this install; train some with "
+            "`slgaussian train` and give the file, or choose the lifting 'hard'"
         )
-    others = find_others(gaussians, labels.shape) if architecture.others else None
-    images = torch.from_numpy(input_images(labels, ids, codes, others))
-    with torch.no_grad():
-        return replace(gaussians, features=features_of(branch, images, gaussians.source.long()))
+    return BranchLifting(load_branch(weights or SHIPPED))
 
 
 def input_images(
     labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: Others | None
-) -> np.ndarray:
-    """What a branch looks at, float32 [V, H, W, C]; ``others`` if its architecture wants them."""
-    own = code_images(labels, ids, codes)
-    return own if others is None else np.concatenate([own, others.images(own)], -1)
+) -> torch.Tensor:
+    """What a branch looks at.
+
+    Parameters
+    ----------
+    labels : int32 [V, H, W]
+        Of the context views.
+    ids, codes : int32 [N], float32 [N, 3]
+        The ID code of each object.
+    others : Others, optional
+        If the architecture wants them.
+
+    Returns
+    -------
+    float32 [V, H, W, C]
+
+    Raises
+    ------
+    InputError
+        If codes have not three numbers.
+    """
+    if codes.shape[1] != DIMENSION:
+        raise InputError(
+            f"lifting 'branch': found codes of {codes.shape[1]} numbers, expected {DIMENSION}, "
+            "which branches are trained for; choose such codes, or the lifting 'hard'"
+        )
+    if others is None:
+        return torch.from_numpy(code_images(labels, ids, codes))
+    own = code_images(others.fill(labels), ids, codes)
+    said = others.images(code_images(labels, ids, codes))
+    return torch.from_numpy(np.concatenate([own, said], -1))
 
 
 def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
-    """The feature of each Gaussian, float32 [N, D + 1]: that of its source pixel, int64 [N]."""
+    """The feature of each Gaussian, float32 [N, 4]: that of its source pixel, int [N]."""
     return branch(images).flatten(0, 2).index_select(0, source)
 
 

@@ -1,0 +1,96 @@
+"""Learn what is new in a corpus, and change the weights in use if that made them better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flows import corpus
+from flows.training import Parted, Trained, parted, read_lessons, train_on
+from flows.training_settings import RetrainSettings, Training
+from slgaussian.errors import InputError
+from slgaussian.semantic.verdict import Verdict, clip_scores, gain, verdict
+from slgaussian.store import ArtifactStore, table_digest
+from slgaussian.versions import Version, Versions
+
+ASKED = (*Training.model_fields, "codes", "seed")
+"""The settings of which another value asks for another training."""
+
+
+@dataclass(frozen=True)
+class Retrained:
+    """What came of it, in a sentence; the version that was added, and what has been left out."""
+
+    said: str
+    version: Version | None
+    prepared: corpus.Prepared
+
+
+def retrain(settings: RetrainSettings, store: ArtifactStore, verbose: bool = False) -> Retrained:
+    """Ingest and supervise what is new, train from the weights in use, and keep the better ones.
+
+    Candidate and incumbent, or no branch while there is none, are judged on the same held-out
+    lessons; the candidate is put to use if its gain is beyond noise
+    (:func:`slgaussian.semantic.verdict.verdict`), and kept in any case. Without anything new, in
+    the lessons or the settings, nothing is trained. Needs Prefect to be ready.
+
+    Raises
+    ------
+    InputError
+        As :func:`flows.corpus.supervise` and :func:`flows.training.train_on`; if other clips were
+        held out for the weights in use; or if the folder of versions cannot be written.
+    """
+    versions = Versions(settings.models)
+    history, incumbent = versions.all(), versions.current()
+    prepared = corpus.supervise(settings, store, verbose)
+    table = read_lessons(settings.out / corpus.FILES["lessons"], store)
+    lessons = parted(table, settings.held_out)
+    about = _about(settings, lessons)
+    if history and about["asked"] == history[-1].facts.get("asked"):
+        used = "no version" if incumbent is None else f"version {incumbent.number}"
+        said = f"nothing new since version {history[-1].number}; {used} is in use"
+        return Retrained(said, None, prepared)
+    start = None
+    if incumbent is not None:
+        _check_share(settings, incumbent)
+        start = versions.weights(incumbent)
+    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
+    trained.write(settings.out)
+    found = _verdict(trained, incumbent)
+    facts = {**about, "scores": _scores(trained)}
+    added = versions.add(trained.weights, facts, found.better, found.why, incumbent)
+    done = "put to use" if found.better else "kept, not used"
+    return Retrained(f"version {added.number} {done}: {found.why}", added, prepared)
+
+
+def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:
+    given = settings.model_dump(mode="json", include=set(ASKED))
+    digests = {name: table_digest(table) for name, table in vars(lessons).items()}
+    return {"asked": {**given, "lessons": digests}, "counts": lessons.counts()}
+
+
+def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
+    """The incumbent must not be judged on what it was trained on, nor favoured by it."""
+    before = incumbent.facts.get("asked", {}).get("held_out")
+    if before is not None and before != settings.held_out:
+        raise InputError(
+            f"held_out: found {settings.held_out:g}, but version {incumbent.number} in "
+            f"{settings.models} was trained with {before:g} and may have learnt what it would be "
+            f"judged by; keep {before:g}, or begin in another folder of versions"
+        )
+
+
+def _verdict(trained: Trained, incumbent: Version | None) -> Verdict:
+    if incumbent is None:
+        return verdict(trained.judgements, "hard", "no branch (hard)")
+    return verdict(trained.judgements, "before", f"version {incumbent.number}")
+
+
+def _scores(trained: Trained) -> dict[str, Any]:
+    means = {
+        lifting: float(np.mean(scores))
+        for lifting, scores in clip_scores(trained.judgements).items()
+    }
+    return {"iou": means, "over hard": vars(gain(trained.judgements, "hard"))}

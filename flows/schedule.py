@@ -1,0 +1,139 @@
+"""Retraining by the clock of a Prefect server."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+from prefect.client.schemas.schedules import CronSchedule
+from prefect.flows import EntrypointType
+from prefect.runner import Runner
+from prefect.runtime import deployment
+from pydantic import ValidationError
+
+from flows.environment import orchestration
+from flows.training_settings import from_anywhere, read_retraining
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.store import ArtifactStore
+
+NAME = "slgaussian-retrain"
+
+
+@flow(name=NAME, persist_result=False)
+def scheduled(config: str | None = None, given: dict[str, Any] | None = None) -> str:
+    """What `slgaussian retrain` does, each time in a process of its own; what it says.
+
+    Parameters
+    ----------
+    config : str, optional
+        TOML file, read anew each time.
+    given : mapping, optional
+        Settings that win over it.
+    """
+    if deployment.id is not None:
+        threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+    try:
+        settings = read_retraining(None if config is None else Path(config), given or {})
+        store = ArtifactStore(settings.store)
+        with orchestration(store) as ready:
+            from flows.retraining import retrain
+
+            ready()
+            said = retrain(settings, store).said
+    except SLGaussianError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        raise
+    print(said, flush=True)
+    return said
+
+
+def serve(
+    config: Path | None, given: dict[str, Any], every: float | None, cron: str | None
+) -> None:
+    """Wait for the times of a schedule and retrain at each, one at a time, until stopped.
+
+    Parameters
+    ----------
+    config, given
+        As :func:`flows.training_settings.read_retraining` takes them.
+    every : float, optional
+        Seconds between two times.
+    cron : str, optional
+        Times as cron writes them, in UTC. One of both.
+
+    Raises
+    ------
+    InputError
+        If it is not one of both, the times are none, or no Prefect server answers.
+    """
+    if (every is None) == (cron is None):
+        raise InputError("retrain: --every and --cron are two ways; choose one")
+    if every is not None and every <= 0:
+        raise InputError(f"--every: found {every:g}, expected a number of seconds above 0")
+    if cron is not None:
+        try:
+            CronSchedule(cron=cron)
+        except ValidationError as error:
+            raise InputError(
+                f"--cron: found {cron!r}, expected five fields as in '0 3 * * *'"
+            ) from error
+    times = f"every {every:g} s" if cron is None else f"at {cron!r}, UTC"
+    print(f"retraining {times}, by {_server()}; stop with Ctrl-C", file=sys.stderr, flush=True)
+    runner = _Runner(name=NAME, limit=1)
+    runner.add_flow(
+        scheduled,
+        name=NAME,
+        interval=every,
+        cron=cron,
+        parameters={
+            "config": None if config is None else str(config.resolve()),
+            "given": from_anywhere(config, given),
+        },
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
+    try:
+        asyncio.run(runner.start())
+    except KeyboardInterrupt:
+        # Python would wait for what they are at, a training of hours perhaps.
+        for run in multiprocessing.active_children():
+            run.kill()
+
+
+class _Runner(Runner):
+    def handle_sigterm(self, *args: Any) -> None:
+        # Prefect's own leaves the schedule running, and waits for a run until that is done.
+        signal.raise_signal(signal.SIGINT)
+
+
+def _leave_with_parent(parent: int) -> None:
+    """End this process, whose training goes on next time, once its parent is gone."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)
+
+
+def _server() -> str:
+    url = os.environ.get("PREFECT_API_URL")
+    if not url:
+        raise InputError(
+            "a schedule needs a Prefect server that keeps running: start one with `prefect server "
+            "start`, set PREFECT_API_URL=http://127.0.0.1:4200/api and run this again; or let cron "
+            "run `slgaussian retrain` without --every and --cron"
+        )
+    try:
+        urllib.request.urlopen(f"{url}/health", timeout=30).close()
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"PREFECT_API_URL {url}: no Prefect server answers there ({error}); start it with "
+            "`prefect server start`"
+        ) from error
+    return url

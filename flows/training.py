@@ -1,0 +1,261 @@
+"""Train the semantic branch on the lessons of a corpus, and judge it on those it has not seen."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from data_specs import load_spec
+from flows.chains import Chain, Outcome, Step, run_chains
+from flows.environment import home_of
+from flows.pipeline import check_folder
+from flows.progress import Progress
+from flows.training_settings import Training, TrainSettings
+from slgaussian import __version__
+from slgaussian.errors import InputError, SLGaussianError, SpecError
+from slgaussian.semantic.branch import Architecture, load_branch
+from slgaussian.semantic.split import held_out
+from slgaussian.semantic.training import TrainingSettings
+from slgaussian.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
+from slgaussian.versions import weights_in
+from tasks.stage import stage_task, using
+
+FILES = {
+    "weights": "branch.safetensors",
+    "metrics": "metrics.parquet",
+    "judgements": "judgements.parquet",
+    "report": "report.html",
+}
+"""What a training leaves in the output folder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parted:
+    """Lessons, tables of that spec: to learn from, and held out to judge by."""
+
+    learnt: pa.Table
+    held_out: pa.Table
+
+    def counts(self) -> dict[str, int]:
+        """How many lessons and clips each has."""
+        return {
+            f"{name} {kind}": count
+            for name, table in vars(self).items()
+            for kind, count in (
+                ("lessons", table.num_rows),
+                ("clips", len(set(table["clip"].to_pylist()))),
+            )
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """What a training made: weights as a safetensors file, its course, how they were judged."""
+
+    weights: bytes
+    metrics: pa.Table
+    judgements: pa.Table
+    report: bytes
+
+    def write(self, out: Path) -> None:
+        """Write the :data:`FILES`; InputError if that fails."""
+        contents = {
+            "weights": self.weights,
+            "metrics": encode_table(self.metrics),
+            "judgements": encode_table(self.judgements),
+            "report": self.report,
+        }
+        try:
+            for name, data in contents.items():
+                write_atomic(out / FILES[name], data)
+        except OSError as error:
+            raise InputError(
+                f"{out}: cannot write the results ({error.strerror}); they are kept in the store, "
+                "so make room there, or choose another folder with -o, and run again"
+            ) from error
+
+
+def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) -> Trained:
+    """Train on the lessons that are in a folder, and write what came of it to ``settings.out``.
+
+    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+
+    Raises
+    ------
+    InputError
+        If there are too few lessons, they are not in the store, the weights to begin from cannot
+        be used, the training fails, or something cannot be written.
+    """
+    lessons = parted(read_lessons(settings.lessons / "lessons.parquet", store), settings.held_out)
+    start = None if settings.start is None else weights_in(settings.start)
+    store.check_writable()
+    check_folder(settings.out)
+    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
+    trained.write(settings.out)
+    return trained
+
+
+def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
+    """The table that `supervise` left; InputError if it or its lessons are not there."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{file}: cannot be read ({error.strerror}); expected what `slgaussian supervise` wrote"
+        ) from error
+    spec = load_spec("lessons")
+    table = decode(data, spec, str(file), "run `slgaussian supervise` again")
+    spec.check_table(table, str(file))
+    try:
+        for uri in table["uri"].to_pylist()[:1]:
+            store.check_there(uri)
+    except SpecError as error:
+        raise InputError(
+            f"{file}: its lessons are not in the store {store.root}; give the --store that "
+            "`slgaussian supervise` had"
+        ) from error
+    return table
+
+
+def parted(lessons: pa.Table, share: float) -> Parted:
+    """Lessons of clips to train on and of clips held out (:mod:`slgaussian.semantic.split`).
+
+    In an order that does not depend on which chunk they are in.
+
+    Raises
+    ------
+    InputError
+        If either has none.
+    """
+    schema = load_spec("lessons").schema
+    rows = [{**row, "chunk": None} for row in lessons.sort_by("sample").to_pylist()]
+    sides: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
+    for row in rows:
+        sides[held_out(row["clip"], share)].append(row)
+    parts = [pa.Table.from_pylist(sides[side], schema=schema) for side in (False, True)]
+    made = Parted(*parts)
+    counts = made.counts()
+    if not all(counts.values()):
+        raise InputError(
+            f"held_out {share:g}: found {counts['learnt clips']} clips with lessons to learn from "
+            f"and {counts['held_out clips']} to judge by, expected one of each at least; give more "
+            "clips, or another share"
+        )
+    return made
+
+
+def train_on(
+    lessons: Parted,
+    options: Training,
+    codes: str,
+    seed: int,
+    start: Path | None,
+    store: ArtifactStore,
+    verbose: bool,
+) -> Trained:
+    """Train from the weights ``start``, or seeded ones, judge, and draw the report.
+
+    What was done before comes from the store; what was interrupted goes on.
+    """
+    began = {} if start is None else {"start": _stored(start, store)}
+    architecture = Architecture() if start is None else load_branch(start).architecture
+    settings = TrainingSettings(
+        architecture=architecture,
+        steps=options.steps,
+        rate=options.rate,
+        corrupted=options.corrupted,
+        codes=codes,
+        seed=seed,
+    )
+    refs = {name: store.put("lessons", table) for name, table in vars(lessons).items()} | began
+    steps = _steps(settings, bool(began), lessons.counts(), home_of(store).parent / "checkpoints")
+    outcome = _run(steps, refs, store, verbose)
+    for failure in outcome.failures:
+        raise InputError(failure.reason)
+    made = outcome.refs["branch"]
+    course = ArtifactRef("metrics", **made["train"].meta["metrics"])
+    return Trained(
+        store.get(made["train"])["safetensors"].tobytes(),
+        store.get(course),
+        store.get(made["judge"]),
+        store.get(made["training_report"])["html"].tobytes(),
+    )
+
+
+def _stored(weights: Path, store: ArtifactStore) -> ArtifactRef:
+    return store.put("weights", {"safetensors": np.fromfile(weights, np.uint8)})
+
+
+def _steps(
+    settings: TrainingSettings, began: bool, counts: Mapping[str, int], checkpoints: Path
+) -> list[Step]:
+    asked = {"codes": settings.codes, "seed": settings.seed}
+    judged = {"lessons": "held_out", "branch": "train", **({"before": "start"} if began else {})}
+    manifest = {
+        **counts,
+        "start": "weights" if began else "seeded",
+        "settings": asdict(settings),
+        "versions": {"slgaussian": __version__, "torch": version("torch")},
+    }
+    return [
+        Step(
+            "train",
+            asdict(settings),
+            {"lessons": "learnt", **({"start": "start"} if began else {})},
+            {"checkpoints": str(checkpoints)},
+        ),
+        Step("judge", asked, judged),
+        Step("training_report", {**asked, "manifest": manifest}, {**judged, "judgements": "judge"}),
+    ]
+
+
+def _run(
+    steps: list[Step], refs: dict[str, ArtifactRef], store: ArtifactStore, verbose: bool
+) -> Outcome:
+    progress = _Course(1, len(steps), verbose=verbose)
+    stop = threading.Event()
+
+    def listen(text: str) -> None:
+        if stop.is_set():
+            raise SLGaussianError("stopped")
+        progress.said(text)
+
+    @flow(
+        name="slgaussian-train",
+        task_runner=ThreadPoolTaskRunner(max_workers=1),
+        persist_result=False,
+        validate_parameters=False,
+    )
+    def training() -> Outcome:
+        with using(store, listen):
+            try:
+                chain = Chain("branch", lambda: steps, refs, first="train")
+                return run_chains(stage_task(store), [chain], 1, progress)
+            except KeyboardInterrupt:
+                # Nobody waits for what the thread does, but the program would until it is done.
+                stop.set()
+                raise
+
+    outcome = training()
+    progress.summary()
+    return outcome
+
+
+class _Course(Progress):
+    """Of one chain, whose failure is raised in the end."""
+
+    def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
+        """Say only what the reason leaves out."""
+        self.active.pop(scene, None)
+        if self.verbose and not isinstance(error, SLGaussianError):
+            self.line("".join(traceback.format_exception(error)).rstrip())

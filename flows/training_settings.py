@@ -1,0 +1,71 @@
+"""Settings of the flows that train the semantic branch, once or whenever there is something new."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from flows.corpus_settings import CorpusSettings, check_bounds
+from flows.settings import Method, anchored, checked, read_values, refuse_idle
+
+
+class Training(BaseModel):
+    """What a training is besides its lessons, codes and seed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    steps: int = Field(1500, ge=1, description="Steps of training, one lesson each.")
+    rate: float = Field(3e-3, gt=0, description="Highest learning rate.")
+    corrupted: float = Field(
+        0.75, ge=0, le=1, description="Share of the steps with corrupted labels."
+    )
+    held_out: float = Field(
+        0.2, gt=0, lt=1, description="Share of the clips, about, that are kept to judge by."
+    )
+
+
+class TrainSettings(Training):
+    """A training on lessons that are there already."""
+
+    codes: str = Field("separated", description="How ID codes are drawn: separated or grid.")
+    seed: int = Method.model_fields["seed"]
+    store: str = CorpusSettings.model_fields["store"]
+    lessons: Path = Field(description="Folder that `supervise` wrote.")
+    start: Path | None = Field(
+        None, description="Weights to begin from: a file, or a folder of versions."
+    )
+    out: Path = Field(description="Folder for the weights and the report.")
+
+
+class RetrainSettings(Training, CorpusSettings):
+    """A corpus that grows, and the weights that are kept of it."""
+
+    models: Path = Field(description="Folder of the versions of the weights.")
+
+
+def read_retraining(config: Path | None, given: dict[str, Any]) -> RetrainSettings:
+    """The settings in a TOML file, over which those ``given`` to hand win.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a key is unknown or missing, or a value does not fit.
+    """
+    source = "retrain" if config is None else str(config)
+    values = given if config is None else read_values(config, given)
+    settings = checked(RetrainSettings, values, source)
+    refuse_idle(given, settings, "retrain")
+    check_bounds(settings, source)
+    return settings
+
+
+def from_anywhere(config: Path | None, given: dict[str, Any]) -> dict[str, Any]:
+    """What is given to hand, such that it means the same in any working folder.
+
+    That is, with absolute paths, and with the store that is meant if none is named.
+    """
+    known = given if config is None else read_values(config, given)
+    meant = {} if "store" in known else {"store": CorpusSettings.model_fields["store"].default}
+    return anchored({**meant, **given}, Path.cwd())

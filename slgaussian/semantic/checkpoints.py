@@ -1,0 +1,121 @@
+"""Where a training is, on disk: all that the rest of it depends on, and nothing that runs code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import torch
+
+from data_specs import load_spec
+from slgaussian.errors import InputError
+from slgaussian.semantic.branch import Branch, branch_of, encode_tensors, read_tensors
+from slgaussian.store import decode, encode_table, write_atomic
+
+CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a training continues: ``step`` steps are done, ``rows`` are their metrics."""
+
+    step: int
+    rows: list[dict[str, Any]]
+
+
+def save_checkpoint(
+    folder: Path,
+    branch: Branch,
+    optimiser: torch.optim.Optimizer,
+    run: Mapping[str, Any],
+    rows: list[dict[str, Any]],
+) -> None:
+    """Write where a training is, such that a crash at any moment leaves this place or the last.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets ``checkpoint.safetensors`` and ``metrics.parquet``, each replaced whole. The metrics
+        go first: what they say of steps that no checkpoint knows of is dropped when one resumes.
+    run : mapping
+        What the training is of, as plain data: only the same may go on from here.
+    rows : list of dict
+        A row a step, as ``data_specs/metrics.toml`` says.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    tensors = {f"branch.{name}": t.detach() for name, t in branch.state_dict().items()}
+    for index, state in optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser.{index}.{name}": t.detach() for name, t in state.items()}
+    about = {"step": len(rows), "run": run}
+    try:
+        write_atomic(folder / METRICS, encode_table(table_of(rows)))
+        write_atomic(folder / CHECKPOINT, encode_tensors(tensors, about))
+    except OSError as error:
+        raise InputError(
+            f"checkpoint in {folder}: cannot be written ({error.strerror}); make room, or choose "
+            "another folder, and run again: it goes on from the last one"
+        ) from error
+
+
+def load_checkpoint(
+    folder: Path, branch: Branch, optimiser: torch.optim.Optimizer, run: Mapping[str, Any]
+) -> Place:
+    """Set ``branch`` and ``optimiser`` to where :func:`save_checkpoint` left them.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or the checkpoint is of another run than ``run``.
+    SpecError
+        If the metrics are damaged.
+    """
+    file = folder / CHECKPOINT
+    if not file.is_file():
+        return Place(0, [])
+    tensors, about = read_tensors(file)
+    found = about.get("run")
+    if found != dict(run):
+        raise InputError(
+            f"checkpoint {file}: is of another training ({_difference(found, run)}); choose an "
+            "empty folder, or go on with what it was begun with"
+        )
+    parts: dict[str, dict[str, torch.Tensor]] = {"branch": {}, "optimiser": {}}
+    for name, tensor in tensors.items():
+        part, _, rest = name.partition(".")
+        parts[part][rest] = tensor
+    architecture = {"architecture": run["architecture"]}
+    loaded = branch_of(parts["branch"], architecture, file, branch.architecture)
+    branch.load_state_dict(loaded.state_dict())
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    for name, tensor in parts["optimiser"].items():
+        index, _, rest = name.partition(".")
+        state.setdefault(int(index), {})[rest] = tensor
+    groups = optimiser.state_dict()["param_groups"]
+    optimiser.load_state_dict({"state": state, "param_groups": groups})
+    metrics = folder / METRICS
+    try:
+        data = metrics.read_bytes()
+    except OSError as error:
+        raise InputError(f"{metrics}: {error.strerror}; begin in an empty folder") from None
+    table = decode(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
+    load_spec("metrics").check_table(table, str(metrics))
+    return Place(about["step"], table.to_pylist()[: about["step"]])
+
+
+def table_of(rows: list[dict[str, Any]]) -> pa.Table:
+    """Rows as a table of spec ``metrics``."""
+    return pa.Table.from_pylist(rows, schema=load_spec("metrics").schema)
+
+
+def _difference(found: Any, run: Mapping[str, Any]) -> str:
+    if not isinstance(found, Mapping):
+        return "it does not say of which"
+    names = [name for name in run if found.get(name) != run[name]]
+    return ", ".join(f"{name} {found.get(name)} instead of {run[name]}" for name in names)

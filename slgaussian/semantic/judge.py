@@ -1,0 +1,158 @@
+"""How good a lifting is, on lessons it has not seen: do novel views show the right objects?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
+from slgaussian.language import load_codes
+from slgaussian.language.bank import MemoryBank
+from slgaussian.rasterize.planned import plan
+from slgaussian.seeding import rng_for
+from slgaussian.semantic import Lifting
+from slgaussian.semantic.decode import Decoder
+from slgaussian.semantic.lesson import Lesson
+
+DRAWS = 10_000
+"""Resamplings of the bootstrap; of 10,000 the interval's ends have about two sure digits."""
+
+LEVEL = 0.95
+"""Share of the resamplings inside the interval."""
+
+
+def label_iou(
+    lesson: Lesson,
+    liftings: Mapping[str, Lifting],
+    labels: np.ndarray | None = None,
+    codes: str = "separated",
+    seed: int = 0,
+) -> dict[str, float]:
+    """Mean IoU of the objects in the target views, as :func:`novel_labels` shows them.
+
+    Pixels that the target labels leave open do not count. Worse ``labels`` are judged by the same
+    objects, those in ``lesson.labels``: one that is lost counts 0.
+
+    Returns
+    -------
+    {name: float}
+        In [0, 1]: the mean over target views and the objects in each. NaN if there is none.
+    """
+    asked = np.unique(lesson.labels)
+    asked = asked[asked > 0]
+    scores = {}
+    for name, views in novel_labels(lesson, liftings, labels, codes, seed).items():
+        own: list[float] = []
+        for found, target in zip(views, lesson.targets, strict=True):
+            own += _ious(np.where(target > 0, found, 0), target, asked)
+        scores[name] = float(np.mean(own)) if own else float("nan")
+    return scores
+
+
+def novel_labels(
+    lesson: Lesson,
+    liftings: Mapping[str, Lifting],
+    labels: np.ndarray | None = None,
+    codes: str = "separated",
+    seed: int = 0,
+) -> dict[str, np.ndarray]:
+    """The objects in the target views, as a field of these Gaussians shows them.
+
+    Rendered with the planned splat and decoded as a field decodes
+    (:mod:`slgaussian.semantic.decode`).
+
+    Parameters
+    ----------
+    lesson : Lesson
+    liftings : {name: Lifting}
+        All get the same labels and codes.
+    labels : int32 [V, H, W], optional
+        What liftings are shown of the context views, by default the lesson's own labels.
+    codes : str
+        Code strategy by name; codes of one to three numbers.
+    seed : int
+        Decides the codes.
+
+    Returns
+    -------
+    {name: int32 [T, H, W]}
+        Ids, 0 for none.
+    """
+    labels = lesson.labels if labels is None else labels
+    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    ids = maps.ids
+    drawn = load_codes(codes)(maps, rng_for(seed, lesson.sample, "judge"))
+    nothing = np.zeros((len(ids), len(labels), 1), np.float32)
+    bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
+    decode = Decoder(bank)
+    lifted = {name: lift(lesson.gaussians, maps, bank).features for name, lift in liftings.items()}
+    found: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
+    for camera in lesson.cameras:
+        planned = plan(lesson.gaussians, camera)
+        for name, features in lifted.items():
+            found[name].append(decode(planned.render(features).numpy())[0])
+    return {name: np.stack(views) for name, views in found.items()}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """By how much one lifting is better than another on the same samples.
+
+    Attributes
+    ----------
+    difference : float
+        Mean over the samples of the score of the one minus that of the other.
+    low, high : float
+        Where the mean lies for :data:`LEVEL` of the resamplings: a gain is beyond noise if
+        ``low`` is above 0.
+    samples : int
+    """
+
+    difference: float
+    low: float
+    high: float
+    samples: int
+
+
+def compare(scores: Sequence[float], others: Sequence[float], seed: int = 0) -> Comparison:
+    """Paired bootstrap (Efron 1979) over samples: they are drawn with replacement, in pairs.
+
+    Parameters
+    ----------
+    scores, others : sequence of float
+        Of two liftings on the same samples, in one order. Samples without a score (NaN) are left
+        out. Samples of one scene are no independent ones: the interval is then too narrow.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If the lengths differ or no sample has both scores.
+    """
+    if len(scores) != len(others):
+        raise InputError(f"compare: found {len(scores)} and {len(others)} scores, expected pairs")
+    gains = np.asarray(scores, np.float64) - np.asarray(others, np.float64)
+    gains = gains[np.isfinite(gains)]
+    if len(gains) == 0:
+        raise InputError("compare: found no sample that both were judged on, expected at least one")
+    rng = rng_for(seed, "", "bootstrap")
+    means = gains[rng.integers(len(gains), size=(DRAWS, len(gains)))].mean(1)
+    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Comparison(float(gains.mean()), float(low), float(high), len(gains))
+
+
+def _ious(found: np.ndarray, target: np.ndarray, asked: np.ndarray) -> list[float]:
+    """Intersection over union of each of the ``asked`` ids that the target shows."""
+    # Rows of the table are the asked ids, from 1; whatever else there is, is 0.
+    rows, columns = (
+        np.where(np.isin(image, asked), np.searchsorted(asked, image) + 1, 0)
+        for image in (target, found)
+    )
+    size = len(asked) + 1
+    table = np.bincount((rows * size + columns).ravel(), minlength=size**2).reshape(size, size)
+    shared, shown = table.diagonal()[1:], table.sum(1)[1:]
+    union = shown + table.sum(0)[1:] - shared
+    return (shared[shown > 0] / union[shown > 0]).tolist()

@@ -1,0 +1,21 @@
+"""Which clips are learnt from and which are kept to judge by, for good."""
+
+from __future__ import annotations
+
+from slgaussian.seeding import seed_for
+
+
+def held_out(clip: str, share: float) -> bool:
+    """Whether a clip is kept to judge by.
+
+    It depends on the key of the clip and on nothing else: a clip stays where it is when others
+    arrive, all its samples are on one side, and a greater share keeps what a smaller one does.
+
+    Parameters
+    ----------
+    clip : str
+        Its key.
+    share : float
+        Of all clips, in [0, 1], about: of few clips by chance more or fewer.
+    """
+    return seed_for(0, clip, "held out") < share * 2**64

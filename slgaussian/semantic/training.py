@@ -1,0 +1,318 @@
+"""Training the semantic branch: rendered features against the labels of target views.
+
+The loss is the paper's (Implementation Details), a mean squared error on the splatted features with
+the base Gaussians frozen. Three things it leaves open are settled here. Codes are drawn anew
+whenever a lesson is seen, so that none is learnt by heart. The error is taken where a target pixel
+has an object that the context labels name: nothing else can be answered. And the target of a
+pixel is the code times the light that the Gaussians give it, since what they leave empty is not the
+branch's to fill.
+
+In some of the steps the context labels are corrupted as masks often are
+(:mod:`slgaussian.semantic.corruption`), and the targets stay clean. Without that, on labels that
+agree, there is little to learn beyond copying them.
+
+Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
+a training stands is its number of steps. PyTorch computes on one thread here. Its sums of weight
+gradients depend on how many share the work; the splat's do not. So the bytes depend on neither the
+machine's cores nor interruptions, on one kind of processor.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pyarrow as pa
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
+from slgaussian.language import load_codes
+from slgaussian.rasterize.planned import plan
+from slgaussian.seeding import rng_for, seed_for
+from slgaussian.semantic.branch import (
+    Architecture,
+    Branch,
+    features_of,
+    input_images,
+    save_branch,
+)
+from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
+from slgaussian.semantic.code_images import code_images
+from slgaussian.semantic.corruption import corrupt
+from slgaussian.semantic.lesson import Lesson
+from slgaussian.semantic.others import find_others
+
+HARMED = 0.5
+"""Share of the objects that are harmed where context labels are corrupted."""
+
+LEARNT = ("missing", "eroded", "merged")
+"""How they are harmed. Not by wrong ids: nothing tells which of two ids is the right one, and the
+mean of their codes, which is best in the square, reads as a third."""
+
+WARM_UP = 0.05
+"""Share of the steps in which the learning rate rises; it then falls to zero as a cosine."""
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """What a training is, besides its lessons.
+
+    Attributes
+    ----------
+    architecture : Architecture
+    steps : int
+        One lesson each.
+    seed : int
+    rate : float
+        Highest learning rate, of AdamW.
+    decay : float
+        Its weight decay.
+    clip : float
+        Longest gradient; longer ones are shortened to it.
+    targets : int
+        Target views a step, chosen at random where a lesson has more.
+    corrupted : float
+        Share of the steps in which context labels are corrupted.
+    codes : str
+        Code strategy by name, as fields will have.
+    every : int
+        Steps between checkpoints.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range.
+    """
+
+    architecture: Architecture = field(default_factory=Architecture)
+    steps: int = 1500
+    seed: int = 0
+    rate: float = 3e-3
+    decay: float = 1e-4
+    clip: float = 1.0
+    targets: int = 2
+    corrupted: float = 0.75
+    codes: str = "separated"
+    every: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "targets", "every"):
+            if getattr(self, name) < 1:
+                raise InputError(
+                    f"training {name}: found {getattr(self, name)}, expected 1 or more"
+                )
+        for name in ("rate", "clip"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(
+                    f"training {name}: found {getattr(self, name)}, expected a positive number"
+                )
+        if not 0 <= self.decay < math.inf:
+            raise InputError(f"training decay: found {self.decay}, expected 0 or more")
+        if not 0 <= self.corrupted <= 1:
+            raise InputError(
+                f"training corrupted: found {self.corrupted}, expected a share from 0 to 1"
+            )
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a training is: ``rate`` in steps a second since it was begun or resumed."""
+
+    step: int
+    steps: int
+    loss: float
+    rate: float
+
+    @property
+    def seconds_left(self) -> float:
+        """Until the last step, at this rate."""
+        return (self.steps - self.step) / self.rate
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """What a training made: the branch, and its course as a table of spec ``metrics``."""
+
+    branch: Branch
+    metrics: pa.Table
+
+
+def train(
+    lessons: Sequence[Lesson],
+    settings: TrainingSettings,
+    folder: Path,
+    start: Branch | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Trained:
+    """Train a branch, or go on where a training in ``folder`` was interrupted.
+
+    Parameters
+    ----------
+    lessons : sequence of Lesson
+        Asked for one at a time, so that it may read them from disk. Which lessons they are is the
+        caller's to keep: of a resumed training only their number is compared.
+    settings : TrainingSettings
+    folder : Path
+        For ``checkpoint.safetensors`` and ``metrics.parquet``; made if it is not there.
+    start : Branch, optional
+        Trained weights to begin from, otherwise seeded ones.
+    progress : callable, optional
+        Told of every step.
+
+    Raises
+    ------
+    InputError
+        If there are no lessons, a loss is not finite (the message names the sample), ``start`` is
+        of another architecture, the folder holds another training, or cannot be written.
+    """
+    if len(lessons) == 0:
+        raise InputError("training: found no lessons, expected at least one")
+    branch = Branch(settings.architecture, seed_for(settings.seed, "", "branch") % 2**63)
+    if start is not None:
+        if start.architecture != settings.architecture:
+            raise InputError(
+                f"training: the weights to begin from are of {start.architecture}, expected "
+                f"{settings.architecture}; choose that architecture, or begin without"
+            )
+        branch.load_state_dict(start.state_dict())
+    run = asdict(settings) | {
+        "architecture": _plain(settings.architecture),
+        "lessons": len(lessons),
+        "start": hashlib.sha256(save_branch(branch)).hexdigest(),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"training folder {folder}: cannot be made ({error.strerror}); choose another"
+        ) from error
+    # The foreach and fused ones do the same sums; this is 1 ms.
+    optimiser = torch.optim.AdamW(
+        branch.parameters(), lr=settings.rate, weight_decay=settings.decay, foreach=False
+    )
+    place = load_checkpoint(folder, branch, optimiser, run)
+    rows, begun = place.rows, time.perf_counter()
+    with _one_thread():
+        for step in range(place.step, settings.steps):
+            rows.append(_step(branch.train(), optimiser, lessons, settings, step))
+            if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
+                save_checkpoint(folder, branch, optimiser, run, rows)
+            if progress is not None:
+                rate = (step + 1 - place.step) / (time.perf_counter() - begun)
+                progress(Progress(step + 1, settings.steps, rows[-1]["loss"], rate))
+    return Trained(branch.eval(), table_of(rows))
+
+
+def loss_of(
+    branch: Branch, lesson: Lesson, labels: np.ndarray, views: Sequence[int], codes: str, rng: Any
+) -> torch.Tensor:
+    """Mean squared error of some of the target views of a lesson.
+
+    Parameters
+    ----------
+    branch : Branch
+    lesson : Lesson
+    labels : int32 [V, H, W]
+        What the branch is shown of the context views, the lesson's own labels or worse.
+    views : sequence of int
+        Which of the targets.
+    codes : str
+        Code strategy by name.
+    rng : numpy Generator
+        Decides the codes.
+
+    Returns
+    -------
+    scalar tensor
+        Zero, without gradient, if no target pixel has an object that ``labels`` name.
+    """
+    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    if len(maps.ids) == 0:
+        return torch.zeros(())
+    drawn = load_codes(codes)(maps, rng)
+    others = find_others(lesson.gaussians, labels.shape) if branch.architecture.others else None
+    images = input_images(labels, maps.ids, drawn, others)
+    features = features_of(branch, images, lesson.gaussians.source)
+    total, counted = torch.zeros(()), 0
+    for view in views:
+        wanted = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
+        planned = plan(lesson.gaussians, lesson.cameras[view])
+        error = planned.render(features) - planned.alpha[..., None] * wanted
+        known = wanted[..., -1:]
+        total = total + (known * error.square()).sum()
+        counted += int(known.sum()) * error.shape[-1]
+    return total / counted if counted else torch.zeros(())
+
+
+def _step(
+    branch: Branch,
+    optimiser: torch.optim.Optimizer,
+    lessons: Sequence[Lesson],
+    settings: TrainingSettings,
+    step: int,
+) -> dict[str, Any]:
+    epoch, place = divmod(step, len(lessons))
+    order = rng_for(settings.seed, "", f"order {epoch}").permutation(len(lessons))
+    lesson = lessons[int(order[place])]
+    rng = rng_for(settings.seed, lesson.sample, f"step {epoch}")
+    corrupted = bool(rng.random() < settings.corrupted)
+    labels = corrupt(lesson.labels, rng, HARMED, LEARNT) if corrupted else lesson.labels
+    count = len(lesson.cameras)
+    views = sorted(rng.permutation(count)[: settings.targets].tolist())
+    loss = loss_of(branch, lesson, labels, views, settings.codes, rng)
+    optimiser.zero_grad()
+    if loss.requires_grad:
+        loss.backward()
+    norm = torch.nn.utils.clip_grad_norm_(branch.parameters(), settings.clip)
+    value, length = float(loss.detach()), float(norm)
+    if not math.isfinite(value + length):
+        raise InputError(
+            f"training step {step + 1}: sample {lesson.sample!r} gives a loss of {value:g} with a "
+            f"gradient of length {length:g}; leave it out or lower the rate, and run again: it "
+            "goes on from the last checkpoint"
+        )
+    rate = settings.rate * _schedule((step + 1) / settings.steps)
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    optimiser.step()
+    return {
+        "step": step + 1,
+        "epoch": epoch,
+        "sample": lesson.sample,
+        "corrupted": corrupted,
+        "loss": value,
+        "norm": length,
+        "rate": rate,
+    }
+
+
+def _schedule(done: float) -> float:
+    """Share of the highest learning rate when a share ``done`` of the steps is."""
+    if done < WARM_UP:
+        return done / WARM_UP
+    return 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP)))
+
+
+def _plain(architecture: Architecture) -> dict[str, Any]:
+    """As it comes back from JSON."""
+    return {**asdict(architecture), "widths": list(architecture.widths)}
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    numba.get_num_threads()  # starts Numba's pool, which would set PyTorch's size anew later
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

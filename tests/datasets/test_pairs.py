@@ -1,0 +1,144 @@
+"""Pairs of views: the best that fit beside each other, within bounds, and why there is none."""
+
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from slgaussian.datasets.pairs import Bounds, Pair, Views, beside_each_other, choose, overlaps
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, shared_view
+
+K = np.array([[80.0, 0, 48], [0, 80, 32], [0, 0, 1]])
+
+
+def camera(x=0.0, turn=0.0, z=0.0):
+    c2w = np.eye(4)
+    c2w[:3, :3] = Rotation.from_euler("y", turn, degrees=True).as_matrix()
+    c2w[:3, 3] = x, 0, z
+    return Camera(K, c2w, 96, 64)
+
+
+def walk(count=20, step=0.1, turns=None):
+    """Sideways steps past a wall 4 m away."""
+    turns = np.zeros(count) if turns is None else turns
+    cameras = [camera(step * i, turns[i]) for i in range(count)]
+    ones = np.ones(count)
+    return Views(cameras, 4 * ones, 0.4 * ones, 0.5 * ones, 0 * ones)
+
+
+def assert_fits(views, pair, bounds):
+    a, b = pair.context
+    assert a < pair.targets[0] < pair.targets[1] < pair.targets[2] < b
+    shared = min(
+        shared_view(views.cameras[i], views.cameras[j], views.depths[i])
+        for i, j in ((a, b), (b, a))
+    )
+    far = np.linalg.norm(views.cameras[a].center - views.cameras[b].center)
+    baseline = far / views.depths[[a, b]].mean()
+    assert pair.overlap == pytest.approx(shared) and pair.baseline == pytest.approx(baseline)
+    assert bounds.min_overlap <= shared <= bounds.max_overlap
+    assert bounds.min_baseline <= baseline <= bounds.max_baseline
+    assert views.usable(bounds)[[a, b, *pair.targets]].all()
+
+
+def test_samples_of_a_walk_fit_and_share_no_frame():
+    views, bounds = walk(40), Bounds()
+    pairs = choose(views, bounds)
+    assert len(pairs) > 2
+    frames = [frame for pair in pairs for frame in (*pair.context, *pair.targets)]
+    assert len(set(frames)) == len(frames)
+    ends = [end for pair in pairs for end in pair.context]
+    assert ends == sorted(ends)
+    for pair in pairs:
+        assert_fits(views, pair, bounds)
+    assert choose(views, bounds) == pairs
+    assert choose(views, replace(bounds, most=2)) == sorted(
+        sorted(pairs, key=lambda pair: -pair.score)[:2], key=lambda pair: pair.context
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_whatever_the_walk_a_sample_fits(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(5, 30))
+    views = walk(count, turns=rng.uniform(-15, 15, count))
+    views = replace(
+        views,
+        depths=rng.uniform(2, 6, count),
+        blur=rng.uniform(0.3, 0.7, count),
+        mean=rng.uniform(0, 1, count),
+        clipped=rng.uniform(0, 0.6, count),
+    )
+    bounds = Bounds(min_overlap=0.4)
+    try:
+        pairs = choose(views, bounds)
+    except InputError:
+        return
+    for pair in pairs:
+        assert_fits(views, pair, bounds)
+
+
+def test_overlaps_are_those_of_the_plain_function():
+    rng = np.random.default_rng(3)
+    cameras = [camera(x, t, z) for x, t, z in rng.uniform((-1, -60, -5), (1, 60, 5), (9, 3))] + [
+        camera(turn=180)
+    ]
+    depths = rng.uniform(1, 6, len(cameras))
+    slow = [[shared_view(a, b, d) for b in cameras] for a, d in zip(cameras, depths, strict=True)]
+    np.testing.assert_array_equal(overlaps(cameras, depths), slow)
+
+
+intervals = st.tuples(st.integers(0, 15), st.integers(1, 8), st.floats(0.01, 1))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(intervals, max_size=9))
+def test_no_other_choice_scores_more(found):
+    pairs = [Pair((a, a + n), (), 0, 0, 0, score) for a, n, score in found]
+
+    def apart(chosen):
+        spans = sorted(pair.context for pair in chosen)
+        return all(a[1] < b[0] for a, b in pairwise(spans))
+
+    best = max(
+        sum(pair.score for pair in chosen)
+        for count in range(len(pairs) + 1)
+        for chosen in combinations(pairs, count)
+        if apart(chosen)
+    )
+    got = beside_each_other(pairs)
+    assert apart(got)
+    assert sum(pair.score for pair in got) == pytest.approx(best)
+
+
+def test_a_blurred_or_badly_exposed_view_is_never_taken():
+    views, bounds = walk(12), Bounds()
+    spoilt = {3: ("blur", 0.7), 5: ("mean", 0.99), 8: ("clipped", 0.6)}
+    for frame, (name, value) in spoilt.items():
+        getattr(views, name)[frame] = value
+    pairs = choose(views, bounds)
+    assert pairs
+    assert not {f for p in pairs for f in (*p.context, *p.targets)} & spoilt.keys()
+
+
+def test_a_camera_that_comes_back_from_elsewhere_is_no_pair():
+    turns = np.zeros(12)
+    turns[4:8] = 150
+    with pytest.raises(InputError, match="no two of its views"):
+        choose(walk(12, turns=turns), Bounds(min_baseline=0.12))
+
+
+def test_why_there_is_none_is_said():
+    with pytest.raises(InputError, match=r"4 of its 4 views are sharp .* too few for a sample"):
+        choose(walk(4), Bounds())
+    still = walk(9, step=1e-3)
+    with pytest.raises(InputError, match=r"baseline of 0.08 to 0.4 .* baselines of 0.00 to 0.00"):
+        choose(still, Bounds())
+    with pytest.raises(InputError, match="no parallax"):
+        choose(replace(still, depths=np.full(9, np.nan)), Bounds())

@@ -1,0 +1,63 @@
+"""Small looks at photographs: blur and exposure rank as eyes do."""
+
+import io
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from slgaussian import datasets
+from slgaussian.datasets.quality import SIDE, blur, exposure, glance
+from slgaussian.errors import InputError
+
+
+def jpeg(pixels: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "JPEG", quality=95)
+    return out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def photo():
+    room = datasets.load("procedural", seed=2, views=2, height=360, width=640)
+    return room.read("view_00").image
+
+
+def test_a_look_is_small_grey_and_knows_the_full_size(photo):
+    grey, size = glance(jpeg(photo))
+    assert grey.dtype == np.uint8 and grey.shape == (SIDE, 320) and size == (640, 360)
+    slow = cv2.resize(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), (320, 180), None, 0, 0, 3)
+    # Decoding at half size averages in frequencies: a few grey levels of noise and edges apart.
+    assert np.abs(grey.astype(int) - slow).mean() < 2
+    assert glance(jpeg(photo[:90, :100]))[0].shape == (90, 100)
+
+
+def test_blur_grows_with_motion_and_hardly_with_what_there_is_to_see(photo):
+    def looked(pixels):
+        return blur(glance(jpeg(pixels))[0])
+
+    streaks = [looked(cv2.blur(photo, (width, 1))) for width in (1, 5, 9, 17)]
+    assert streaks == sorted(streaks) and streaks[-1] > streaks[0] + 0.2
+    door = np.full((360, 640, 3), 200, np.uint8)
+    door[90:, 250:400] = 40
+    little = door.copy()
+    little[150:170, 300:320] = 250
+    assert abs(looked(door) - looked(little)) < 0.1
+    assert looked(door) < looked(cv2.blur(door, (17, 1))) - 0.2
+    assert blur(np.full((50, 50), 9, np.uint8)) == blur(np.zeros((3, 90), np.uint8)) == 1
+
+
+def test_exposure_counts_what_is_clipped():
+    half = np.zeros((10, 20), np.uint8)
+    half[:, 10:] = 255
+    assert exposure(half) == (0.5, 1.0)
+    assert exposure(np.full((4, 4), 128, np.uint8)) == (pytest.approx(0.502, abs=1e-3), 0)
+
+
+@pytest.mark.parametrize("data", [b"", b"no image", None])
+def test_what_cannot_be_decoded_is_an_error(photo, data):
+    if data is None:
+        data = jpeg(photo)[:5000]
+    with pytest.raises(InputError, match="its JPEG cannot be decoded"):
+        glance(data)

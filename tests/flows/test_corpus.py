@@ -1,0 +1,323 @@
+"""A corpus of chunks: what is new is read once, what is bad costs itself alone."""
+
+import errno
+import os
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from flows import corpus
+from flows.cli import main
+from flows.corpus_settings import make_corpus_settings
+from slgaussian import datasets
+from slgaussian.datasets import re10k
+from slgaussian.datasets.pairs import Bounds
+from slgaussian.errors import InputError
+from slgaussian.semantic.lesson import Lesson
+from slgaussian.store import ArtifactRef, ArtifactStore
+
+pytestmark = pytest.mark.usefixtures("server")
+
+
+def clip_of(seed: int, views: int = 6) -> re10k.Clip:
+    size = {"height": 90, "width": 160}
+    room = datasets.load("procedural", seed=seed, objects=4, views=views, baseline=1.0, **size)
+    return re10k.clip_of(room)
+
+
+@pytest.fixture(scope="module")
+def clips():
+    return [clip_of(seed) for seed in range(3)]
+
+
+def aged(folder: Path) -> None:
+    """Make chunks look as if they had been there for a while."""
+    for file in folder.glob("*.torch"):
+        os.utime(file, (time.time() - 60,) * 2)
+
+
+def settings_for(folder: Path, **more):
+    values = {"chunks": str(folder / "chunks"), "out": folder / "out", "size": "72x96", **more}
+    return make_corpus_settings(values, "test")
+
+
+def table(folder: Path, name: str) -> list[dict]:
+    return pq.read_table(folder / "out" / f"{name}.parquet").to_pylist()
+
+
+def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    named = {str(p.relative_to(folder)): p.read_bytes() for p in files}
+    return {name: data for name, data in named.items() if not name.startswith(hidden)}
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Counts what is done to chunks: ``hashed`` and ``opened``; and what is ``predicted``."""
+    from tasks import chunks, predictions
+
+    counts = dict.fromkeys(("hashed", "opened", "predicted"), 0)
+
+    def counted(name, function):
+        def call(*args, **kwargs):
+            counts[name] += 1
+            return function(*args, **kwargs)
+
+        return call
+
+    monkeypatch.setattr(
+        chunks.hashlib, "file_digest", counted("hashed", chunks.hashlib.file_digest)
+    )
+    monkeypatch.setattr(re10k, "read_chunk", counted("opened", re10k.read_chunk))
+    load = predictions.load_predictor
+    monkeypatch.setattr(
+        predictions, "load_predictor", lambda *a, **k: counted("predicted", load(*a, **k))
+    )
+
+    def take():
+        taken = dict(counts)
+        counts.update(dict.fromkeys(counts, 0))
+        return taken
+
+    return take
+
+
+NOTHING = {"hashed": 0, "opened": 0, "predicted": 0}
+
+
+@pytest.fixture(scope="module")
+def supervised(tmp_path_factory, clips, server):
+    """Two chunks, supervised."""
+    folder = tmp_path_factory.mktemp("corpus")
+    for clip in clips[:2]:
+        re10k.write(folder / "chunks", [clip])
+    aged(folder / "chunks")
+    store = ArtifactStore(folder / "store")
+    return folder, store, corpus.supervise(settings_for(folder), store)
+
+
+def test_every_view_and_sample_is_in_a_table(supervised, clips):
+    folder, _, made = supervised
+    views = table(folder, "views")
+    assert [(v["chunk"], v["clip"], v["frame"]) for v in views] == [
+        (f"00000{n}.torch", clip.key, frame)
+        for n, clip in enumerate(clips[:2])
+        for frame in range(6)
+    ]
+    first = np.array([views[0][name] for name in ("fx", "fy", "cx", "cy", "w2c_00", "w2c_23")])
+    np.testing.assert_array_equal(first, clips[0].cameras[0, [0, 1, 2, 3, 6, 17]])
+    assert all(2 < view["depth"] < 5 for view in views)
+    samples = table(folder, "samples")
+    assert {sample["clip"] for sample in samples} == {clip.key for clip in clips[:2]}
+    for sample in samples:
+        between = [sample[f"target_{i}"] for i in range(3)]
+        assert sample["context_0"] < between[0] < between[1] < between[2] < sample["context_1"]
+        assert sample["overlap"] >= 0.6 and sample["baseline"] >= 0.08
+    assert table(folder, "failures") == [] == made.failures
+    assert made.rows == {"views": 12, "pairs": len(samples), "lessons": len(samples)}
+
+
+def test_every_sample_has_a_lesson_and_every_chunk_a_sheet(supervised):
+    folder, store, _ = supervised
+    rows = table(folder, "lessons")
+    assert [row["sample"] for row in rows] == [row["sample"] for row in table(folder, "samples")]
+    for row in rows:
+        lesson = Lesson.from_arrays(store.get(ArtifactRef("lesson", row["uri"], row["digest"])))
+        assert lesson.sample == row["sample"]
+        assert lesson.labels.shape == (2, 72, 96) and lesson.targets.shape == (3, 72, 96)
+        known = set(np.unique(lesson.labels)) - {0}
+        assert row["objects"] == len(known) > 2
+        assert set(np.unique(lesson.targets)) - {0} <= known
+        assert row["unlabelled_context"] == (lesson.labels == 0).mean()
+        assert row["unlabelled_target"] == (lesson.targets == 0).mean() < 0.2
+    sheets = sorted((folder / "out" / "sheets").iterdir())
+    assert [sheet.name for sheet in sheets] == ["000000.png", "000001.png"]
+    assert Image.open(sheets[0]).size[0] > 10 * 144
+
+
+def test_what_is_unchanged_is_not_read_again_and_what_is_new_alone_is(
+    supervised, clips, reads, tmp_path
+):
+    folder, store, _ = supervised
+    before = files_below(folder / "out")
+    corpus.supervise(settings_for(folder), store)
+    assert reads() == NOTHING
+    assert files_below(folder / "out") == before
+    for file in (folder / "chunks").glob("*.torch"):
+        os.utime(file)
+    aged(folder / "chunks")
+    corpus.ingest(settings_for(folder, out=tmp_path), store)
+    assert reads() == {"hashed": 2, "opened": 0, "predicted": 0}
+    more = tmp_path / "corpus"
+    for file in (folder / "chunks").iterdir():
+        (more / "chunks").mkdir(parents=True, exist_ok=True)
+        (more / "chunks" / file.name).write_bytes(file.read_bytes())
+    re10k.write(more / "chunks", [clips[2]])
+    aged(more / "chunks")
+    corpus.ingest(settings_for(more), store)
+    assert reads() == {"hashed": 3, "opened": 1, "predicted": 0}
+    assert len(table(more, "views")) == 18
+
+
+def test_other_masks_do_not_predict_again(supervised, reads, tmp_path):
+    folder, store, _ = supervised
+    corpus.supervise(settings_for(folder, tracker="flow", out=tmp_path / "out"), store)
+    assert reads() == {"hashed": 0, "opened": 2, "predicted": 0}
+    assert table(tmp_path, "lessons") != table(folder, "lessons")
+
+
+def test_a_lost_lesson_is_made_again(supervised, reads):
+    folder, store, _ = supervised
+    row = table(folder, "lessons")[0]
+    file = Path(store.path) / row["uri"]
+    whole = file.read_bytes()
+    file.unlink()
+    corpus.supervise(settings_for(folder), store)
+    assert file.read_bytes() == whole
+    assert reads() == {"hashed": 0, "opened": 1, "predicted": 0}
+
+
+def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path):
+    folder, _, _ = supervised
+    store = ArtifactStore(tmp_path / "store")
+    chunks = str(folder / "chunks")
+    corpus.supervise(settings_for(tmp_path, chunks=chunks, workers=1), store)
+    assert files_below(tmp_path / "out") == files_below(folder / "out")
+    lessons = files_below(tmp_path / "store" / "lesson")
+    assert lessons.items() <= files_below(folder / "store" / "lesson").items()
+
+
+def test_what_is_bad_costs_itself_alone(clips, tmp_path):
+    good, bad, short = clips[0], clips[1], clip_of(9, views=4)
+    cameras = bad.cameras.copy()
+    cameras[1, 6:9] *= 3
+    images = list(bad.images)
+    images[5] = images[5][: len(images[5]) // 2]
+    bad = replace(bad, cameras=cameras, images=tuple(images))
+    dead = replace(short, key="dead", images=(b"x",) * 4)
+    re10k.write(tmp_path / "chunks", [bad, short, dead, good])
+    re10k.write(tmp_path / "chunks", [clips[2]])
+    re10k.write(tmp_path / "chunks", [replace(good, key="new"), clips[2]][:1])
+    twice = tmp_path / "chunks" / "000009.torch"
+    twice.write_bytes((tmp_path / "chunks" / "000002.torch").read_bytes())
+    cut = tmp_path / "chunks" / "000001.torch"
+    cut.write_bytes(cut.read_bytes()[:5000])
+    made = corpus.ingest(settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+    said = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
+    reasons = " ".join(row["reason"] for row in table(tmp_path, "failures"))
+    assert "000001.torch: cannot be read as a chunk" in said["000001.torch", "views"]
+    assert "clip 'procedural_1', frame 1: camera c2w: its 3x3 part is not a rotation" in reasons
+    assert "clip 'procedural_1', frame 5: its JPEG cannot be decoded" in reasons
+    assert "clip 'procedural_1': 4 of its 4 views are sharp" in said["procedural_1", "pairs"]
+    assert "clip 'procedural_9': 4 of its 4 views" in said["procedural_9", "pairs"]
+    assert "clip 'dead': none of its 4 frames can be used" in reasons
+    assert "clip 'new' of 000009.torch is in 000002.torch too" in said["new", "views"]
+    assert len(made.failures) == 11  # three more of the four frames of "dead", and the last of all
+    assert {sample["clip"] for sample in table(tmp_path, "samples")} == {good.key, "new"}
+    assert {view["frame"] for view in table(tmp_path, "views") if view["clip"] == bad.key} == {
+        0, 2, 3, 4
+    }  # fmt: skip
+
+
+def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp_path, monkeypatch):
+    folder, store, _ = supervised
+    chunks = str(folder / "chunks")
+
+    def full(*args, **kwargs):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(corpus.pq.ParquetWriter, "write_table", full)
+        with pytest.raises(InputError, match=r"cannot write the tables \(No space left on device"):
+            corpus.ingest(settings_for(tmp_path, chunks=chunks), store)
+    assert files_below(tmp_path / "out") == {}
+
+    class Full:
+        def __init__(self, file):
+            self.file = file
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            self.file.close()
+
+        def write(self, data):
+            self.file.write(data[: len(data) // 2])
+            full()
+
+    def opened(path, mode):
+        file = open(path, mode)  # noqa: SIM115
+        return Full(file) if "/lesson/" in str(path) else file
+
+    fresh = ArtifactStore(tmp_path / "store")
+    with monkeypatch.context() as patched:
+        patched.setattr("slgaussian.store.open", opened, raising=False)
+        made = corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh)
+    assert [(f.scene, f.stage) for f in made.failures] == [
+        (f"00000{n}.torch", "lessons") for n in range(2)
+    ]
+    assert "cannot write there (No space left on device)" in made.failures[0].reason
+    assert not files_below(tmp_path / "store" / "lesson")
+    assert corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh).failures == []
+    assert files_below(tmp_path / "out") == files_below(folder / "out")
+
+
+def test_a_url_of_chunks_is_as_good_as_a_folder(supervised, reads, tmp_path):
+    folder, store, _ = supervised
+    fs = fsspec.filesystem("memory")
+    for file in (folder / "chunks").iterdir():
+        fs.pipe_file(f"/corpus/{file.name}", file.read_bytes())
+    settings = settings_for(tmp_path, chunks="memory://corpus/")
+    corpus.ingest(settings, store)
+    assert reads() == {**NOTHING, "hashed": 2}  # their content is in the store
+    corpus.ingest(settings, store)
+    assert reads() == NOTHING
+    assert files_below(tmp_path / "out").items() <= files_below(folder / "out").items()
+
+
+def test_the_command_says_what_it_made_and_what_it_left_out(
+    supervised, tmp_path, monkeypatch, capsys
+):
+    folder, store, _ = supervised
+    shutil.copytree(folder / "chunks", tmp_path / "chunks")
+
+    def status() -> int:
+        words = [tmp_path / "chunks", "-o", tmp_path / "out", "--store", store.path]
+        monkeypatch.setattr("sys.argv", ["slgaussian", "ingest", *map(str, words)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        return stopped.value.code or 0
+
+    assert status() == 0
+    said = capsys.readouterr()
+    assert f"12 views  {tmp_path / 'out' / 'views.parquet'}" in said.out
+    assert "left out" not in said.err
+    (tmp_path / "chunks" / "000000.torch").write_bytes(b"PK")
+    assert status() == 1
+    said = capsys.readouterr()
+    assert "6 views" in said.out
+    assert "left out: 1, the first at views: " in said.err and "failures.parquet" in said.err
+
+
+def test_what_is_asked_of_a_pair_is_the_same_from_everywhere(tmp_path):
+    assert Bounds(**settings_for(tmp_path).bounds()) == Bounds()
+
+
+def test_what_cannot_be_asked_is_one_sentence(tmp_path):
+    (tmp_path / "chunks").mkdir()
+    with pytest.raises(InputError, match="chunks: holds no chunk"):
+        corpus.ingest(settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+    with pytest.raises(InputError, match=r"min_overlap 0\.9 is above max_overlap 0\.5"):
+        settings_for(tmp_path, min_overlap=0.9, max_overlap=0.5)
+    with pytest.raises(InputError, match="size: found 'auto'; expected height and width"):
+        settings_for(tmp_path, size="auto")
+    with pytest.raises(InputError, match="unknown key 'overlap'"):
+        settings_for(tmp_path, overlap=0.9)

@@ -1,0 +1,81 @@
+"""Scenes become chunks, and what is there or cannot be is said before any work."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from flows.cli import main
+from flows.corpus_settings import PackSettings
+from flows.packing import pack
+from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
+
+SMALL = PackSettings(views=3, size=(36, 64))
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """A nerfstudio folder of two small photographs."""
+    folder = tmp_path / "kitchen"
+    folder.mkdir()
+    frames = []
+    for number in range(2):
+        pixels = np.full((20, 30, 3), 60 * number + 40, np.uint8)
+        Image.fromarray(pixels).save(folder / f"{number}.png")
+        pose = np.eye(4)
+        pose[0, 3] = number
+        frames.append({"file_path": f"{number}.png", "transform_matrix": pose.tolist()})
+    (folder / "transforms.json").write_text(json.dumps({"fl_x": 25, "frames": frames}))
+    return folder
+
+
+def test_folders_and_rooms_become_clips(photos, tmp_path):
+    out = tmp_path / "chunks"
+    packed = pack(["procedural:3-4", str(photos)], out, SMALL)
+    assert (packed.chunks, packed.clips, packed.left_out) == (["000000.torch"], 3, [])
+    clips = re10k.read_chunk(out / "000000.torch")
+    assert [clip.key for clip in clips] == ["procedural_3", "procedural_4", "kitchen"]
+    assert [len(clip.images) for clip in clips] == [3, 3, 2]
+    assert clips[2].view(1).camera.center == pytest.approx([1, 0, 0])
+    assert pack(["procedural:7"], out, SMALL).chunks == ["000001.torch"]
+    assert list(re10k.read_index(out))[-1] == "procedural_7"
+
+
+def test_a_clip_that_is_there_is_refused_before_any_work(tmp_path, monkeypatch):
+    pack(["procedural:3"], tmp_path, SMALL)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    monkeypatch.setattr(re10k, "clip_of", lambda scene: pytest.fail("worked"))
+    with pytest.raises(InputError, match="has a clip 'procedural_3' already"):
+        pack(["procedural:2-4"], tmp_path, SMALL)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_a_source_that_cannot_be_read_costs_itself_alone(photos, tmp_path):
+    (photos / "1.png").write_bytes(b"no image")
+    packed = pack([str(photos), "procedural:1"], tmp_path / "chunks", SMALL)
+    assert packed.clips == 1 and "1.png" in packed.left_out[0]
+    assert list(re10k.read_index(tmp_path / "chunks")) == ["procedural_1"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["procedural:4-3"], "procedural:4-3: found no seeds"),
+        (["procedural:x"], "procedural:x: found no seeds"),
+        (["procedural:1", "procedural:1-2"], "its clip would be called 'procedural_1'"),
+        (["procedural:1", "--size", "2x3"], "pack: size: found '2x3'; expected height and width"),
+        (["procedural:1", "--views", "1"], "pack: views: found 1; "),
+        (["procedural:1", "--chunk-mb", "0"], "pack: chunk_mb: found 0"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, sentence):
+    out = tmp_path / "chunks"
+    monkeypatch.setattr("sys.argv", ["slgaussian", "pack", *words, "-o", str(out)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    told = capsys.readouterr().err
+    assert sentence in told and told.startswith("error: ") and told.count("\n") == 1
+    assert not out.exists()

@@ -1,0 +1,250 @@
+"""The branch begins as the control, takes any size, sees what others say, and is stored safely."""
+
+import json
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from drawn_lessons import lesson
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.semantic import load_lifting
+from slgaussian.semantic.branch import (
+    SHIPPED,
+    Architecture,
+    Branch,
+    BranchLifting,
+    load_branch,
+    save_branch,
+)
+from slgaussian.semantic.code_images import code_images
+from slgaussian.semantic.filled import Filled
+from slgaussian.semantic.hard import HardIndex
+from slgaussian.semantic.others import REACH, find_others
+
+SMALL = Architecture(widths=(4, 6, 8), hidden=8)
+KINDS = {
+    "others": SMALL,
+    "paper": Architecture(widths=(4, 6, 8), hidden=8, others=False),
+    "no convolutions": Architecture(widths=(), hidden=8),
+    "one": Architecture(widths=(4,), hidden=8),
+}
+
+
+def shaken(architecture: Architecture = SMALL, seed: int = 3) -> Branch:
+    """With no weight zero, as after training."""
+    branch = Branch(architecture, seed)
+    g = torch.Generator().manual_seed(seed)
+    for parameter in branch.parameters():
+        parameter.data += 0.1 * torch.randn(parameter.shape, generator=g)
+    return branch.eval()
+
+
+def bank_of(ids: np.ndarray, dimension: int = 3) -> MemoryBank:
+    codes = np.random.default_rng(1).random((len(ids), dimension)).astype(np.float32)
+    n = len(ids)
+    return MemoryBank(ids, codes, np.zeros((n, 2, 1), np.float32), np.zeros((n, 2), bool))
+
+
+def label_maps(labels: np.ndarray) -> LabelMaps:
+    return LabelMaps(labels, np.ones(labels.shape, np.float32))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", [(24, 32), (17, 5), (1, 1), (2, 3)])
+def test_an_untrained_branch_is_the_control(kind, size):
+    mine = lesson(size=size)
+    labels = mine.labels.copy()
+    labels[0, 0] = 0
+    maps = label_maps(labels)
+    bank = bank_of(maps.ids)
+    plain = HardIndex()(mine.gaussians, maps, bank).features
+    assert torch.equal(
+        BranchLifting(Branch(KINDS[kind]))(mine.gaussians, maps, bank).features, plain
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_weight_has_a_say(kind):
+    branch = shaken(KINDS[kind])
+    images = torch.rand(2, 9, 13, KINDS[kind].channels)
+    branch(images).square().sum().backward()
+    for name, parameter in branch.named_parameters():
+        assert parameter.grad.abs().max() > 0, name
+
+
+def test_a_view_is_treated_like_any_other():
+    images = torch.rand(3, 20, 24, SMALL.channels)
+    branch = shaken()
+    with torch.no_grad():
+        together = branch(images)
+        alone = torch.cat([branch(image[None]) for image in images])
+    # Other sums for other batches: measured 2e-7.
+    torch.testing.assert_close(together, alone, atol=2e-6, rtol=0)
+
+
+def test_the_same_seed_makes_the_same_weights_and_leaves_torch_alone():
+    state = torch.random.get_rng_state()
+    one, same, other = Branch(SMALL, 1), Branch(SMALL, 1), Branch(SMALL, 2)
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert save_branch(one) == save_branch(same) != save_branch(other)
+
+
+def test_a_stored_branch_lifts_as_before(tmp_path):
+    branch, mine = shaken(), lesson()
+    (tmp_path / "b.safetensors").write_bytes(save_branch(branch))
+    maps = label_maps(mine.labels)
+    bank = bank_of(maps.ids)
+    loaded = load_lifting("branch", weights=tmp_path / "b.safetensors")
+    before = BranchLifting(branch)(mine.gaussians, maps, bank).features
+    assert torch.equal(loaded(mine.gaussians, maps, bank).features, before)
+    assert before.shape == (len(mine.gaussians), 4)
+
+
+def test_weights_of_another_architecture_are_refused(tmp_path):
+    file = tmp_path / "b.safetensors"
+    file.write_bytes(save_branch(shaken()))
+    with pytest.raises(InputError, match=r"hidden 8 instead of 9"):
+        load_branch(file, Architecture(widths=(4, 6, 8), hidden=9))
+    tensors = safetensors.torch.load_file(file)
+    about = {"architecture": {"widths": [4, 6, 8], "hidden": 16, "others": True}}
+    safetensors.torch.save_file(tensors, file, {"slgaussian": json.dumps(about)})
+    with pytest.raises(InputError, match="not those of the architecture that it says"):
+        load_branch(file)
+    safetensors.torch.save_file(tensors, file)
+    with pytest.raises(InputError, match="does not say which branch"):
+        load_branch(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"no weights at all", None])
+def test_a_file_that_is_no_weights_is_refused(tmp_path, content):
+    file = tmp_path / "b.safetensors"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError, match=f"weights {file}: cannot be read"):
+        load_branch(file)
+
+
+def test_a_truncated_file_is_refused(tmp_path):
+    file = tmp_path / "b.safetensors"
+    file.write_bytes(save_branch(shaken())[:-10])
+    with pytest.raises(InputError, match="cannot be read"):
+        load_branch(file)
+
+
+@pytest.mark.parametrize("dimension", [0, 1, 2])
+def test_other_codes_than_the_papers_are_refused(dimension):
+    mine = lesson()
+    maps = label_maps(mine.labels)
+    with pytest.raises(InputError, match=f"codes of {dimension} numbers, expected 3"):
+        BranchLifting(shaken())(mine.gaussians, maps, bank_of(maps.ids, dimension))
+
+
+@pytest.mark.skipif(SHIPPED.is_file(), reason="weights are shipped")
+def test_without_weights_it_says_what_to_do():
+    with pytest.raises(InputError, match="no weights come with this install"):
+        load_lifting("branch")
+
+
+def test_code_images_know_what_has_no_object():
+    ids, codes = np.array([2, 7_000_000], np.int32), np.array([[0.1], [0.4]], np.float32)
+    labels = np.array([[0, 2, 7_000_000, 3, 8_000_000]], np.int32)
+    wanted = [[[0, 0], [0.1, 1], [0.4, 1], [0, 0], [0, 0]]]
+    np.testing.assert_array_equal(code_images(labels, ids, codes), np.array(wanted, np.float32))
+    nothing = code_images(labels, ids[:0], codes[:0])
+    assert nothing.shape == (1, 5, 2)
+    assert not nothing.any()
+
+
+def test_others_are_the_same_places_in_other_views():
+    """On a wall every pixel that another view sees as well is found there, at its place."""
+    mine = lesson()
+    others = find_others(mine.gaussians, mine.labels.shape)
+    seen = others.near > 0
+    assert seen.mean() > 0.8
+    of_view = others.pixels // mine.labels[0].size
+    assert (of_view[seen] != np.arange(2)[:, None, None].repeat(24, 1).repeat(32, 2)[seen]).all()
+    agree = mine.labels.ravel()[others.pixels] == mine.labels
+    assert agree[seen].mean() > 0.95  # not at borders between pixels
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3))
+def test_others_are_the_nearest_within_reach(seed, views):
+    """Against all distances. The nearness is float32: measured 3e-8 off."""
+    rng = np.random.default_rng(seed)
+    shape, n = (views, 4, 5), rng.integers(0, 40)
+    made = Gaussians(
+        means=torch.from_numpy(rng.normal(0, 0.3, (n, 3)).astype(np.float32)),
+        scales=torch.from_numpy(rng.uniform(0.01, 0.2, (n, 3)).astype(np.float32)),
+        quats=torch.ones(n, 4),
+        opacities=torch.ones(n),
+        sh=torch.zeros(n, 0, 3),
+        source=torch.from_numpy(rng.integers(0, 20 * views, n).astype(np.int32)),
+    )
+    others = find_others(made, shape)
+    means = made.means.numpy().astype(np.float64)
+    owners, firsts = np.unique(made.source.numpy(), return_index=True)
+    wanted = np.zeros(20 * views)
+    for pixel, first in zip(owners, firsts, strict=True):
+        theirs = owners // 20 != pixel // 20
+        if theirs.any():
+            far = np.linalg.norm(means[firsts[theirs]] - means[first], axis=1)
+            wanted[pixel] = max(0, 1 - far.min() / (REACH * made.scales[first].max()))
+            if wanted[pixel] > 0:
+                assert others.pixels.ravel()[pixel] == owners[theirs][far.argmin()]
+    np.testing.assert_allclose(others.near.ravel(), wanted, atol=1e-6)
+
+
+def test_what_others_carry_how_near_and_whether_it_differs():
+    mine = lesson()
+    labels = mine.labels.copy()
+    labels[0, :, :10] = 0
+    labels[1, :5] = 1  # where 1 and 2 meet
+    bank = bank_of(np.unique(mine.labels))
+    own = code_images(labels, bank.ids, bank.codes)
+    others = find_others(mine.gaussians, labels.shape)
+    found = others.images(own)
+    near = others.near > 0
+    theirs = labels.ravel()[others.pixels]
+    np.testing.assert_array_equal(found[near][:, :4], own.reshape(-1, 4)[others.pixels][near])
+    np.testing.assert_array_equal(found[..., 4], others.near)
+    differ = near & (theirs != labels) & (theirs > 0) & (labels > 0)
+    assert 0 < differ.mean() < 0.2
+    np.testing.assert_array_equal(found[..., 5], differ)
+    assert not found[~near].any()
+
+
+def test_what_one_view_lacks_is_filled_from_the_other_and_nothing_else_changes():
+    mine = lesson()
+    labels = mine.labels.copy()
+    labels[0, 5:9, 10:20] = 0
+    bank = bank_of(np.unique(mine.labels))
+    whole, holed = (HardIndex()(mine.gaussians, label_maps(m), bank) for m in (mine.labels, labels))
+    filled = load_lifting("filled")(mine.gaussians, label_maps(labels), bank).features
+    hole = (labels == 0).ravel()
+    assert torch.equal(filled[~hole], holed.features[~hole])
+    assert torch.equal(filled[hole], whole.features[hole])  # these the other view sees, to a pixel
+    alone = mine.gaussians[mine.gaussians.source < 24 * 32]
+    unfilled = load_lifting("filled")(alone, label_maps(labels), bank).features
+    assert torch.equal(unfilled, HardIndex()(alone, label_maps(labels), bank).features)
+
+
+def test_bytes_do_not_depend_on_the_thread_count():
+    mine, before = lesson(size=(64, 64)), torch.get_num_threads()
+    maps = label_maps(mine.labels)
+    bank = bank_of(maps.ids)
+    found = []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            found.append(BranchLifting(shaken(Architecture()))(mine.gaussians, maps, bank).features)
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(*found)

@@ -1,0 +1,201 @@
+"""Training learns, leaves the same bytes whatever happens to it, and says what stops it."""
+
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from drawn_lessons import lesson
+from train_and_die import LESSONS, SETTINGS
+
+from data_specs import load_spec
+from slgaussian.errors import InputError, SpecError
+from slgaussian.semantic.branch import Architecture, Branch, save_branch
+from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
+from slgaussian.semantic.training import TrainingSettings, loss_of, train
+
+
+def bytes_in(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir())}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _alone():
+    """These images are too small to share, and on a busy machine sharing waits for others."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    train(LESSONS, SETTINGS, folder)
+    return folder
+
+
+def test_it_learns_and_its_metrics_say_so(tmp_path):
+    settings = replace(SETTINGS, steps=36, every=36, corrupted=1.0, rate=1e-2)
+    trained = train(LESSONS, settings, tmp_path)
+    load_spec("metrics").check_table(trained.metrics, "metrics")
+    assert trained.metrics.equals(pq.read_table(tmp_path / METRICS))
+    losses = trained.metrics["loss"].to_numpy()
+    assert losses[-12:].mean() < 0.9 * losses[:12].mean(), (losses[-12:].mean(), losses[:12].mean())
+    assert trained.metrics["step"].to_pylist() == [*range(1, 37)]
+    seen = trained.metrics["sample"].to_pylist()
+    assert all(set(seen[i : i + 3]) == {f"wall {k}" for k in range(3)} for i in range(0, 36, 3))
+    assert len({tuple(seen[i : i + 3]) for i in range(0, 36, 3)}) > 1
+
+
+@pytest.mark.parametrize("step", [2, 7])
+def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, uninterrupted, step):
+    script = Path(__file__).with_name("train_and_die.py")
+    killed = subprocess.run([sys.executable, script, tmp_path, str(step)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert (tmp_path / CHECKPOINT).is_file() == (step >= SETTINGS.every)
+    steps = []
+    train(LESSONS, SETTINGS, tmp_path, progress=lambda p: steps.append(p.step))
+    assert steps[0] == step // SETTINGS.every * SETTINGS.every + 1
+    assert bytes_in(tmp_path) == bytes_in(uninterrupted)
+
+
+def test_metrics_of_steps_that_no_checkpoint_knows_of_are_dropped(tmp_path, uninterrupted):
+    """Metrics are written before the checkpoint, and a crash may come between."""
+    train(LESSONS, SETTINGS, tmp_path / "a")
+    whole = (tmp_path / "a" / METRICS).read_bytes()
+    (tmp_path / "b").mkdir()
+
+    def stop(progress):
+        if progress.step == 4:
+            (tmp_path / "b" / METRICS).write_bytes(whole)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(LESSONS, SETTINGS, tmp_path / "b", progress=stop)
+    train(LESSONS, SETTINGS, tmp_path / "b")
+    assert bytes_in(tmp_path / "b") == bytes_in(uninterrupted)
+
+
+def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
+    before = torch.get_num_threads(), numba.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+            folder = tmp_path / str(threads)
+            train(LESSONS, SETTINGS, folder)
+            assert torch.get_num_threads() == threads
+            assert bytes_in(folder) == bytes_in(uninterrupted)
+    finally:
+        torch.set_num_threads(before[0])
+        numba.set_num_threads(before[1])
+
+
+def test_a_finished_training_is_not_done_again(uninterrupted):
+    steps = []
+    trained = train(LESSONS, SETTINGS, uninterrupted, progress=steps.append)
+    assert not steps
+    assert trained.metrics.num_rows == SETTINGS.steps
+
+
+def test_the_seed_matters(tmp_path, uninterrupted):
+    train(LESSONS, replace(SETTINGS, seed=1), tmp_path)
+    assert bytes_in(tmp_path) != bytes_in(uninterrupted)
+
+
+def test_it_begins_from_given_weights(tmp_path):
+    start = Branch(SETTINGS.architecture, 9)
+    settings = replace(SETTINGS, steps=1, rate=1e-12)
+    trained = train(LESSONS, settings, tmp_path / "a", start)
+    for name, weights in start.state_dict().items():
+        torch.testing.assert_close(trained.branch.state_dict()[name], weights)
+    other = Branch(Architecture((4, 6), 8))
+    with pytest.raises(InputError, match=r"widths=\(4, 6\).*choose that architecture"):
+        train(LESSONS, settings, tmp_path / "b", other)
+
+
+def test_another_training_in_the_folder_is_refused(tmp_path, uninterrupted):
+    before = bytes_in(uninterrupted)
+    with pytest.raises(InputError, match=r"another training \(rate 0.003 instead of 0.1\)"):
+        train(LESSONS, replace(SETTINGS, rate=0.1), uninterrupted)
+    with pytest.raises(InputError, match=r"architecture .* instead of"):
+        train(LESSONS, replace(SETTINGS, architecture=Architecture((4,), 8)), uninterrupted)
+    with pytest.raises(InputError, match="lessons 3 instead of 2"):
+        train(LESSONS[:2], SETTINGS, uninterrupted)
+    with pytest.raises(InputError, match="start"):
+        train(LESSONS, SETTINGS, uninterrupted, Branch(SETTINGS.architecture, 9))
+    assert bytes_in(uninterrupted) == before
+    (tmp_path / CHECKPOINT).write_bytes(save_branch(Branch(SETTINGS.architecture)))
+    with pytest.raises(InputError, match="does not say of which"):
+        train(LESSONS, SETTINGS, tmp_path)
+
+
+@pytest.mark.parametrize("name", [CHECKPOINT, METRICS])
+def test_damaged_files_are_refused(tmp_path, uninterrupted, name):
+    for file, data in bytes_in(uninterrupted).items():
+        (tmp_path / file).write_bytes(data[:-50] if file == name else data)
+    with pytest.raises((InputError, SpecError), match=name):
+        train(LESSONS, SETTINGS, tmp_path)
+
+
+def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
+    bad = lesson(7)
+    start = Branch(SETTINGS.architecture)
+    start.first.weight.data[0] = torch.nan
+    with pytest.raises(InputError, match=r"step 1: sample 'wall \d' gives a loss of nan"):
+        train([bad], SETTINGS, tmp_path, start)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        train(LESSONS, SETTINGS, tmp_path / "file" / "under")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"steps": 0}, {"every": 0}, {"targets": 0}, {"rate": 0.0}, {"rate": np.inf}, {"clip": -1.0},
+     {"decay": -1.0}, {"corrupted": 1.5}, {"rate": np.nan}],
+)  # fmt: skip
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(InputError, match=f"training {next(iter(wrong))}: found"):
+        TrainingSettings(**wrong)
+
+
+def test_no_lessons_are_refused(tmp_path):
+    with pytest.raises(InputError, match="found no lessons"):
+        train([], SETTINGS, tmp_path)
+
+
+def test_what_cannot_be_answered_is_not_asked(tmp_path):
+    branch, mine = Branch(SETTINGS.architecture), lesson()
+    rng = np.random.default_rng(0)
+    nothing = np.zeros_like(mine.labels)
+    assert loss_of(branch, mine, nothing, [0], "separated", rng) == 0
+    unknown = replace(mine, targets=np.full_like(mine.targets, 9))
+    assert loss_of(branch, unknown, mine.labels, [0, 1], "separated", rng) == 0
+    trained = train([replace(mine, labels=nothing)], SETTINGS, tmp_path)
+    assert trained.metrics["loss"].to_pylist() == [0.0] * SETTINGS.steps
+
+
+def test_the_loss_is_that_of_the_picture(tmp_path):
+    """Where everything is one object, the untrained branch leaves nothing to do."""
+    mine = lesson()
+    one = replace(mine, labels=np.ones_like(mine.labels), targets=np.ones_like(mine.targets))
+    loss = loss_of(
+        Branch(SETTINGS.architecture),
+        one,
+        one.labels,
+        [0, 1],
+        "separated",
+        np.random.default_rng(0),
+    )
+    assert loss < 1e-6  # what the plan leaves out; measured 1e-8

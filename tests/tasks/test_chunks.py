@@ -1,0 +1,75 @@
+"""The digest of a file is remembered for exactly as long as the file is what it was."""
+
+import hashlib
+import os
+import time
+
+import fsspec
+import pytest
+
+from slgaussian.errors import InputError
+from slgaussian.store import ArtifactStore
+from tasks import chunks
+from tasks.chunks import digest_of
+
+
+@pytest.fixture
+def hashed(monkeypatch):
+    """Counts how often a file is read."""
+    counts = []
+    digest = hashlib.file_digest
+    monkeypatch.setattr(chunks.hashlib, "file_digest", lambda *a: counts.append(1) or digest(*a))
+    return counts
+
+
+def sha(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def test_a_file_is_read_once_until_it_changes(tmp_path, hashed):
+    store, file = ArtifactStore(tmp_path / "store"), tmp_path / "x.torch"
+    file.write_bytes(b"one")
+    old = time.time() - 100
+    os.utime(file, (old, old))
+    assert digest_of(store, str(file)) == digest_of(store, str(file)) == sha(b"one")
+    assert len(hashed) == 1
+    file.write_bytes(b"two")
+    os.utime(file, (old + 1, old + 1))
+    assert digest_of(store, str(file)) == sha(b"two")
+    file.write_bytes(b"three")
+    os.utime(file, (old + 1, old + 1))  # the same time, another size
+    assert digest_of(store, str(file)) == sha(b"three")
+    assert len(hashed) == 3
+
+
+def test_a_file_that_was_just_written_is_not_trusted_to_stay(tmp_path, hashed):
+    store, file = ArtifactStore(tmp_path / "store"), tmp_path / "x.torch"
+    file.write_bytes(b"one")
+    stamp = os.stat(file).st_mtime_ns
+    assert digest_of(store, str(file)) == sha(b"one")
+    file.write_bytes(b"two")
+    os.utime(file, ns=(stamp, stamp))  # as within one tick of the clock
+    assert digest_of(store, str(file)) == sha(b"two")
+
+
+def test_a_damaged_memory_is_no_harm(tmp_path, hashed):
+    store, file = ArtifactStore(tmp_path / "store"), tmp_path / "x.torch"
+    file.write_bytes(b"one")
+    os.utime(file, (0, 0))
+    digest_of(store, str(file))
+    (note,) = (tmp_path / "store" / "digests").iterdir()
+    for damage in (b"", b"[]", b'{"size": 3}', b"\xff"):
+        note.write_bytes(damage)
+        assert digest_of(store, str(file)) == sha(b"one")
+    assert len(hashed) == 5
+
+
+def test_a_url_works_too(tmp_path, hashed):
+    fs = fsspec.filesystem("memory")
+    fs.pipe_file("/digests/x.torch", b"one")
+    store = ArtifactStore("memory://store-of-digests")
+    assert digest_of(store, "memory://digests/x.torch") == sha(b"one")
+    assert digest_of(store, "memory://digests/x.torch") == sha(b"one")
+    assert len(hashed) == 1
+    with pytest.raises(InputError, match=r"memory://digests/y\.torch: cannot be read"):
+        digest_of(store, "memory://digests/y.torch")
