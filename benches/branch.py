@@ -41,12 +41,13 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
 from slgaussian.semantic.training import TrainingSettings, train
 
-WIDTHS = (8, 16, 24, 32)
+WIDTHS = Architecture().widths
 TRAINED = {
     "branch": Architecture(WIDTHS, others=False),
     "branch, others": Architecture(WIDTHS),
+    "MLP, others": Architecture((), others=True),
 }
-STEPS = 450
+STEPS = 500
 SPEED_WIDTHS = ((8, 16, 16), (16, 24, 32), (16, 32, 48), WIDTHS)
 ROUNDS = 5
 
@@ -251,7 +252,8 @@ def main() -> None:
     }
     tables = {name: table.markdown(rows[name]) for name, table in TABLES.items()}
     text = (Path(__file__).parent / "branch_page.md").read_text("utf-8")
-    given.output.write_text(text.format(machine=machine(), **tables), "utf-8")
+    page = text.format(machine=machine(), count=len(rooms), **tables)
+    given.output.write_text(page.rstrip() + "\n", "utf-8")
 
 
 if __name__ == "__main__":

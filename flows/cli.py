@@ -15,7 +15,7 @@ METHOD = (
     "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
     "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent", "seed",
     "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip", "named", "grid",
-    "separated",
+    "separated", "branch",
 )  # fmt: skip
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
@@ -420,11 +420,11 @@ def retrain(
 
         return retraining.retrain(chosen, store, verbose)
 
-    made = _orchestrated(chosen.store, work)
-    if made.prepared.failures:
+    learnt, prepared = _orchestrated(chosen.store, work)
+    if prepared.failures:
         file = chosen.out / "failures.parquet"
-        typer.echo(f"left out: {len(made.prepared.failures)}; see {file}", err=True)
-    typer.echo(made.said)
+        typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
+    typer.echo(learnt.said)
 
 
 @app.command()

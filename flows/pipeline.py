@@ -165,7 +165,12 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             {**base, **known},
             where=of_encoder,
         ),
-        Step("field", parts, {**base, **known, "bank": "supervision"}),
+        Step(
+            "field",
+            parts,
+            {**base, **known, "bank": "supervision"},
+            where=where.get(method.lifting, {}),
+        ),
         Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}, where=of_encoder),
     ]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from flows import corpus
 from flows.training import Parted, Trained, parted, read_lessons, train_on
@@ -20,38 +21,53 @@ ASKED = (*Training.model_fields, "codes", "seed")
 
 
 @dataclass(frozen=True)
-class Retrained:
-    """What came of it, in a sentence; the version that was added, and what has been left out."""
+class Learnt:
+    """What came of it, in a sentence, and the version that was added, if any."""
 
     said: str
     version: Version | None
-    prepared: corpus.Prepared
 
 
-def retrain(settings: RetrainSettings, store: ArtifactStore, verbose: bool = False) -> Retrained:
-    """Ingest and supervise what is new, train from the weights in use, and keep the better ones.
+def retrain(
+    settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
+) -> tuple[Learnt, corpus.Prepared]:
+    """Ingest and supervise what is new, then :func:`learn` it.
 
-    Candidate and incumbent, or no branch while there is none, are judged on the same held-out
-    lessons; the candidate is put to use if its gain is beyond noise
-    (:func:`slgaussian.semantic.verdict.verdict`), and kept in any case. Without anything new, in
-    the lessons or the settings, nothing is trained. Needs Prefect to be ready.
+    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
 
     Raises
     ------
     InputError
-        As :func:`flows.corpus.supervise` and :func:`flows.training.train_on`; if other clips were
-        held out for the weights in use; or if the folder of versions cannot be written.
+        As :func:`flows.corpus.supervise` and :func:`learn`.
+    """
+    prepared = corpus.supervise(settings, store, verbose)
+    lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
+    return learn(lessons, settings, store, verbose), prepared
+
+
+def learn(
+    table: pa.Table, settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
+) -> Learnt:
+    """Train from the weights in use on lessons, and keep what is better.
+
+    Candidate and incumbent, or no branch while there is none, are judged on the same held-out
+    lessons; the candidate is put to use if its gain is beyond noise
+    (:func:`slgaussian.semantic.verdict.verdict`), and kept in any case. Without anything new, in
+    the lessons or the settings, nothing is trained.
+
+    Raises
+    ------
+    InputError
+        As :func:`flows.training.parted` and :func:`flows.training.train_on`; if other clips were
+        held out for the weights in use; or if a folder cannot be written.
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    prepared = corpus.supervise(settings, store, verbose)
-    table = read_lessons(settings.out / corpus.FILES["lessons"], store)
     lessons = parted(table, settings.held_out)
     about = _about(settings, lessons)
     if history and about["asked"] == history[-1].facts.get("asked"):
         used = "no version" if incumbent is None else f"version {incumbent.number}"
-        said = f"nothing new since version {history[-1].number}; {used} is in use"
-        return Retrained(said, None, prepared)
+        return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start = None
     if incumbent is not None:
         _check_share(settings, incumbent)
@@ -62,7 +78,7 @@ def retrain(settings: RetrainSettings, store: ArtifactStore, verbose: bool = Fal
     facts = {**about, "scores": _scores(trained)}
     added = versions.add(trained.weights, facts, found.better, found.why, incumbent)
     done = "put to use" if found.better else "kept, not used"
-    return Retrained(f"version {added.number} {done}: {found.why}", added, prepared)
+    return Learnt(f"version {added.number} {done}: {found.why}", added)
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def scheduled(config: str | None = None, given: dict[str, Any] | None = None) ->
             from flows.retraining import retrain
 
             ready()
-            said = retrain(settings, store).said
+            said = retrain(settings, store)[0].said
     except SLGaussianError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         raise

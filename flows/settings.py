@@ -63,7 +63,8 @@ class PartTable(BaseModel):
     For settings of another part, make a subclass of this, and in :class:`Method` a field with the
     part's name, hyphens as underscores. Types are checked here, values by the part itself. A
     ``checkpoint`` or ``table`` is a file, a ``model`` or ``tokenizer`` a folder, a file or a name
-    on the Hugging Face hub, a ``folder`` one of data: in cache keys and artifacts a SHA-256 of the
+    on the Hugging Face hub, a ``folder`` one of data, ``weights`` a file or a folder of versions:
+    in cache keys and artifacts a SHA-256 of the
     content stands for them.
     """
 
@@ -176,6 +177,16 @@ class SeparatedTable(PartTable):
     )
 
 
+class BranchTable(PartTable):
+    """Those of the lifting ``branch``."""
+
+    weights: str = Field(
+        "shipped",
+        description="Weights of the branch: file that `train` wrote, folder of versions that "
+        "`retrain` keeps, or shipped, those of the package.",
+    )
+
+
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
@@ -249,6 +260,7 @@ class Method(BaseModel):
     named: NamedTable = NamedTable()
     grid: GridTable = GridTable()
     separated: SeparatedTable = SeparatedTable()
+    branch: BranchTable = BranchTable()
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -412,9 +424,9 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
-        table = _anchored(values[name], ("checkpoint", "folder", "table", "weights"), folder)
-        # These may be names on a hub as well.
-        for key in ("model", "tokenizer", "synonyms"):
+        table = _anchored(values[name], ("checkpoint", "folder", "table"), folder)
+        # These may be names as well.
+        for key in ("model", "tokenizer", "synonyms", "weights"):
             place = table.get(key) if isinstance(table, dict) else None
             if isinstance(place, str) and (folder / place).exists():
                 table[key] = str(folder / place)

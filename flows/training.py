@@ -23,11 +23,10 @@ from flows.progress import Progress
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError, SpecError
-from slgaussian.semantic.branch import Architecture, load_branch
+from slgaussian.semantic.branch import Architecture, find_weights, load_branch
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import TrainingSettings
 from slgaussian.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
-from slgaussian.versions import weights_in
 from tasks.stage import stage_task, using
 
 FILES = {
@@ -37,6 +36,9 @@ FILES = {
     "report": "report.html",
 }
 """What a training leaves in the output folder."""
+
+EVERY = 20
+"""Steps between checkpoints: seconds of work, of which one takes hundredths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
         be used, the training fails, or something cannot be written.
     """
     lessons = parted(read_lessons(settings.lessons / "lessons.parquet", store), settings.held_out)
-    start = None if settings.start is None else weights_in(settings.start)
+    start = None if settings.start is None else find_weights(settings.start)
     store.check_writable()
     check_folder(settings.out)
     trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
@@ -167,8 +169,8 @@ def train_on(
 
     What was done before comes from the store; what was interrupted goes on.
     """
-    began = {} if start is None else {"start": _stored(start, store)}
     architecture = Architecture() if start is None else load_branch(start).architecture
+    began = {} if start is None else {"start": _stored(start, store)}
     settings = TrainingSettings(
         architecture=architecture,
         steps=options.steps,
@@ -176,6 +178,7 @@ def train_on(
         corrupted=options.corrupted,
         codes=codes,
         seed=seed,
+        every=EVERY,
     )
     refs = {name: store.put("lessons", table) for name, table in vars(lessons).items()} | began
     steps = _steps(settings, bool(began), lessons.counts(), home_of(store).parent / "checkpoints")

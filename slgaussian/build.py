@@ -18,7 +18,8 @@ from slgaussian.predict import load_predictor
 from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
-from slgaussian.semantic import LIFTINGS, load_lifting
+from slgaussian.semantic import load_lifting
+from slgaussian.semantic.branch import SHIPPED
 
 
 def build_field(
@@ -183,11 +184,10 @@ def lift_field(
 
 
 def _with_defaults(encoder: str, lifting: str, settings: PartSettings) -> PartSettings:
-    """The model or weights of a part are written down even where they are those by default."""
-    parts = {"model": (ENCODERS, "encoder", encoder), "weights": (LIFTINGS, "lifting", lifting)}
-    filled = dict(settings)
-    for key, (registry, kind, name) in parts.items():
-        default = getattr(resolve(kind, registry, name), key, None)
-        if default is not None:
-            filled[name] = {key: default, **settings.get(name, {})}
-    return filled
+    """Models and weights are written down even where they are those that a part has by default."""
+    model = getattr(resolve("encoder", ENCODERS, encoder), "model", None)
+    defaults = {} if model is None else {encoder: {"model": model}}
+    if lifting == "branch":
+        defaults[lifting] = {"weights": SHIPPED}
+    filled = {name: {**own, **settings.get(name, {})} for name, own in defaults.items()}
+    return {**settings, **filled}

@@ -10,8 +10,8 @@ from typing import Any
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import folder_digest
 from slgaussian.pretrained import model_digest, tokenizer_digest
+from slgaussian.semantic.branch import find_weights
 from slgaussian.store import sha256_of
-from slgaussian.versions import weights_in
 
 PartSettings = Mapping[str, Mapping[str, Any]]
 """Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
@@ -23,7 +23,7 @@ DIGESTS = {
     "synonyms": model_digest,
     "table": sha256_of,
     "folder": folder_digest,
-    "weights": lambda place: sha256_of(weights_in(place)),
+    "weights": lambda place: sha256_of(find_weights(place)),
 }
 """What stands for a setting of this name, a place, in artifacts and cache keys: its content."""
 

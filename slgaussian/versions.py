@@ -184,24 +184,22 @@ class Versions:
         return self.folder / "versions" / f"{number:06d}.parquet"
 
 
-def weights_in(place: str | os.PathLike[str]) -> Path:
-    """The weights file that a place stands for: itself, or of a folder the version in use.
+def weights_in(folder: str | os.PathLike[str]) -> Path:
+    """The weights file of the version in use in a folder.
 
     Raises
     ------
     InputError
-        If nothing is in use in the folder.
+        If nothing is in use.
     SpecError
         If what is in use is damaged.
     """
-    if not Path(place).is_dir():
-        return Path(place)
-    versions = Versions(place)
+    versions = Versions(folder)
     current = versions.current()
     if current is None:
         raise InputError(
-            f"{place}: holds no version in use; expected a file of weights, or a folder that "
-            "`slgaussian retrain` has put one into"
+            f"{folder}: no version is in use; expected a file of weights, or a folder in which "
+            "`slgaussian retrain` has put a version to use"
         )
     return versions.weights(current)
 

@@ -43,8 +43,9 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     try:
         info = fs.info(path)
         stamp = next((str(info[name]) for name in STAMPS if info.get(name) is not None), None)
-        known = {"path": str(file), "size": info.get("size"), "stamp": stamp}
-        uri = f"digests/{hashlib.sha256(str(file).encode()).hexdigest()}.json"
+        name = fs.unstrip_protocol(path)  # whole, so that no other folder has the same
+        known = {"path": name, "size": info.get("size"), "stamp": stamp}
+        uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
         remembered = _remembered(store, uri)
         if stamp is not None and remembered.items() >= known.items():
             return remembered["sha256"]

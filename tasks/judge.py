@@ -13,6 +13,7 @@ from slgaussian.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting
 from slgaussian.semantic.corruption import corrupt
+from slgaussian.semantic.filled import Filled
 from slgaussian.semantic.hard import HardIndex
 from slgaussian.semantic.judge import label_iou
 from slgaussian.semantic.lesson import Lesson
@@ -54,7 +55,7 @@ def liftings(store: ArtifactStore, call: StageCall) -> dict[str, Lifting]:
     }
     untrained = Branch(trained["branch"].architecture)
     learnt = {name: BranchLifting(branch) for name, branch in trained.items()}
-    return {"hard": HardIndex(), "identity": BranchLifting(untrained), **learnt}
+    return {"hard": HardIndex(), "filled": Filled(), "identity": BranchLifting(untrained), **learnt}
 
 
 def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:

@@ -19,11 +19,12 @@ from matplotlib.figure import Figure
 from slgaussian.benchmark.pictures import encode_png, paint_labels
 from slgaussian.benchmark.report import flatten, template
 from slgaussian.semantic.judge import LEVEL
-from slgaussian.semantic.verdict import clip_scores, gain
+from slgaussian.semantic.verdict import LEAST, clip_scores, gain
 
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",
-    "identity": "the branch before training: must equal hard",
+    "filled": "the same, after pixels without an object took one from other views; no network",
+    "identity": "the branch before training: equals filled, or hard if it sees single views",
     "branch": "the branch that was trained",
     "before": "the weights that training began from",
 }
@@ -31,6 +32,9 @@ ABOUT = {
 
 SMOOTH = 0.02
 """Share of the steps over which the curve of the loss is averaged."""
+
+NOTES = ("Date", "Creator", "Format", "Type")
+"""What Matplotlib would write about itself into a picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,7 @@ def render_training_report(
         means={k: {n: float(np.mean(own)) for n, own in of.items()} for k, of in means.items()},
         gains={other: {kind: gain(judgements, other, kind) for kind in kinds} for other in others},
         level=LEVEL,
+        least=LEAST,
         loss=_svg(_loss_curve(metrics)),
         gain_by_clip=_svg(_gain_by_clip(judgements, kinds)),
         examples=[_pictures(example) for example in examples],
@@ -137,5 +142,5 @@ def _pictures(example: Example) -> dict[str, Any]:
 def _svg(figure: Figure) -> str:
     out = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "slgaussian", "svg.fonttype": "path"}):
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(out, format="svg", metadata=dict.fromkeys(NOTES))
     return out.getvalue()[out.getvalue().index("<svg") :]

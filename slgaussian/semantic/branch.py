@@ -33,9 +33,13 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.others import Others, find_others
+from slgaussian.versions import weights_in
 
-SHIPPED = Path(__file__).parent / "weights" / "branch.safetensors"
-"""Weights that come with the package."""
+SHIPPED = "shipped"
+"""What stands for the weights that come with the package."""
+
+WITH_PACKAGE = Path(__file__).parent / "weights" / "branch.safetensors"
+"""Where those are."""
 
 DIMENSION = 3
 """Numbers an ID code, as in the paper."""
@@ -59,7 +63,7 @@ class Architecture:
         Whether it also sees what other views say about each pixel. The paper's does not.
     """
 
-    widths: tuple[int, ...] = (16, 24, 32)
+    widths: tuple[int, ...] = (8, 16, 24, 32)
     hidden: int = 32
     others: bool = True
 
@@ -163,25 +167,46 @@ class BranchLifting:
         return replace(gaussians, features=features)
 
 
-def load_lifting(weights: str | Path | None = None) -> BranchLifting:
+def load_lifting(weights: str | Path = SHIPPED) -> BranchLifting:
     """The lifting by the branch with these weights.
 
     Parameters
     ----------
-    weights : path, optional
-        A file that :func:`save_branch` wrote; by default that which comes with the package.
+    weights : str or path
+        What :func:`find_weights` takes.
 
     Raises
     ------
     InputError
-        If the file is not there, damaged or of another architecture.
+        If there are none, or they are damaged.
     """
-    if weights is None and not SHIPPED.is_file():
+    return BranchLifting(load_branch(find_weights(weights)))
+
+
+def find_weights(place: str | Path) -> Path:
+    """The file of weights that a place stands for.
+
+    Parameters
+    ----------
+    place : str or path
+        A file that :func:`save_branch` wrote, a folder of versions, of which it is the one in use
+        (:mod:`slgaussian.versions`), or :data:`SHIPPED`.
+
+    Raises
+    ------
+    InputError
+        If no weights come with the package, or no version is in use.
+    SpecError
+        If the version in use is damaged.
+    """
+    if str(place) != SHIPPED:
+        return weights_in(place) if Path(place).is_dir() else Path(place)
+    if not WITH_PACKAGE.is_file():
         raise InputError(
             "lifting 'branch': no weights come with this install; train some with "
             "`slgaussian train` and give the file, or choose the lifting 'hard'"
         )
-    return BranchLifting(load_branch(weights or SHIPPED))
+    return WITH_PACKAGE
 
 
 def input_images(

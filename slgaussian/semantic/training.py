@@ -7,9 +7,12 @@ has an object that the context labels name: nothing else can be answered. And th
 pixel is the code times the light that the Gaussians give it, since what they leave empty is not the
 branch's to fill.
 
-In some of the steps the context labels are corrupted as masks often are
+In most of the steps the context labels are corrupted as masks often are
 (:mod:`slgaussian.semantic.corruption`), and the targets stay clean. Without that, on labels that
 agree, there is little to learn beyond copying them.
+
+Everything is float32: in bfloat16 the network takes half the time on a processor that multiplies
+such matrices, which is a fifth of a step, and longer than now on others.
 
 Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
 a training stands is its number of steps. PyTorch computes on one thread here. Its sums of weight
@@ -54,9 +57,10 @@ from slgaussian.semantic.others import find_others
 HARMED = 0.5
 """Share of the objects that are harmed where context labels are corrupted."""
 
-LEARNT = ("missing", "eroded", "merged")
-"""How they are harmed. Not by wrong ids: nothing tells which of two ids is the right one, and the
-mean of their codes, which is best in the square, reads as a third."""
+LEARNT = ("missing", "eroded")
+"""How they are harmed. Not by wrong or merged ids: where two views disagree little tells which is
+right, and the mean of both codes, which is best in the square, reads as a third object. With those
+learnt too, IoU with merged labels is lower by 0.02 after 450 steps and by 0.03 after 1000."""
 
 WARM_UP = 0.05
 """Share of the steps in which the learning rate rises; it then falls to zero as a cosine."""

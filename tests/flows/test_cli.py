@@ -190,7 +190,8 @@ def test_an_unknown_part_is_named_before_the_work(tmp_path, monkeypatch, capsys)
     config = toml(tmp_path, 'lifting = "soft"\n[[scenes]]\nname="a"\ncontext=["1","2"]')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
     assert run(monkeypatch, "run", config) == 2
-    assert capsys.readouterr().err == "error: unknown lifting 'soft': expected one of branch, hard\n"
+    said = capsys.readouterr().err
+    assert said == "error: unknown lifting 'soft': expected one of branch, filled, hard\n"
 
 
 def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,296 @@
+"""Training and retraining as flows: cached, resumed, refused, and put to use only if better."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from data_specs import load_spec
+from flows import cli
+from flows.training_settings import from_anywhere, read_retraining
+from slgaussian import datasets
+from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.scene import Camera
+from slgaussian.semantic import load_lifting
+from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
+from slgaussian.semantic.lesson import Lesson
+from slgaussian.semantic.split import held_out
+from slgaussian.store import ArtifactStore, encode_table
+from slgaussian.versions import Versions
+
+pytestmark = pytest.mark.usefixtures("server")
+
+SIZE = (16, 20)
+FEW = ("--steps", "4", "--held-out", "0.4")
+
+
+def lesson(seed: int) -> Lesson:
+    """Two views of a wall painted with two objects, and one between them."""
+    wall = np.full(SIZE, 3.0)
+    views = [camera(x) for x in (-0.2, 0.2, 0.0)]
+    points = np.stack([view.unproject(wall) for view in views])
+    labels = (1 + (points[..., 0] > 0.05 * (seed % 7 - 3))).astype(np.int32)
+    n = 2 * SIZE[0] * SIZE[1]
+    gaussians = Gaussians(
+        means=torch.from_numpy(points[:2].reshape(-1, 3).astype(np.float32)),
+        scales=torch.full((n, 3), 0.08),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+        opacities=torch.full((n,), 0.8),
+        sh=torch.zeros(n, 0, 3),
+        source=torch.arange(n, dtype=torch.int32),
+    )
+    return Lesson(f"wall {seed}", gaussians, labels[:2], (views[2],), labels[2:])
+
+
+def camera(x: float) -> Camera:
+    c2w = np.eye(4)
+    c2w[0, 3] = x
+    K = np.array([[20.0, 0, SIZE[1] / 2], [0, 20.0, SIZE[0] / 2], [0, 0, 1]])
+    return Camera(K, c2w, SIZE[1], SIZE[0])
+
+
+def lessons_of(folder: Path, seeds) -> pa.Table:
+    """Lessons in the store of a folder, as `supervise` lists them in its ``corpus``."""
+    store, rows = ArtifactStore(folder / "store"), []
+    for seed in seeds:
+        made = lesson(seed)
+        ref = store.put("lesson", made.to_arrays())
+        known = {"chunk": f"{seed // 8}.torch", "sample": made.sample, "clip": made.sample}
+        counts = {"gaussians": len(made.gaussians), "objects": 2, "shared": 2}
+        shares = {"unlabelled_context": 0.0, "unlabelled_target": 0.0}
+        rows.append({**known, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
+    table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
+    (folder / "corpus").mkdir(exist_ok=True)
+    (folder / "corpus" / "lessons.parquet").write_bytes(encode_table(table))
+    return table
+
+
+def command(folder: Path, out: str = "out", *more: str) -> list[str]:
+    given = ["--lessons", folder / "corpus", "-o", folder / out, "--store", folder / "store"]
+    return ["slgaussian", "train", *map(str, given), *more]
+
+
+def run(monkeypatch, argv: list[str]) -> int:
+    monkeypatch.setattr(sys, "argv", argv)
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return stop.code or 0
+    return 0
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted(folder.iterdir())}
+
+
+def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, capsys):
+    table = lessons_of(tmp_path, range(12))
+    assert run(monkeypatch, command(tmp_path, "out", *FEW)) == 0
+    said = capsys.readouterr()
+    assert "branch  train  cached" not in said.err
+    made = files_in(tmp_path / "out")
+    assert list(made) == [
+        "branch.safetensors", "judgements.parquet", "metrics.parquet", "report.html"
+    ]  # fmt: skip
+    assert load_branch(tmp_path / "out" / "branch.safetensors").architecture == Architecture()
+    for name in ("metrics", "judgements"):
+        found = pq.read_table(tmp_path / "out" / f"{name}.parquet")
+        load_spec(name).check_table(found, name)
+    kept = {clip for clip in table["clip"].to_pylist() if held_out(clip, 0.4)}
+    learnt = set(pq.read_table(tmp_path / "out" / "metrics.parquet")["sample"].to_pylist())
+    judged = found.to_pylist()
+    assert 0 < len(kept) < 12 and {row["clip"] for row in judged} == kept and not kept & learnt
+    one = [row for row in judged if row["sample"] == min(kept)]
+    assert {row["labels"] for row in one} == {"as found", "corrupted"}
+    assert {"hard", "identity", "branch"} <= {row["lifting"] for row in one}
+    page = made["report.html"].decode()
+    assert "http" not in page.replace("http://www.w3.org", "") and page.count("<svg") == 2
+    assert not list((tmp_path / "store" / "checkpoints").rglob("*.safetensors"))
+
+    # Another order, and other chunks, are no other lessons.
+    again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
+    (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again))
+    assert run(monkeypatch, command(tmp_path, "again", *FEW)) == 0
+    assert "branch  train  cached" in capsys.readouterr().err
+    assert files_in(tmp_path / "again") == made
+
+
+def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monkeypatch, capsys):
+    lessons_of(tmp_path, range(6))
+    start = Branch(Architecture((4, 8), 8), seed=3)
+    (tmp_path / "start").write_bytes(save_branch(start))
+    assert run(monkeypatch, command(tmp_path, "out", *FEW, "--from", f"{tmp_path}/start")) == 0
+    assert "to tell it from before" in capsys.readouterr().out
+    made = load_branch(tmp_path / "out" / "branch.safetensors")
+    assert made.architecture == start.architecture
+    judged = pq.read_table(tmp_path / "out" / "judgements.parquet")
+    assert "before" in judged["lifting"].to_pylist()
+
+
+def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys):
+    for name in ("killed", "whole"):
+        (tmp_path / name).mkdir()
+        lessons_of(tmp_path / name, range(6))
+    long = ("--steps", "44", "--held-out", "0.4")
+    program = "import sys; from flows.cli import main; main()"
+    argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)[1:]]
+    root = str(Path(__file__).parents[2])
+    process = subprocess.Popen(
+        argv, cwd=root, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
+    )
+    places = tmp_path / "killed" / "store" / "checkpoints"
+    while not list(places.rglob("checkpoint.safetensors")):
+        assert process.poll() is None, process.stderr.read().decode()
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert not (tmp_path / "killed" / "out" / "branch.safetensors").exists()
+    steps = count_steps(monkeypatch)
+    assert run(monkeypatch, command(tmp_path / "killed", "out", *long)) == 0
+    assert len(steps) in (4, 24)  # after the second checkpoint, or more likely the first
+    assert run(monkeypatch, command(tmp_path / "whole", "out", *long)) == 0
+    assert files_in(tmp_path / "killed" / "out") == files_in(tmp_path / "whole" / "out")
+
+
+def count_steps(monkeypatch) -> list[int]:
+    from slgaussian.semantic import training
+
+    steps, step = [], training._step
+
+    def counted(*args):
+        steps.append(args[-1])
+        return step(*args)
+
+    monkeypatch.setattr(training, "_step", counted)
+    return steps
+
+
+def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys):
+    lessons_of(tmp_path, range(6))
+    assert run(monkeypatch, command(tmp_path, "out", *FEW, "--rate", "1e30")) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("error: training step ")
+    assert "sample 'wall " in said[-1] and sum("wall" in line for line in said) == 1
+    assert not (tmp_path / "out" / "branch.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (("--held-out", "0.001"), "6 clips with lessons to learn from and 0 to judge by"),
+        (("--from", "no.safetensors"), "weights no.safetensors: cannot be read"),
+        (("--codes", "exact"), "found codes of 0 numbers, expected 3"),
+        (("--store", "elsewhere"), "give the --store that `slgaussian supervise` had"),
+        (("--lessons", "nowhere"), "nowhere/lessons.parquet: cannot be read (No such file"),
+        (("--steps", "0"), "train: steps: found 0"),
+    ],
+)
+def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):
+    lessons_of(tmp_path, range(6))
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, command(tmp_path, "out", *FEW, *more)) == 2
+    assert expected in capsys.readouterr().err
+
+
+def retrain_settings(folder: Path, **more):
+    given = {"chunks": "chunks", "out": str(folder / "out"), "models": str(folder / "models")}
+    (folder / "out").mkdir(exist_ok=True)
+    return read_retraining(None, {**given, "held_out": 0.4, "steps": 4, **more})
+
+
+def bad_branch() -> bytes:
+    branch = Branch(Architecture((4, 8), 8), seed=3)
+    with torch.no_grad():
+        branch.last.bias += 0.5
+    return save_branch(branch)
+
+
+def test_only_better_weights_are_put_to_use(tmp_path):
+    from flows.retraining import learn
+
+    store, versions = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models")
+    settings = retrain_settings(tmp_path)
+    made = learn(lessons_of(tmp_path, range(16)), settings, store)
+    assert made.version.number == 1 and not made.version.promoted and versions.current() is None
+    assert made.said.startswith("version 1 kept, not used: no gain over no branch (hard) beyond")
+    same = learn(lessons_of(tmp_path, range(16)), settings, store)
+    assert same.version is None
+    assert same.said == "nothing new since version 1; no version is in use"
+
+    bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
+    settings = retrain_settings(tmp_path, steps=60, rate=0.02)
+    made = learn(lessons_of(tmp_path, range(20)), settings, store)
+    assert made.version.promoted and made.version.parent == bad.number
+    assert made.said.startswith("version 3 put to use: better than version 2: +")
+    assert versions.current() == made.version
+    scores = made.version.facts["scores"]["iou"]
+    assert scores["branch"] > scores["before"]
+    with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 3 .* with 0\.4"):
+        learn(lessons_of(tmp_path, range(20)), retrain_settings(tmp_path, held_out=0.3), store)
+    assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
+
+
+def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkeypatch, capsys):
+    rooms = {
+        seed: re10k.clip_of(
+            datasets.load(
+                "procedural", seed=seed, objects=4, views=6, baseline=1.0, height=90, width=160
+            )
+        )
+        for seed in (0, 1, 3)
+    }
+    re10k.write(tmp_path / "chunks", [rooms[0], rooms[1]], 10**8)
+    config = tmp_path / "retrain.toml"
+    config.write_text(
+        'chunks = "chunks"\nout = "corpus"\nmodels = "models"\nstore = "store"\n'
+        'size = "72x96"\nreplicas = 1\nheld_out = 0.4\nsteps = 2\n'
+    )
+    argv = ["slgaussian", "retrain", str(config)]
+    assert run(monkeypatch, argv) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no branch")
+    assert run(monkeypatch, argv) == 0
+    said = capsys.readouterr()
+    assert said.out == "nothing new since version 1; no version is in use\n"
+    assert said.err.count("  cached\n") == 4 and "branch" not in said.err
+    re10k.write(tmp_path / "chunks", [rooms[3]], 10**8)
+    assert run(monkeypatch, argv) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("version 2 kept") and "000000.torch  4 stages cached" in said.err
+    counts = [v.facts["counts"]["learnt clips"] for v in Versions(tmp_path / "models").all()]
+    assert counts == [1, 2]
+
+    models = ["slgaussian", "versions", str(tmp_path / "models")]
+    assert run(monkeypatch, [*models, "--use", "2"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[2].startswith("2 *  ") and listed[-1] == "* in use"
+    assert run(monkeypatch, [*models, "--roll-back"]) == 2
+    assert "the version in use has no parent" in capsys.readouterr().err
+    assert run(monkeypatch, [*models, "--use", "7"]) == 2
+    assert "expected one of the versions there: 1, 2" in capsys.readouterr().err
+
+
+def test_what_is_given_to_hand_means_the_same_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = tmp_path / "retrain.toml"
+    config.write_text('chunks = "s3://bucket/chunks"\nout = "corpus"\n')
+    given = from_anywhere(config, {"models": "models", "steps": 3})
+    assert given == {
+        "store": str(tmp_path / "slg-data"), "models": str(tmp_path / "models"), "steps": 3
+    }  # fmt: skip
+    settings = read_retraining(config, given)
+    assert settings.out == tmp_path / "corpus" and settings.chunks == "s3://bucket/chunks"
+    config.write_text('store = "s3://bucket/store"\n')
+    assert from_anywhere(config, {}) == {}
+    with pytest.raises(InputError, match=r"retrain\.toml: chunks is missing"):
+        read_retraining(config, {})

@@ -1,0 +1,52 @@
+"""What is said of judgements: by clips, in pairs, and not before there are enough."""
+
+import pyarrow as pa
+import pytest
+
+from data_specs import load_spec
+from slgaussian.errors import InputError
+from slgaussian.semantic.verdict import LEAST, clip_scores, gain, verdict
+
+
+def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
+    rows = [
+        {"sample": f"s{k}", "clip": clip, "labels": kind, "lifting": name, "iou": own[k]}
+        for k, clip in enumerate(clips)
+        for kind in kinds
+        for name, own in scores.items()
+    ]
+    return pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
+
+
+def test_a_clip_counts_once_however_many_lessons_it_has():
+    table = judged({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
+    assert clip_scores(table)["branch"] == pytest.approx([0.8, 0.4])
+    found = gain(table, "hard")
+    assert found.samples == 2 and found.difference == pytest.approx(0.1)
+
+
+def test_lessons_without_objects_do_not_count_and_kinds_can_be_told_apart():
+    table = judged({"branch": [0.9, None], "hard": [0.5, None]}, ["a", "b"], ("as found", "worse"))
+    assert clip_scores(table, "worse") == {"branch": [0.9], "hard": [0.5]}
+    assert gain(table, "hard").samples == 1
+    with pytest.raises(InputError, match="no sample that both were judged on"):
+        gain(table, "hard", "other")
+
+
+@pytest.mark.parametrize("step", [0.02, 0.0, -0.02])
+def test_only_a_gain_beyond_noise_is_one(step):
+    noise = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
+    scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
+    found = verdict(judged(scores, list("abcdefgh")), "hard", "no branch")
+    assert found.better == (step > 0)
+    assert found.why.startswith("better than no branch" if step > 0 else "no gain over no branch")
+    assert f"{step:.4f} IoU (".lstrip("-") in found.why and "on 8 held-out clips" in found.why
+
+
+def test_few_clips_never_are_enough():
+    clips = list("abcdefgh")[: LEAST - 1]
+    scores = {"branch": [0.9] * len(clips), "hard": [0.1] * len(clips)}
+    found = verdict(judged(scores, clips), "hard", "no branch")
+    assert not found.better and found.why.startswith("too few clips to tell it from no branch")
+    more = {name: [*own, own[0]] for name, own in scores.items()}
+    assert verdict(judged(more, [*clips, "z"]), "hard", "no branch").better
