@@ -228,15 +228,15 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert same.said == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    settings = retrain_settings(tmp_path, steps=60, rate=0.02)
-    made = learn(lessons_of(tmp_path, range(20)), settings, store)
+    settings = retrain_settings(tmp_path, steps=25, rate=0.02)
+    made = learn(lessons_of(tmp_path, range(18)), settings, store)
     assert made.version.promoted and made.version.parent == bad.number
     assert made.said.startswith("version 3 put to use: better than version 2: +")
     assert versions.current() == made.version
     scores = made.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
     with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 3 .* with 0\.4"):
-        learn(lessons_of(tmp_path, range(20)), retrain_settings(tmp_path, held_out=0.3), store)
+        learn(lessons_of(tmp_path, range(18)), retrain_settings(tmp_path, held_out=0.3), store)
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
