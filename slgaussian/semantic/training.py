@@ -12,7 +12,7 @@ In most of the steps the context labels are corrupted as masks often are
 agree, there is little to learn beyond copying them.
 
 Everything is float32: in bfloat16 the network takes half the time on a processor that multiplies
-such matrices, which is a fifth of a step, and longer than now on others.
+such matrices, which is a tenth of a step, and longer than now on others.
 
 Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
 a training stands is its number of steps. PyTorch computes on one thread here. Its sums of weight
@@ -59,8 +59,8 @@ HARMED = 0.5
 
 LEARNT = ("missing", "eroded")
 """How they are harmed. Not by wrong or merged ids: where two views disagree little tells which is
-right, and the mean of both codes, which is best in the square, reads as a third object. With those
-learnt too, IoU with merged labels is lower by 0.02 after 450 steps and by 0.03 after 1000."""
+right, and the mean of both codes, which is best in the square, reads as a third object. With merged
+ids learnt too, IoU where ids are merged was lower by 0.02 after 450 steps, by 0.03 after 1000."""
 
 WARM_UP = 0.05
 """Share of the steps in which the learning rate rises; it then falls to zero as a cosine."""
