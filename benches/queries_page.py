@@ -89,12 +89,12 @@ box of the truth, which for one number an object is lenient; `samples.parquet` h
 `hit_peak` beside `hit_box`.
 
 ```python
-hit = view.query("red basket", threshold=0.6)         # mask, relevancy, point, score, objects
-hits = view.query_all(["red basket", "floor"])        # each text's, at once
+hit = view.query("red basket", threshold=0.6)  # mask, relevancy, point, score, objects
+hits = view.query_all(["red basket", "floor"])  # each text's, at once
 hits = field.query(["red basket"], [camera_a, camera_b], protocol="langsplat")
 for it in field.describe(["wall", "floor", "red basket"]):
-    print(it.id, it.text, it.relevancy, it.views)     # what is in this scene
-bank = slgaussian.language.bank.merge(bank, later)    # more views of the same objects
+    print(it.id, it.text, it.relevancy, it.views)  # what is in this scene
+bank = slgaussian.language.bank.merge(bank, later)  # more views of the same objects
 ```
 
 {tables}"""
