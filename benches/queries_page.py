@@ -74,8 +74,8 @@ without it, all whose gap is above 0 and at least `share` (0.7) of the best one'
 automatic rule too: several like objects are all taken, the pieces of a wall as well, none if no
 object fits better than the phrases, and the temperature plays no part. Rules that let large regions
 grow over look-alikes (by size, by likeness of features, by contact, by the largest drop in score)
-were tried on 434 queries of 16 procedural rooms and 57 of real offices; none gained more than its
-standard error over scenes on both.
+were tried on 434 queries of 16 procedural rooms and 57 of real offices; the best of
+them gained no more than their standard errors over scenes on one of the two.
 
 **Where it is.** The point is the pixel of the best object's largest connected part that lies
 farthest from its edge, the first in reading order of several: one pixel, the same on any machine.
