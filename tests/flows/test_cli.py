@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from command import run
 from PIL import Image
 
-from flows import cli
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -21,14 +21,6 @@ from slgaussian.ply import load_ply, save_ply
 from slgaussian.scene import Camera
 
 ROOT = Path(__file__).parent.parent.parent
-
-
-def run(monkeypatch, *words) -> int:
-    """Exit status of ``slgaussian WORDS``."""
-    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return left.value.code or 0
 
 
 @pytest.fixture(scope="module")

@@ -1,19 +1,18 @@
 """CLIP, named vectors and synonyms by command and by flow, with small random weights."""
 
-import importlib.util
 import json
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import command
 import numpy as np
 import pytest
-from PIL import Image
+from command import room_sample, run, said, save_photographs
 
-from flows import cli, pipeline
+from flows import pipeline
 from flows.settings import ClipTable, LexiconTable, NamedTable, Settings, make_settings, read_toml
-from slgaussian import datasets, threads
+from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -23,80 +22,28 @@ from slgaussian.store import ArtifactStore
 from tasks import geometry, masks, supervision
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
+from tests.language.small_bert import save_bert
+from tests.language.small_clip import save_clip
 
-ROOM = {
-    "name": "room",
-    "format": "procedural",
-    "options": {"seed": 1, "objects": 4, "views": 3},
-    "context": ["view_00", "view_02"],
-    "targets": ["view_01"],
-    "queries": ["red basket"],
-}
+ROOM = {**command.ROOM, "queries": ["red basket"]}
 
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    """At this size a thread more gains little, and on a busy machine it costs much."""
-    threads.share(threads.cores())
-    yield
-    threads.share()
-
-
-def small(name: str):
-    """A module of ``tests/language``."""
-    file = Path(__file__).parents[1] / "language" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory) -> Path:
-    return small("small_clip").save_clip(tmp_path_factory.mktemp("models") / "clip")
+    return save_clip(tmp_path_factory.mktemp("models") / "clip")
 
 
 @pytest.fixture(scope="module")
 def sentences(tmp_path_factory) -> Path:
     """A sentence model that knows what a chesterfield is."""
-    return small("small_bert").save_bert(tmp_path_factory.mktemp("models") / "bert")
+    return save_bert(tmp_path_factory.mktemp("models") / "bert")
 
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory) -> Path:
-    """Two photographs of 64 x 64 pixels and their cameras."""
-    folder = tmp_path_factory.mktemp("photos")
-    scene = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
-    frames = []
-    for name in ("view_00", "view_02"):
-        camera = scene.cameras[name]
-        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
-        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 64, "h": 64}
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
-    return folder
-
-
-def run(monkeypatch, *words) -> int:
-    """Exit status of ``slgaussian WORDS``."""
-    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return left.value.code or 0
-
-
-def said(capsys) -> str:
-    """The one sentence of an error."""
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("\n") == 1
-    return error
-
-
-def sample():
-    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
-    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
+    return save_photographs(tmp_path_factory.mktemp("photos"))
 
 
 def settings_for(model: Path, out: Path, **own) -> Settings:
@@ -181,7 +128,7 @@ def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
 
 def test_from_python_too(model, tmp_path, monkeypatch):
     own = {"clip": {"model": model}}
-    field = build_field(sample(), encoder="clip", replicas=1, settings=own)
+    field = build_field(room_sample(), encoder="clip", replicas=1, settings=own)
     camera = field.cameras["view_00"]
     hit = field.render(camera).query("red basket")
     field.save(tmp_path / "field")
@@ -208,7 +155,7 @@ def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
     (place / "refs").mkdir(parents=True)
     (place / "refs" / "main").write_text("0" * 40)
     shutil.copytree(model, place / "snapshots" / ("0" * 40))
-    field = build_field(sample(), encoder="clip", replicas=1)
+    field = build_field(room_sample(), encoder="clip", replicas=1)
     assert field.settings["clip"] == {"model": model_digest(model)}
     assert field.places == {"model": Clip.model}
 
@@ -251,7 +198,7 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path):
 
 def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
     made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
     inputs = {**inputs, "gaussians": geometry.run(store, made)}
     named = {"proposer": "regions", "tracker": "flow", "replicas": 1}

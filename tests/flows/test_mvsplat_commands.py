@@ -1,22 +1,19 @@
 """MVSplat by command and by flow, its weights made by a recipe: what people meet, end to end."""
 
 import hashlib
-import json
 import shutil
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from command import ROOM, run, save_photographs
 
 from benches.recipe import recipe_weights
-from flows import cli, pipeline
+from flows import pipeline
 from flows.settings import MVSplatTable, Settings, make_settings, read_toml
-from slgaussian import datasets, harmonics, threads
+from slgaussian import datasets, harmonics
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.ply import load_ply
@@ -26,21 +23,7 @@ from tasks import geometry
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 
-ROOM = {
-    "name": "room",
-    "format": "procedural",
-    "options": {"seed": 1, "objects": 4, "views": 3},
-    "context": ["view_00", "view_02"],
-    "targets": ["view_01"],
-}
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """At this size a thread more gains little, and on a busy machine it costs much."""
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -58,26 +41,7 @@ def digest(checkpoint) -> str:
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory) -> Path:
     """Two photographs of 90 x 70 pixels, of which MVSplat takes the middle 80 x 64."""
-    folder = tmp_path_factory.mktemp("photos")
-    scene = datasets.load("procedural", seed=1, objects=4, views=3, height=70, width=90)
-    frames = []
-    for name in ("view_00", "view_02"):
-        camera = scene.cameras[name]
-        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
-        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 90, "h": 70}
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
-    return folder
-
-
-def run(monkeypatch, *words) -> int:
-    """Exit status of ``slgaussian WORDS``."""
-    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return left.value.code or 0
+    return save_photographs(tmp_path_factory.mktemp("photos"), height=70, width=90)
 
 
 def field_words(photos: Path, *words) -> list:

@@ -1,17 +1,15 @@
 """SAM and SAM 2 by command and by flow, with small random weights made here: end to end."""
 
-import importlib.util
 import json
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command import ROOM, room_sample, run
 
-from flows import cli, pipeline
+from flows import pipeline
 from flows.settings import Sam2Table, SamTable, Settings, make_settings, read_toml
-from slgaussian import datasets, threads
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -22,46 +20,18 @@ from slgaussian.store import ArtifactStore
 from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
+from tests.masks.small_models import save_sam, save_sam2
 
-ROOM = {
-    "name": "room",
-    "format": "procedural",
-    "options": {"seed": 1, "objects": 4, "views": 3},
-    "context": ["view_00", "view_02"],
-    "targets": ["view_01"],
-}
 OWN = {"preset": "langsplat", "points": 3}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """At this size a thread more gains little, and on a busy machine it costs much."""
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory) -> dict[str, Path]:
-    file = Path(__file__).parents[1] / "masks" / "small_models.py"
-    spec = importlib.util.spec_from_file_location("small_models", file)
-    small = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(small)
     root = tmp_path_factory.mktemp("models")
-    return {"sam": small.save_sam(root / "sam"), "sam2": small.save_sam2(root / "sam2")}
-
-
-def run(monkeypatch, *words) -> int:
-    """Exit status of ``slgaussian WORDS``."""
-    monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return left.value.code or 0
-
-
-def sample():
-    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
-    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
+    return {"sam": save_sam(root / "sam"), "sam2": save_sam2(root / "sam2")}
 
 
 def settings_for(folder: Path, out: Path, proposer: str = "sam", **own) -> Settings:
@@ -73,7 +43,7 @@ def settings_for(folder: Path, out: Path, proposer: str = "sam", **own) -> Setti
 @pytest.mark.parametrize("name", ["sam", "sam2"])
 def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
     own = {name: {"model": folders[name], **OWN}}
-    field = build_field(sample(), proposer=name, replicas=1, settings=own)
+    field = build_field(room_sample(), proposer=name, replicas=1, settings=own)
     field.save(tmp_path / "field")
     said = SemanticField.load(tmp_path / "field").settings
     assert said["proposer"] == name
@@ -122,7 +92,7 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path)
 
 def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
     made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
     inputs = {**inputs, "gaussians": geometry.run(store, made)}
     own = {"model": model_digest(folders["sam"]), **OWN}

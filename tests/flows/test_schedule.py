@@ -4,7 +4,6 @@ That they fire is shown by ``benches/schedule.py``: a server, and two times of a
 """
 
 import inspect
-import sys
 import time
 from importlib import import_module
 from pathlib import Path
@@ -12,10 +11,10 @@ from pathlib import Path
 import httpx
 import pytest
 import yaml
+from command import run, said
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
 
-from flows import cli
 from slgaussian.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -28,21 +27,18 @@ def config(tmp_path):
     return file
 
 
-def said(monkeypatch, capsys, *arguments) -> str:
-    monkeypatch.setattr(sys, "argv", ["slgaussian", "retrain", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    return capsys.readouterr().err
+def refused(monkeypatch, capsys, *arguments) -> str:
+    assert run(monkeypatch, "retrain", *arguments) == 2
+    return said(capsys)
 
 
 def test_a_schedule_without_a_server_is_refused(config, monkeypatch, capsys):
     monkeypatch.delenv("PREFECT_API_URL")
-    found = said(monkeypatch, capsys, config, "--cron", "0 3 * * *")
+    found = refused(monkeypatch, capsys, config, "--cron", "0 3 * * *")
     assert found.startswith("error: a schedule needs a Prefect server that keeps running")
     assert "prefect server start" in found and "or let cron run" in found
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
-    found = said(monkeypatch, capsys, config, "--every", "5")
+    found = refused(monkeypatch, capsys, config, "--every", "5")
     assert found.startswith("error: PREFECT_API_URL http://127.0.0.1:9/api: no Prefect server")
 
 
@@ -56,7 +52,7 @@ def test_a_schedule_without_a_server_is_refused(config, monkeypatch, capsys):
     ],
 )
 def test_times_that_are_none_are_refused(config, monkeypatch, capsys, arguments, expected):
-    assert expected in said(monkeypatch, capsys, config, *arguments)
+    assert expected in refused(monkeypatch, capsys, config, *arguments)
 
 
 def test_the_deployment_of_the_repository_can_be_loaded():

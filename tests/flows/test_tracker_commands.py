@@ -1,14 +1,13 @@
 """Trackers with settings of their own, by command and by flow."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import ROOM, room_sample, run, said
 
-from flows import cli, pipeline
+from flows import pipeline
 from flows.settings import PrecomputedTable, Sam2VideoTable, make_settings, read_toml
-from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import Precomputed, folder_digest
@@ -18,39 +17,29 @@ from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 
-SCENE = {
-    "name": "room",
-    "format": "procedural",
-    "options": {"seed": 1, "objects": 4, "views": 3},
-    "context": ["view_00", "view_02"],
-}
-
-
-def sample():
-    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
-    return room.sample(["view_00", "view_02"], near=0.8, far=12.0)
-
 
 @pytest.fixture
 def ids(tmp_path):
     """A folder of the true ids."""
     folder = tmp_path / "ids"
     folder.mkdir()
-    for view in sample().context:
+    for view in room_sample().context:
         np.save(folder / f"{view.name}.npy", view.instances)
     return folder
 
 
 def test_a_field_has_the_given_objects_and_says_so(ids):
-    field = build_field(sample(), tracker="precomputed", settings={"precomputed": {"folder": ids}})
-    truth = np.unique([view.instances for view in sample().context])
+    field = build_field(
+        room_sample(), tracker="precomputed", settings={"precomputed": {"folder": ids}}
+    )
+    truth = np.unique([view.instances for view in room_sample().context])
     np.testing.assert_array_equal(field.bank.ids, truth[truth > 0])
     assert field.settings["tracker"] == "precomputed"
     assert field.settings["precomputed"] == {"folder": folder_digest(ids)}
 
 
 def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_path):
-    values = {"scenes": [SCENE], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
+    values = {"scenes": [ROOM], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
     settings = make_settings(values, "test")
     steps = {step.stage: step for step in pipeline.plan(settings, settings.scenes[0])}
     own = {"folder": folder_digest(ids)}
@@ -59,13 +48,13 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     assert "precomputed" not in steps["geometry"].settings
 
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(sample()))}
+    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
     made = StageCall("tasks.geometry", {"predictor": "planesweep"}, inputs)
     inputs = {**inputs, "gaussians": geometry.run(store, made)}
     chosen = {"proposer": "regions", "tracker": "precomputed", "replicas": 5, "precomputed": own}
     call = StageCall("tasks.masks", chosen, inputs, {"precomputed": str(ids)})
     labels = store.get(masks.run(store, call))["labels"]
-    np.testing.assert_array_equal(labels, [view.instances for view in sample().context])
+    np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
         masks.run(store, call)
@@ -99,13 +88,8 @@ def test_a_run_that_cannot_be_does_not_begin(tmp_path, monkeypatch, capsys, word
     config = tmp_path / "run.toml"
     config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
-    command = ["slgaussian", "run", config, "--store", tmp_path / "store", *words]
-    monkeypatch.setattr(sys, "argv", [str(word) for word in command])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    said = capsys.readouterr().err
-    assert left.value.code == 2 and said.startswith("error: ") and said.count("\n") == 1
-    assert sentence in said
+    assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
+    assert sentence in said(capsys)
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from command import run
 
 from data_specs import load_spec
-from flows import cli
 from flows.training_settings import from_anywhere, read_retraining
 from slgaussian import datasets
 from slgaussian.datasets import re10k
@@ -77,16 +77,7 @@ def lessons_of(folder: Path, seeds) -> pa.Table:
 
 def command(folder: Path, out: str = "out", *more: str) -> list[str]:
     given = ["--lessons", folder / "corpus", "-o", folder / out, "--store", folder / "store"]
-    return ["slgaussian", "train", *map(str, given), *more]
-
-
-def run(monkeypatch, argv: list[str]) -> int:
-    monkeypatch.setattr(sys, "argv", argv)
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return stop.code or 0
-    return 0
+    return ["train", *map(str, given), *more]
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -95,7 +86,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, capsys):
     table = lessons_of(tmp_path, range(12))
-    assert run(monkeypatch, command(tmp_path, "out", *FEW)) == 0
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW)) == 0
     said = capsys.readouterr()
     assert "branch  train  cached" not in said.err
     made = files_in(tmp_path / "out")
@@ -120,7 +111,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
     # Another order, and other chunks, are no other lessons.
     again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
     (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again))
-    assert run(monkeypatch, command(tmp_path, "again", *FEW)) == 0
+    assert run(monkeypatch, *command(tmp_path, "again", *FEW)) == 0
     assert "branch  train  cached" in capsys.readouterr().err
     assert files_in(tmp_path / "again") == made
 
@@ -129,7 +120,7 @@ def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monk
     lessons_of(tmp_path, range(6))
     start = Branch(Architecture((4, 8), 8), seed=3)
     (tmp_path / "start").write_bytes(save_branch(start))
-    assert run(monkeypatch, command(tmp_path, "out", *FEW, "--from", f"{tmp_path}/start")) == 0
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--from", f"{tmp_path}/start")) == 0
     assert "to tell it from before" in capsys.readouterr().out
     made = load_branch(tmp_path / "out" / "branch.safetensors")
     assert made.architecture == start.architecture
@@ -143,7 +134,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
         lessons_of(tmp_path / name, range(6))
     long = ("--steps", "44", "--held-out", "0.4")
     program = "import sys; from flows.cli import main; main()"
-    argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)[1:]]
+    argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)]
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(
         argv, cwd=root, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
@@ -156,9 +147,9 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
     process.communicate()
     assert not (tmp_path / "killed" / "out" / "branch.safetensors").exists()
     steps = count_steps(monkeypatch)
-    assert run(monkeypatch, command(tmp_path / "killed", "out", *long)) == 0
+    assert run(monkeypatch, *command(tmp_path / "killed", "out", *long)) == 0
     assert len(steps) in (4, 24)  # after the second checkpoint, or more likely the first
-    assert run(monkeypatch, command(tmp_path / "whole", "out", *long)) == 0
+    assert run(monkeypatch, *command(tmp_path / "whole", "out", *long)) == 0
     assert files_in(tmp_path / "killed" / "out") == files_in(tmp_path / "whole" / "out")
 
 
@@ -177,7 +168,7 @@ def count_steps(monkeypatch) -> list[int]:
 
 def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys):
     lessons_of(tmp_path, range(6))
-    assert run(monkeypatch, command(tmp_path, "out", *FEW, "--rate", "1e30")) == 2
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--rate", "1e30")) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("error: training step ")
     assert "sample 'wall " in said[-1] and sum("wall" in line for line in said) == 1
@@ -198,7 +189,7 @@ def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys)
 def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):
     lessons_of(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, command(tmp_path, "out", *FEW, *more)) == 2
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW, *more)) == 2
     assert expected in capsys.readouterr().err
 
 
@@ -255,28 +246,28 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
         'chunks = "chunks"\nout = "corpus"\nmodels = "models"\nstore = "store"\n'
         'size = "72x96"\nreplicas = 1\nheld_out = 0.4\nsteps = 2\n'
     )
-    argv = ["slgaussian", "retrain", str(config)]
-    assert run(monkeypatch, argv) == 0
+    argv = ["retrain", config]
+    assert run(monkeypatch, *argv) == 0
     said = capsys.readouterr()
     assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no branch")
-    assert run(monkeypatch, argv) == 0
+    assert run(monkeypatch, *argv) == 0
     said = capsys.readouterr()
     assert said.out == "nothing new since version 1; no version is in use\n"
     assert said.err.count("  cached\n") == 4 and "branch" not in said.err
     re10k.write(tmp_path / "chunks", [rooms[3]], 10**8)
-    assert run(monkeypatch, argv) == 0
+    assert run(monkeypatch, *argv) == 0
     said = capsys.readouterr()
     assert said.out.startswith("version 2 kept") and "000000.torch  4 stages cached" in said.err
     counts = [v.facts["counts"]["learnt clips"] for v in Versions(tmp_path / "models").all()]
     assert counts == [1, 2]
 
-    models = ["slgaussian", "versions", str(tmp_path / "models")]
-    assert run(monkeypatch, [*models, "--use", "2"]) == 0
+    models = ["versions", tmp_path / "models"]
+    assert run(monkeypatch, *models, "--use", "2") == 0
     listed = capsys.readouterr().out.splitlines()
     assert listed[2].startswith("2 *  ") and listed[-1] == "* in use"
-    assert run(monkeypatch, [*models, "--roll-back"]) == 2
+    assert run(monkeypatch, *models, "--roll-back") == 2
     assert "the version in use has no parent" in capsys.readouterr().err
-    assert run(monkeypatch, [*models, "--use", "7"]) == 2
+    assert run(monkeypatch, *models, "--use", "7") == 2
     assert "expected one of the versions there: 1, 2" in capsys.readouterr().err
 
 

@@ -16,7 +16,6 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from small_clip import SIDE, WIDTH, clip_model, save_clip, save_tokenizer
 
-from slgaussian import threads
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.clip import MEAN, STD
@@ -27,11 +26,7 @@ from slgaussian.pretrained import model_digest, tokenizer_digest
 NOISE = 1e-6
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -11,18 +11,12 @@ import torch
 from safetensors.torch import save_file
 from small_clip import clip_model, save_tokenizer
 
-from slgaussian import threads
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.open_clip import convert
 from slgaussian.pretrained import model_digest
 
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def as_open_clip(model) -> dict[str, torch.Tensor]:

@@ -9,18 +9,12 @@ import torch
 import transformers
 from small_bert import SAME, save_bert
 
-from slgaussian import threads
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.synonyms import FAMILIES, LEAST, Synonyms
 from slgaussian.language.vocabulary import load_vocabulary
 
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

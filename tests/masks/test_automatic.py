@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian import threads
 from slgaussian.masks.automatic import (
     PRESETS,
     Automatic,
@@ -22,11 +21,7 @@ SIZE = (96, 128)
 BOXES = {"group": (8, 8, 88, 80), "object": (16, 16, 64, 64), "part": (24, 24, 48, 48)}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def picture():

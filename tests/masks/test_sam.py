@@ -15,7 +15,7 @@ from drawn_views import canvas, paste, view
 from safetensors.torch import load_file, save_file
 from small_models import SIDE, sam2_config, save_sam, save_sam2
 
-from slgaussian import pretrained, threads
+from slgaussian import pretrained
 from slgaussian.errors import InputError
 from slgaussian.masks import load_proposer
 from slgaussian.masks.associate import associate
@@ -28,11 +28,7 @@ SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads.share(threads.cores())
-    yield
-    threads.share()
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

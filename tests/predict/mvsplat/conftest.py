@@ -1,6 +1,5 @@
 """The published implementation's numbers, and a network with the weights that they were made of."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import torch
 
 from benches.recipe import recipe_weights
-from slgaussian import threads
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera
@@ -16,11 +14,8 @@ from tests.predict.mvsplat.make_reference import FILE
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """At this size a thread more gains little, and on a busy machine it costs much."""
-    threads.share(threads.cores())
-    yield
-    threads.share()
+def all_here(one_thread) -> None:
+    """Every test of this folder."""
 
 
 @pytest.fixture(scope="session")
