@@ -1,9 +1,10 @@
-"""What it costs to make a corpus ready: ``python benches/corpus.py WALK [--rooms 40] [-o FILE]``.
+"""What it costs to learn from a corpus: ``python benches/corpus.py WALK [--rooms 200] [-o FILE]``.
 
 WALK is a nerfstudio folder of a walk with a camera. Every stage runs in a process of its own on one
-worker, the stages before it found in the store, so that its time and memory are its own. Two
-corpora: made-up rooms of 12 views in small chunks, and a chunk as large as the published ones, of
-the walk ten times over.
+worker, the stages before it found in the store, so that its time and memory are its own; then the
+whole road, as `slgaussian retrain` goes it, in one process on two. Two corpora: *road*, made-up
+rooms of 12 views and the walk in chunks of 10 MB, and *large*, one chunk as large as the published
+ones, of the walk ten times over, which is not learnt from.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +71,36 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
     }
 
 
+def learning(chunks: str, store: str, out: str, workers: int) -> dict:
+    """Retrain, with whatever of it is not done yet, and say what it cost this process."""
+    from flows.environment import orchestration
+    from flows.training_settings import read_retraining
+    from slgaussian.store import ArtifactStore
+
+    given = {"chunks": chunks, "out": out, "models": f"{out}/models", "workers": workers}
+    settings = read_retraining(None, given)
+    begun = time.perf_counter()
+    with orchestration(ArtifactStore(store)) as ready:
+        from flows.retraining import retrain
+
+        ready()
+        start_up = time.perf_counter() - begun
+        wall, cpu = time.perf_counter(), time.process_time()
+        learnt, made = retrain(settings, ArtifactStore(store))
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    counts = {} if learnt.version is None else learnt.version.facts["counts"]
+    return {
+        "wall": wall,
+        "cpu": cpu,
+        "start_up": start_up,
+        "peak": peak_mb(),
+        "items": made.rows["lessons"],
+        "said": learnt.said,
+        "counts": counts,
+        "failures": len(made.failures),
+    }
+
+
 def peak_mb() -> float:
     """Most memory that this process ever held, megabytes.
 
@@ -78,9 +110,9 @@ def peak_mb() -> float:
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
-def apart(*words: object) -> dict:
-    """:func:`child` in a process of its own."""
-    run = [sys.executable, __file__, "--child", json.dumps(words)]
+def apart(what: Callable[..., dict], *words: object) -> dict:
+    """:func:`child` or :func:`learning` in a process of its own."""
+    run = [sys.executable, __file__, "--child", what.__name__, json.dumps(words)]
     done = subprocess.run(run, stdout=subprocess.PIPE, check=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -92,13 +124,13 @@ def packed(work: Path, walk: Path, rooms: int) -> tuple[dict[str, Path], float]:
     from slgaussian.datasets import nerfstudio, re10k
 
     small = PackSettings(chunk_mb=10)
-    folders = {"rooms": work / "rooms", "walk": work / "walk"}
-    if not folders["rooms"].exists():
-        pack([f"procedural:0-{rooms - 1}"], folders["rooms"], small)
-    if not folders["walk"].exists():
+    folders = {"road": work / "road", "large": work / "large"}
+    if not folders["road"].exists():
+        pack([f"procedural:0-{rooms - 1}", str(walk)], folders["road"], small)
+    if not folders["large"].exists():
         clip = re10k.clip_of(nerfstudio.read(walk))
         copies = (replace(clip, key=f"{clip.key}_{number}") for number in range(COPIES))
-        re10k.write(folders["walk"], copies, 2 * re10k.CHUNK_BYTES)
+        re10k.write(folders["large"], copies, 2 * re10k.CHUNK_BYTES)
     with tempfile.TemporaryDirectory() as spare:
         pack(["procedural:9000"], Path(spare), small)
         start = time.process_time()
@@ -106,26 +138,33 @@ def packed(work: Path, walk: Path, rooms: int) -> tuple[dict[str, Path], float]:
         return folders, (time.process_time() - start) / 2
 
 
-def measured(folder: Path, work: Path) -> tuple[list[dict], dict, dict, float]:
-    """Rows by stage, a whole run on two workers, the same again, bytes of the store a sample."""
+def measured(folder: Path, work: Path, clips: int) -> tuple[list[dict], float]:
+    """Rows by stage, and bytes of the store a sample."""
     from flows.corpus import SUPERVISE
 
     rows = []
     store, out = work / f"store-{folder.name}", work / f"out-{folder.name}"
     for index, stage in enumerate(SUPERVISE):
-        found = apart(str(folder), str(store), str(out), SUPERVISE[: index + 1], 1)
-        rows.append({"corpus": folder.name, "stage": stage, **found})
+        words = str(folder), str(store), str(out), SUPERVISE[: index + 1], 1
+        rows.append({"corpus": folder.name, "stage": stage, "clips": clips, **apart(child, *words)})
         print(rows[-1], file=sys.stderr, flush=True)
     size = sum(
         file.stat().st_size
         for spec in ("gaussians", "lesson", "sheet", "lessons", "pairs", "predictions")
         for file in (store / spec).rglob("*.*")
     )
-    # Equal clips share artifacts, so only rooms say what a sample takes.
-    both = work / f"store2-{folder.name}"
-    whole = apart(str(folder), str(both), str(out), SUPERVISE, 2)
-    again = apart(str(folder), str(both), str(out), SUPERVISE, 2)
-    return rows, whole, again, size / rows[-1]["items"]
+    return rows, size / rows[-1]["items"]
+
+
+def whole_road(folder: Path, work: Path) -> tuple[dict, dict, dict]:
+    """Only what follows supervision; all of it from nothing, on two workers; all of it again."""
+    done = str(folder), str(work / f"store-{folder.name}"), str(work / f"out-{folder.name}")
+    training = apart(learning, *done, 1)
+    print(training, file=sys.stderr, flush=True)
+    anew = str(folder), str(work / "store-whole"), str(work / "out-whole")
+    whole = apart(learning, *anew, 2)
+    print(whole, file=sys.stderr, flush=True)
+    return training, whole, apart(learning, *anew, 2)
 
 
 def share(value: float) -> str:
@@ -134,9 +173,10 @@ def share(value: float) -> str:
 
 STAGES = Table(
     "Stages",
-    "CPU seconds of the whole process; a minute of one core does so many views or samples. "
-    "*flow* is the share of the time in which the flow ran and no stage worked. Memory is the "
-    "peak of the process, of which an idle one, everything imported, has the *idle* part.",
+    "CPU seconds of the whole process; a minute of one core does so many samples or views, and so "
+    "many scenes (clips). *flow* is the share of the time in which the flow ran and no stage "
+    "worked. Memory is the peak of the process, of which an idle one, everything imported, has the "
+    "*idle* part.",
     {
         "corpus": ("corpus", str),
         "stage": ("stage", str),
@@ -144,6 +184,7 @@ STAGES = Table(
         "what": ("of", str),
         "cpu": ("CPU s", hundredths),
         "rate": ("a minute", count),
+        "scenes": ("scenes a minute", count),
         "flow": ("flow", share),
         "peak": ("peak MB", count),
         "idle": ("idle MB", count),
@@ -151,23 +192,23 @@ STAGES = Table(
 )
 
 RUNS = Table(
-    "Whole runs",
-    "All four stages on two workers, and the same command again. *start* is that of the Prefect "
+    "The whole road",
+    "`slgaussian retrain`: *training* with all lessons there (train, judge, report); *all* from "
+    "the chunks on, on two workers; *again* without anything new. *start* is that of the Prefect "
     "server, once a command.",
     {
-        "corpus": ("corpus", str),
+        "run": ("run", str),
         "items": ("lessons", count),
         "wall": ("s", hundredths),
         "cpu": ("CPU s", hundredths),
-        "again": ("again, s", hundredths),
+        "peak": ("peak MB", count),
         "start_up": ("start, s", hundredths),
-        "flow": ("flow, one worker", share),
     },
 )
 
 PAPER = Table(
     f"{CLIPS:,} clips on paper",
-    f"From the rates of the walk above: {VIEWS} views a clip, {PICKED} samples of each "
+    f"From the rates of *large* above: {VIEWS} views a clip, {PICKED} samples of each "
     f"(`--most {PICKED}`), both cores of each machine busy, chunks shared out evenly.",
     {
         "machines": ("machines", count),
@@ -184,28 +225,31 @@ PAPER = Table(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("walk", type=Path, nargs="?")
-    parser.add_argument("--rooms", type=int, default=40)
+    parser.add_argument("--rooms", type=int, default=200)
     parser.add_argument("--work", type=Path, help="folder for chunks and stores, kept")
     parser.add_argument("-o", "--out", type=Path, help="Markdown file")
-    parser.add_argument("--child", help=argparse.SUPPRESS)
+    parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.child:
-        print(json.dumps(child(*json.loads(given.child))))
+        name, words = given.child
+        print(json.dumps({"child": child, "learning": learning}[name](*json.loads(words))))
         return
     work = given.work or Path(tempfile.mkdtemp(prefix="slg-corpus-"))
     folders, room = packed(work, given.walk, given.rooms)
-    stages, runs, sizes = [], [], {}
+    clips = {"road": given.rooms + 1, "large": COPIES}
+    stages, sizes, flows = [], {}, {}
     for name, folder in folders.items():
-        rows, whole, again, sizes[name] = measured(folder, work)
+        rows, sizes[name] = measured(folder, work, clips[name])
         for row in rows:
             row["what"] = "views" if row["stage"] == "views" else "samples"
             row["rate"] = 60 * row["items"] / row["cpu"]
+            row["scenes"] = 60 * row["clips"] / row["cpu"]
             row["flow"] = 1 - row["work"] / row["wall"]
         stages += rows
-        work_seconds = sum(row["work"] for row in rows)
-        flow = 1 - work_seconds / sum(row["wall"] for row in rows)
-        runs.append({"corpus": name, **whole, "again": again["wall"], "flow": flow})
-    cost = {row["stage"]: row["cpu"] / row["items"] for row in stages if row["corpus"] == "walk"}
+        flows[name] = 1 - sum(row["work"] for row in rows) / sum(row["wall"] for row in rows)
+    named = zip(("training", "all", "again"), whole_road(folders["road"], work), strict=True)
+    runs = [{"run": name, **cost} for name, cost in named]
+    cost = {row["stage"]: row["cpu"] / row["items"] for row in stages if row["corpus"] == "large"}
     peak = max(row["peak"] for row in stages)
     hours = {
         "views": CLIPS * VIEWS * cost["views"] / 7200,
@@ -217,7 +261,7 @@ def main() -> None:
             "machines": n,
             **{stage: value / n for stage, value in hours.items()},
             "days": sum(hours.values()) / 24 / n,
-            "disk": CLIPS * PICKED * sizes["rooms"] / 1e9,
+            "disk": CLIPS * PICKED * sizes["road"] / 1e9,
             "memory": 2 * peak / 1024,
         }
         for n in MACHINES
@@ -226,8 +270,10 @@ def main() -> None:
     told = ", ".join(f"{part} {s / sum(parts.values()):.0%}" for part, s in parts.items())
     pages = [
         f"Made by `python benches/corpus.py WALK --rooms {given.rooms}` on {machine()}.\n",
-        f"Packing a room of 12 views takes {room:.1f} CPU s. Lessons of the walk: {told}; a sample "
-        f"of a room takes {sizes['rooms'] / 1e6:.1f} MB of the store.\n",
+        f"Packing a room of 12 views takes {room:.1f} CPU s. Lessons of *large*: {told}; a sample "
+        f"of the road takes {sizes['road'] / 1e6:.1f} MB of the store. The flow's share over the "
+        f"four stages: {', '.join(f'{name} {share(value)}' for name, value in flows.items())}. "
+        f"What came of the training: {runs[0]['said']} ({runs[0]['counts']}).\n",
         STAGES.markdown(stages),
         RUNS.markdown(runs),
         PAPER.markdown(paper),

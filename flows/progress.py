@@ -35,7 +35,7 @@ class Progress:
         self.stream = stream or sys.stderr
         self.live = self.stream.isatty()
         self.start = self.last = time.perf_counter()
-        self.steps = self.computed = 0
+        self.steps = self.computed = self.lost = 0
         self.active: dict[str, str] = {}
         self.detail = ""
         self.done: dict[str, list[tuple[str, float, bool]]] = {}
@@ -73,6 +73,7 @@ class Progress:
     def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
         """A scene is taken out."""
         self.active.pop(scene, None)
+        self.lost += 1
         self.total -= self.stages - len(self.done.get(scene, []))
         self.line(f"{scene}  left out at {stage}: {reason}")
         if self.verbose and not isinstance(error, SLGaussianError):
@@ -119,9 +120,22 @@ def _took(seconds: float, cached: bool) -> str:
 
 
 def _rate(progress: Progress, now: float) -> str:
-    # Cached stages are nearly free, so the rate is that of the computed ones.
-    if not progress.computed:
+    """How fast, and for how long: the stages still to come take as long as their like so far.
+
+    So where those of a kind were in the store, the next are taken to be, too.
+    """
+    totals = progress.totals
+    worked = {stage: sum(s for s, cached in runs if not cached) for stage, runs in totals.items()}
+    if not any(worked.values()):
         return ""
-    per_stage = (now - progress.start) / progress.computed
-    left = per_stage * (progress.total - progress.steps)
-    return f", {60 / per_stage:.0f} a minute, about {left:.0f} s left"
+    elapsed = now - progress.start
+    scenes = progress.scenes - progress.lost
+    left, unseen = 0.0, progress.total - progress.steps
+    for stage, runs in totals.items():
+        more = max(0, scenes - len(runs))
+        left += more * worked[stage] / len(runs)
+        unseen -= more
+    left += max(0, unseen) * sum(worked.values()) / progress.computed
+    # Workers side by side do more than a second of work a second.
+    left *= elapsed / sum(worked.values())
+    return f", {60 * progress.computed / elapsed:.0f} a minute, about {left:.0f} s left"
