@@ -20,6 +20,7 @@ from pairs import DATA_HELP
 from tables import Table, ms, thousandths
 
 from slgaussian import threads
+from slgaussian.bootstrap import compare
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
@@ -37,7 +38,7 @@ from slgaussian.semantic.branch import (
 from slgaussian.semantic.corruption import KINDS, corrupt
 from slgaussian.semantic.filled import Filled
 from slgaussian.semantic.hard import HardIndex
-from slgaussian.semantic.judge import compare, label_iou
+from slgaussian.semantic.judge import label_iou
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
 from slgaussian.semantic.training import TrainingSettings, train

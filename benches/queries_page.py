@@ -59,6 +59,15 @@ computed as a sigmoid of T times the *gap*, the lead in cosine over the best phr
 overflows nor loses the order of objects at any temperature. 0.5 is "as good as any phrase". Pixels
 get the number of the object that they show.
 
+**And groups of objects.** Label maps are one partition, and a word may mean what they cut up: a
+sofa and not its cushions. So the objects of all views are merged on into groups, at two levels that
+differ in what they merge (`slgaussian/masks/levels.py`), and the bank holds a vector of each group
+and view too. A text is then scored on an object and on the groups that hold it, in each view, and
+in place of the greatest of these gaps counts their mean, each weighed by e to the gap / 0.05: a
+soft greatest, by which one look that fits by chance is worth less than several that agree. Ids,
+codes and masks remain those of objects. A bank without groups, as of true names, answers by the
+formula above alone.
+
 - `temperature` 10 is LERF's and LangSplat's code, 1 the formula as printed.
 - `canonical`: "object", "things", "stuff", "texture" (`lerf`), or any phrases of your own.
 - `absent`: what a view says about an object that it does not hold. `skip`, nothing. `zero` is the
@@ -75,10 +84,13 @@ automatic rule too: several like objects are all taken, the pieces of a wall as 
 object fits better than the phrases, and the temperature plays no part. Rules that let large regions
 grow over look-alikes (by size, by likeness of features, by contact, by the largest drop in score)
 were tried on 434 queries of 16 procedural rooms and 57 of real offices; the best of
-them gained no more than their standard errors over scenes on one of the two.
+them gained no more than their standard errors over scenes on one of the two. Nor did taking the
+whole group of the best object, or a group wherever it fits better than its parts.
 
-**Where it is.** The point is the pixel of the best object's largest connected part that lies
-farthest from its edge, the first in reading order of several: one pixel, the same on any machine.
+**Where it is.** Of the objects whose gap reaches 0.9 of the best one's, the one that the image
+shows most of: slivers fit by chance more easily. The point is the pixel of its largest connected
+part that lies farthest from its edge, the first in reading order of several: one pixel, the same on
+any machine.
 
 **Protocol `langsplat`.** For numbers that compare with LangSplat's: the relevancy image is
 smoothed by a 30 x 30 mean, averaged with itself unsmoothed, stretched to [-1, 1] and cut at 0.4,

@@ -23,6 +23,7 @@ COLUMN_TYPES = {
     "int64": pa.int64(),
     "float64": pa.float64(),
     "bool": pa.bool_(),
+    "float64 list": pa.list_(pa.float64()),
 }
 
 

@@ -16,7 +16,7 @@ from prefect.futures import PrefectFuture
 from data_specs import load_spec
 from flows.progress import Progress
 from slgaussian.errors import SLGaussianError
-from slgaussian.store import ArtifactRef
+from slgaussian.store import ArtifactRef, DamagedError
 from tasks.stage import StageCall
 
 
@@ -57,11 +57,25 @@ class Chain:
     first: str = "ingest"
     steps: Sequence[Step] = ()
     position: int = 0
+    remade: set[str] = field(default_factory=set)
 
     @property
     def stage(self) -> str:
         """The stage that is being worked on."""
         return self.steps[self.position].stage if self.steps else self.first
+
+    def go_back(self, uri: str) -> int:
+        """Return to the stage that made a damaged artifact, once for each of them.
+
+        How many stages back that is; 0 if no stage made it, or it was damaged before.
+        """
+        for position, step in enumerate(self.steps[: self.position]):
+            ref = self.refs[step.stage]
+            if uri in (ref.uri, *ref.meta.get("parts", ())) and uri not in self.remade:
+                self.remade.add(uri)
+                back, self.position = self.position - position, position
+                return back
+        return 0
 
 
 @dataclass(frozen=True)
@@ -132,6 +146,9 @@ def run_chains(task: Task, chains: Iterable[Chain], workers: int, progress: Prog
             progress.finished(chain.scene, chain.stage, seconds, cached=state.name == "Cached")
             chain.refs[chain.stage] = result
             chain.position += 1
+            running -= not submit(chain)
+        elif isinstance(result, DamagedError) and (back := chain.go_back(result.uri)):
+            progress.went_back(chain.scene, back, str(result))
             running -= not submit(chain)
         else:
             fail(chain, result)

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from flows.corpus_settings import CorpusSettings, PackSettings
+from flows.corpus_settings import CorpusSettings, IndexSettings, PackSettings
+from flows.housekeeping import store_app
 from flows.options import with_options
 from flows.training_settings import RetrainSettings, TrainSettings
 from slgaussian.errors import InputError, SLGaussianError
@@ -39,6 +40,7 @@ app = typer.Typer(
     help="Two posed photographs in, a 3D scene of Gaussians that answers words out. Start with "
     "`slgaussian demo`; `slgaussian COMMAND --help` has examples.",
 )
+app.add_typer(store_app, name="store")
 
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for every stage.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -71,27 +73,71 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
 
 
 @app.command()
-@with_options(*RUN)
+@with_options(*RUN, "data", "pairs", "labels", "format", "rooms")
 def benchmark(
     settings: dict,
-    data: Annotated[Path, typer.Option(help="Folder with transforms.json and photographs.")],
-    pairs: Annotated[Path, typer.Option(help="JSON: scene -> context, target, categories.")],
-    labels: Annotated[Path, typer.Option(help="Folder of LERF-OVS JSON labels, one a frame.")],
+    against: Annotated[
+        list[str] | None,
+        typer.Option(help="Another method to score as well, by name, or all; may be repeated."),
+    ] = None,
     out: Out = Path("slg-benchmark"),
     verbose: Verbose = False,
 ) -> None:
     """Score a labelled set: a field from each scene's context frames, asked in its target frames.
 
-    Leaves samples.parquet and samples.csv (a row a scene, frame, query), report.html, every
-    predicted mask under predictions/, and failures.parquet with the scenes that could not be done.
+    Leaves samples.parquet and .csv (a row a scene, frame, query and protocol), scores.parquet and
+    .csv, report.html, every predicted mask under predictions/, and failures.parquet with the scenes
+    that could not be done.
+    The published index of RealEstate10K is scored in the clips that are there; with labels, a
+    folder of each clip's name, in those that are labelled.
 
     \b
     slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels -o scores
+    slgaussian benchmark --data lerf_ovs --pairs pairs.json --against all -o scores
+    slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
+    slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json -o scores
     """
     from flows.settings import make_settings
 
-    given = {"data": data, "pairs": pairs, "labels": labels, "out": out}
-    _run(make_settings({**settings, **given}, "benchmark"), verbose)
+    given = {**settings, "against": against or [], "out": out}
+    _run(make_settings(given, "benchmark"), verbose)
+
+
+@app.command()
+@with_options(*IndexSettings.model_fields, of=IndexSettings)
+def pairs(
+    settings: dict,
+    data: Annotated[Path, typer.Argument(help="Folder of the data, as its format has it.")],
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Folder of labels, if the format has none of its own, or other ones."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="JSON file.")] = Path("pairs.json"),
+) -> None:
+    """Choose two context views for every labelled frame, and write them as an index.
+
+    Labelled frames are never context views. The two are sharp, overlap, have some distance, have
+    the labelled frame between them and see nearly all of it; the best such pair is taken. The file
+    holds the rule with its settings, what was measured, and the frames without a pair: with it
+    anybody scores the same pairs. Labels are JSON as LERF-OVS has it, beside data of any format, or
+    the class masks of 3D-OVS.
+
+    \b
+    slgaussian pairs lerf_ovs --format lerf_ovs -o pairs.json
+    slgaussian pairs 3dovs --format ovs3d -o pairs.json --max-baseline 0.6
+    slgaussian pairs walk --labels walk/labels -o walk/pairs.json
+    """
+    from flows.corpus_settings import check_bounds
+    from flows.settings import checked
+
+    chosen = checked(IndexSettings, settings, "pairs")
+    check_bounds(chosen, "pairs")
+    from flows.indexing import build_index
+
+    index = build_index(data, labels, chosen, out)
+    for name, reason in index.left_out.items():
+        typer.echo(f"left out: {name}: {reason}", err=True)
+    typer.echo(f"{len(index.pairs)} pairs  {out}")
 
 
 @app.command()
@@ -493,7 +539,7 @@ def _run(settings: Any, verbose: bool) -> None:
     store = ArtifactStore(settings.store)
     with orchestration(store) as ready:
         from flows import pipeline
-        from flows.tables import scores_table
+        from flows.tables import scores_tables
 
         ready()
         try:
@@ -502,7 +548,7 @@ def _run(settings: Any, verbose: bool) -> None:
             typer.echo("\nstopped; the same command goes on from here", err=True)
             raise
     if finished.results:
-        typer.echo(scores_table(finished.results))
+        typer.echo(scores_tables(finished.results))
     if finished.report is not None:
         typer.echo(f"report: {finished.report}")
     if finished.failures:

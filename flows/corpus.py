@@ -155,7 +155,7 @@ def _run(
                 )
                 for chunk in chunks
             )
-            return run_chains(stage_task(store), chains, settings.workers, progress)
+            return run_chains(stage_task(), chains, settings.workers, progress)
 
     return corpus()
 

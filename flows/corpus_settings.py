@@ -8,22 +8,19 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from flows.settings import SIDES, Method, checked, refuse_idle
+from flows.settings import SIDES, Method, checked, refuse_idle, sides
 from slgaussian import threads
 from slgaussian.errors import InputError
 
 
 def _parse_sides(value: Any) -> tuple[int, int]:
-    try:
-        height, width = map(int, value.split("x") if isinstance(value, str) else value)
-    except (TypeError, ValueError):
-        height = width = 0
-    if height not in SIDES or width not in SIDES:
+    found = sides(value)
+    if found is None:
         raise PydanticCustomError(
             "size",
             f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}",
         )
-    return height, width
+    return found
 
 
 Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
@@ -51,12 +48,11 @@ BOUNDS = {
 imported here as it takes OpenCV with it."""
 
 
-class CorpusSettings(Method):
-    """What views, samples and lessons depend on, and where they go."""
+class PairSettings(BaseModel):
+    """What is asked of two context views."""
 
-    size: Sides = Field(
-        (256, 256), description="Height and width of the views of a lesson, as 256x256."
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
     min_overlap: float = Field(
         0.6, ge=0, le=1, description="Least share that context views see in common."
     )
@@ -79,6 +75,34 @@ class CorpusSettings(Method):
     max_clipped: float = Field(
         0.4, ge=0, le=1, description="Share of a view that may be black or white."
     )
+
+    def bounds(self) -> dict[str, Any]:
+        """What is asked of a pair, as :class:`slgaussian.datasets.pairs.Bounds` takes it."""
+        return self.model_dump(include=BOUNDS)
+
+
+class IndexSettings(PairSettings):
+    """By which rule the index of a labelled set is made."""
+
+    format: str = Field("nerfstudio", description="Of the data, such as lerf_ovs or ovs3d.")
+    min_cover: float = Field(
+        0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."
+    )
+    max_aside: float = Field(
+        0.3,
+        ge=0,
+        lt=0.5,
+        description="Greatest distance of a labelled frame from the middle of the context cameras, "
+        "as a share of their distance.",
+    )
+
+
+class CorpusSettings(PairSettings, Method):
+    """What views, samples and lessons depend on, and where they go."""
+
+    size: Sides = Field(
+        (256, 256), description="Height and width of the views of a lesson, as 256x256."
+    )
     most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
     store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
     workers: int = Field(
@@ -86,10 +110,6 @@ class CorpusSettings(Method):
     )
     chunks: str = Field(description="Folder or fsspec URL of the chunks.")
     out: Path = Field(description="Folder for the tables and contact sheets.")
-
-    def bounds(self) -> dict[str, Any]:
-        """What is asked of a pair, as :class:`slgaussian.datasets.pairs.Bounds` takes it."""
-        return self.model_dump(include=BOUNDS)
 
 
 def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
@@ -100,7 +120,7 @@ def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
     return settings
 
 
-def check_bounds(settings: CorpusSettings, source: str) -> None:
+def check_bounds(settings: PairSettings, source: str) -> None:
     """InputError if no pair can fit."""
     for name in ("overlap", "baseline"):
         low, high = getattr(settings, f"min_{name}"), getattr(settings, f"max_{name}")

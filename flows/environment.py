@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from flows.server import LocalServer
+from slgaussian.local_cache import user_cache
 from slgaussian.store import ArtifactStore
 
 
@@ -37,8 +38,7 @@ def home_of(store: ArtifactStore) -> Path:
     """Where Prefect keeps its database: in a local store, else in the user's cache folder."""
     if store.local:
         return Path(store.path) / ".prefect"
-    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(caches) / "slgaussian" / "prefect"
+    return user_cache() / "prefect"
 
 
 @contextmanager

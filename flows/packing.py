@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,13 +9,14 @@ from pathlib import Path
 
 from flows.corpus_settings import PackSettings
 from flows.progress import Progress
+from flows.rooms import seeds
 from slgaussian import datasets, threads
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 
-ROOMS = re.compile(r"procedural:(\d+)(?:-(\d+))?")
-"""How made-up rooms are asked for: by their first and last seed."""
+ROOMS = "procedural:"
+"""How made-up rooms are asked for, with their first and last seed after it."""
 
 
 @dataclass
@@ -87,18 +87,13 @@ def _scenes(
 ) -> Iterator[tuple[str, Callable[[], Scene]]]:
     seen: dict[str, str] = {}
     for source in sources:
-        rooms = ROOMS.fullmatch(source)
-        if rooms is not None:
-            first, last = int(rooms[1]), int(rooms[2] or rooms[1])
-            named = {f"procedural_{seed}": _room(seed, settings) for seed in range(first, last + 1)}
-        elif source.startswith("procedural:"):
-            named = {}
+        if source.startswith(ROOMS):
+            asked = seeds(source.removeprefix(ROOMS), source)
+            named = {f"procedural_{seed}": _room(seed, settings) for seed in asked}
         else:
             path = Path(source)
             folder = path.parent if path.name == nerfstudio.FILE else path
             named = {folder.resolve().name: lambda path=path: nerfstudio.read(path)}
-        if not named:
-            raise InputError(f"{source}: found no seeds; expected procedural:FIRST-LAST, as 0-39")
         for name, load in named.items():
             if name in seen:
                 raise InputError(

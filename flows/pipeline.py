@@ -12,19 +12,22 @@ from typing import Any
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from flows import rivals
 from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
+from flows.labelled import labelled_scenes
 from flows.progress import Progress
+from flows.rooms import room_scene, seeds
 from flows.settings import TABLES, Method, SceneSettings, Settings
 from slgaussian import __version__
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.labels import read_pairs
+from slgaussian.benchmark.labels import label_files
 from slgaussian.benchmark.report import with_times, write_predictions, write_samples
 from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
 from slgaussian.parts import places
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
-from tasks.artifacts import result_from_arrays
+from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.ingest import file_hashes
 from tasks.stage import stage_task, using
 
@@ -51,27 +54,26 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         If there is nothing to do, a part of the method is unknown, or the store or the output
         folder cannot be written.
     """
-    scenes = scenes_of(settings)
+    scenes, said = scenes_of(settings)
     parts = settings.part_names()
     check_parts(**parts, settings=settings.part_settings())
     Rules(**settings.rules())
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
-    progress.line(f"with {', '.join(parts.values())}")
-    outcome, report = _pipeline(settings, scenes, store, progress)
-    done = [scene.name for scene in scenes if scene.name in outcome.refs]
-    results = [load_result(store, outcome.refs[name]) for name in done]
+    for text in (f"with {', '.join(parts.values())}", *said):
+        progress.line(text)
+    made = _pipeline(settings, scenes, store, progress)
     page = None
-    if report is not None:
+    if made.report is not None:
         page = with_times(
-            store.get(report)["html"].tobytes().decode(),
-            _seconds_by_stage(outcome),
-            {result.scene: result.times for result in results},
+            store.get(made.report)["html"].tobytes().decode(),
+            made.seconds,
+            {name: ref.meta["times"] for name, ref in made.answers.items()},
             {"python": platform.python_version(), "machine": platform.platform()},
         )
     try:
-        _write(settings.out, results, outcome.failures, page)
+        results = _write(settings.out, store, made, page)
     except OSError as error:
         raise InputError(
             f"{settings.out}: cannot write the results ({error.strerror}); they are kept in the "
@@ -79,28 +81,26 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         ) from error
     progress.summary()
     written = None if page is None else settings.out / "report.html"
-    return Finished(results, outcome.failures, written)
+    return Finished(results, made.failures, written)
 
 
-def scenes_of(settings: Settings) -> list[SceneSettings]:
-    """The scenes of a run: as listed, or those of a labelled set."""
-    if settings.pairs is None:
-        if not settings.scenes:
-            raise InputError("nothing to do: give [[scenes]], or data, pairs and labels")
-        return settings.scenes
-    if settings.data is None or settings.labels is None:
-        raise InputError("a labelled set needs all of data, pairs and labels")
-    return [
-        SceneSettings(
-            name=pair.scene,
-            path=settings.data,
-            context=list(pair.context),
-            targets=list(pair.targets),
-            labels=settings.labels,
-            categories=list(pair.categories),
-        )
-        for pair in read_pairs(settings.pairs)
-    ]
+def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
+    """The scenes of a run: of a labelled set, made-up rooms, and listed ones.
+
+    And what is to be said of them.
+    """
+    labelled = any((settings.data, settings.pairs, settings.labels))
+    scenes, said = labelled_scenes(settings) if labelled else ([], [])
+    if settings.rooms is not None:
+        scenes = [*scenes, *map(room_scene, seeds(settings.rooms, "rooms"))]
+    scenes = [*scenes, *settings.scenes]
+    if not scenes:
+        raise InputError("nothing to do: give [[scenes]], or data and pairs, or rooms")
+    names = [scene.name for scene in scenes]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two scenes are called {name!r}; names must be unique")
+    return scenes, said
 
 
 def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list[Step]:
@@ -118,7 +118,9 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             "size": scene.size or method.size,
             "near": scene.near or method.near,
             "far": scene.far or method.far,
-            "files": {} if scene.path is None else file_hashes(scene.path, views),
+            "files": {}
+            if scene.path is None
+            else file_hashes(scene.format, scene.path, views, scene.options),
         },
         where=where,
     )
@@ -143,7 +145,12 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     }
     base = {"sample": "ingest", "gaussians": "geometry"}
     known = {"sample": "ingest", "labels": "masks"}
-    asked = {"method": name, "queries": scene.queries, "rules": method.rules()}
+    asked = {
+        "method": name,
+        "dataset": scene.dataset,
+        "queries": scene.queries,
+        "rules": method.rules(),
+    }
     return [
         ingest,
         truth,
@@ -175,12 +182,6 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     ]
 
 
-def load_result(store: ArtifactStore, refs: dict[str, ArtifactRef]) -> SceneResult:
-    """The benchmark result of a scene, without its pictures, from the refs of its stages."""
-    ref = refs["benchmark"]
-    return result_from_arrays(store.get(ref), ref.meta["times"], with_pictures=False)
-
-
 def check_folder(out: Path) -> None:
     """Make the output folder; InputError now, not after the work, if it cannot be written."""
     try:
@@ -193,49 +194,89 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def _write(
-    out: Path, results: Sequence[SceneResult], failures: Sequence[Failure], page: str | None
-) -> None:
-    write_atomic(out / "failures.parquet", encode_table(failures_table(failures)))
+def _write(out: Path, store: ArtifactStore, made: _Made, page: str | None) -> list[SceneResult]:
+    """Write what people get; the results, without images, as there may be thousands."""
+    write_atomic(out / "failures.parquet", encode_table(failures_table(made.failures)))
+    results = []
+    for ref in made.answers.values():
+        arrays = store.get(ref)
+        results.append(result_from_arrays(arrays, ref.meta["times"], with_images=False))
+        write_predictions(results[-1].rows, predictions_of(arrays), out / "predictions")
     write_samples(results, out)
-    write_predictions(results, out / "predictions")
     if page is None:
         # That of an earlier run is not about these scenes.
         (out / "report.html").unlink(missing_ok=True)
     else:
         write_atomic(out / "report.html", page.encode())
+    return results
+
+
+@dataclass
+class _Made:
+    """What the flow made.
+
+    ``answers`` are the results of each scene, ours by its name and then those of other methods;
+    ``seconds`` those that the results took by stage when they were made, which for cached ones is
+    long ago.
+    """
+
+    answers: dict[str, ArtifactRef]
+    failures: list[Failure]
+    seconds: dict[str, float]
+    report: ArtifactRef | None = None
 
 
 def _pipeline(
     settings: Settings, scenes: Sequence[SceneSettings], store: ArtifactStore, progress: Progress
-) -> tuple[Outcome, ArtifactRef | None]:
+) -> _Made:
     @flow(
         name="slgaussian",
         task_runner=ThreadPoolTaskRunner(max_workers=settings.workers),
         persist_result=False,
         validate_parameters=False,
     )
-    def pipeline() -> tuple[Outcome, ArtifactRef | None]:
+    def pipeline() -> _Made:
         with using(store):
-            task = stage_task(store)
+            task = stage_task()
             chains = [
                 Chain(scene.name, lambda scene=scene: plan(settings, scene, settings.method))
                 for scene in scenes
             ]
             outcome = run_chains(task, chains, settings.workers, progress)
-            if not outcome.refs:
-                return outcome, None
-            page = run_chains(task, [_report_chain(settings, scenes, outcome)], 1, progress)
-            outcome.failures += page.failures
-            made = page.refs.get("all scenes", {})
-            return outcome, made.get("report")
+            others = rivals.chains(settings, scenes, outcome.refs)
+            more = Outcome()
+            if others:
+                course = Progress(len(others), 1, verbose=progress.verbose)
+                more = run_chains(task, others, settings.workers, course)
+                course.summary()
+            made = _gathered(scenes, outcome, more)
+            if made.answers:
+                page = run_chains(task, [_report_chain(settings, made)], 1, progress)
+                made.failures += page.failures
+                made.report = page.refs.get("all scenes", {}).get("report")
+            return made
 
     return pipeline()
 
 
-def _report_chain(settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome) -> Chain:
-    names = [scene.name for scene in scenes if scene.name in outcome.refs]
-    refs = {name: outcome.refs[name]["benchmark"] for name in names}
+def _gathered(scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome) -> _Made:
+    answers = {}
+    for scene in scenes:
+        if scene.name in outcome.refs:
+            answers[scene.name] = outcome.refs[scene.name]["benchmark"]
+        for name, refs in more.refs.items():
+            if name.startswith(f"{scene.name}: "):
+                answers[name] = refs[rivals.STAGE]
+    seconds = {
+        stage: sum(refs[stage].meta["seconds"] for refs in outcome.refs.values())
+        for stage in STAGES
+    }
+    if more.refs:
+        seconds[rivals.STAGE] = sum(r[rivals.STAGE].meta["seconds"] for r in more.refs.values())
+    return _Made(answers, [*outcome.failures, *more.failures], seconds)
+
+
+def _report_chain(settings: Settings, made: _Made) -> Chain:
     shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
     manifest = {
         "versions": {name: _version(name) for name in ("slgaussian", "torch", "numpy", "numba")},
@@ -244,26 +285,20 @@ def _report_chain(settings: Settings, scenes: Sequence[SceneSettings], outcome: 
     step = Step(
         "report",
         {
-            "scenes": names,
+            "answers": list(made.answers),
             "manifest": manifest,
-            "failures": [asdict(failure) for failure in outcome.failures],
+            "failures": [asdict(failure) for failure in made.failures],
         },
-        {name: name for name in names},
+        {name: name for name in made.answers},
     )
-    return Chain("all scenes", lambda: [step], refs, first="report")
-
-
-def _seconds_by_stage(outcome: Outcome) -> dict[str, float]:
-    """Seconds that the results took when they were made, which for cached ones is long ago."""
-    return {
-        stage: sum(refs[stage].meta["seconds"] for refs in outcome.refs.values())
-        for stage in STAGES
-    }
+    return Chain("all scenes", lambda: [step], dict(made.answers), first="report")
 
 
 def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
-    files = [folder / f"{Path(target).stem}.json" for target in targets]
-    return {file.name: sha256_of(file) for file in files if file.is_file()}
+    files = [file for target in targets for file in label_files(folder, target)]
+    return {
+        file.relative_to(folder).as_posix(): sha256_of(file) for file in files if file.is_file()
+    }
 
 
 def _only(settings: dict[str, Any], *names: str) -> dict[str, Any]:

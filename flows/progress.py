@@ -70,6 +70,13 @@ class Progress:
             self.line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
         self._status()
 
+    def went_back(self, scene: str, stages: int, reason: str) -> None:
+        """The last stages of a scene that were done are done again."""
+        del self.active[scene]
+        del self.done[scene][-stages:]
+        self.steps -= stages
+        self.line(f"{scene}  goes {stages} stages back: {reason}")
+
     def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
         """A scene is taken out."""
         self.active.pop(scene, None)

@@ -19,26 +19,36 @@ from pydantic_core import PydanticCustomError
 
 from slgaussian import threads
 from slgaussian.errors import InputError
+from slgaussian.remote import check_url
 
 SIDES = range(16, 8193)
 """Heights and widths, in pixels, that views may be brought to."""
 
 
-def _parse_size(value: Any) -> Any:
-    """``"416x576"`` (height x width) as the command line gives it, or a pair, or a word."""
-    if value in ("auto", "original"):
-        return value
+def sides(value: Any) -> tuple[int, int] | None:
+    """Height and width of ``"416x576"``, as the command line gives them, or of a pair.
+
+    None if it is neither, or one is not in :data:`SIDES`.
+    """
     try:
         height, width = map(int, value.split("x") if isinstance(value, str) else value)
     except (TypeError, ValueError):
-        height = width = 0
-    if height not in SIDES or width not in SIDES:
+        return None
+    return (height, width) if height in SIDES and width in SIDES else None
+
+
+def _parse_size(value: Any) -> Any:
+    """Height and width, or a word."""
+    if value in ("auto", "original"):
+        return value
+    found = sides(value)
+    if found is None:
         raise PydanticCustomError(
             "size",
             f"expected height and width as in 416x576, each from {SIDES[0]} to {SIDES[-1]}, or "
             "'auto' or 'original'",
         )
-    return height, width
+    return found
 
 
 Size = Annotated[tuple[int, int] | Literal["auto", "original"], BeforeValidator(_parse_size)]
@@ -314,6 +324,7 @@ class SceneSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1)
+    dataset: str = Field("scenes", min_length=1)
     format: str = "nerfstudio"
     path: Path | None = None
     options: dict[str, Any] = {}
@@ -336,10 +347,23 @@ class Settings(Method):
         min(2, threads.cores()), ge=1, description="Scenes worked on at the same time."
     )
     method: str = Field("slgaussian", description="Name of the method in tables and folders.")
-    data: Path | None = Field(None, description="Labelled set: folder with transforms.json.")
-    pairs: Path | None = Field(None, description="Labelled set: which frames make a scene.")
-    labels: Path | None = Field(None, description="Labelled set: folder of LERF-OVS JSON files.")
-    scenes: list[SceneSettings] = Field([], description="The scenes, in place of a labelled set.")
+    data: Path | None = Field(None, description="Folder of a labelled set, as its format has it.")
+    format: str | None = Field(
+        None, description="Its format, if the index does not say: nerfstudio if left out."
+    )
+    pairs: Path | None = Field(
+        None, description="Its index: what `pairs` wrote, or a file made by hand."
+    )
+    labels: Path | None = Field(
+        None, description="Folder of its labels, if they are not in that of the data."
+    )
+    rooms: str | None = Field(
+        None, description="Made-up rooms to score as well, by their seeds: FIRST-LAST."
+    )
+    against: list[str] = Field(
+        [], description="Other methods to score in the same run, by name, or all."
+    )
+    scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
 
 
 PATHS = ("out", "data", "pairs", "labels", "models")
@@ -360,6 +384,9 @@ def make_settings(values: dict[str, Any], source: str) -> Settings:
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
     """``model(**values)``, or InputError in one sentence, naming ``source``, the key and why."""
+    for name in URLS:
+        if isinstance(values.get(name), str):
+            check_url(values[name], f"{source}: {name}")
     try:
         return model(**values)
     except ValidationError as error:

@@ -2,21 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import METRICS
+from slgaussian.benchmark.scores import score_table
+from slgaussian.bootstrap import LEVEL
 from slgaussian.semantic.verdict import clip_scores, verdict
 from slgaussian.versions import Version
 
 
-def scores_table(results: Sequence[SceneResult]) -> str:
-    """One line a scene and their mean; a dash where a scene has no truth for the number.
+def scores_tables(results: Sequence[SceneResult]) -> str:
+    """A table of scenes for each data set, by the first method, and one of methods if there are
+    others."""
+    tables = []
+    for dataset in dict.fromkeys(result.dataset for result in results):
+        own = [result for result in results if result.dataset == dataset]
+        leading = own[0].method
+        tables.append(_scenes_table([result for result in own if result.method == leading]))
+        if any(result.method != leading for result in own):
+            tables.append(_methods_table(dataset, own))
+    return "\n\n".join(tables)
 
-    The mean is over the scenes that have the number, each counting once.
+
+def _methods_table(dataset: str, results: Sequence[SceneResult]) -> str:
+    """One line a method: the means of its scores over scenes, by the leading protocol."""
+    scores = _leading_scores(results)
+    titles = {m.key: m for m in METRICS if any(s["metric"] == m.key for s in scores)}
+    rows = [[dataset, *(m.title for m in titles.values()), "scenes"]]
+    for method in dict.fromkeys(score["method"] for score in scores):
+        own = {s["metric"]: s for s in scores if s["method"] == method}
+        values = [_number(own[key]["value"], m.digits) for key, m in titles.items()]
+        rows.append([method, *values, str(own[next(iter(titles))]["scenes"])])
+    return _aligned(rows)
+
+
+def _scenes_table(results: Sequence[SceneResult]) -> str:
+    """One line a scene, their mean and its interval; a dash where a scene has not the number.
+
+    The mean is over the scenes that have the number, each counting once. Below is said what the
+    scores of answers go by; the other numbers go by no protocol and have no interval.
     """
     shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
     rows = [["scene", *(m.title for m in shown)]]
@@ -28,7 +57,35 @@ def scores_table(results: Sequence[SceneResult]) -> str:
         values = [r.scene_metrics[m.key] for r in results if m.key in r.scene_metrics]
         means.append(_number(sum(values) / len(values), m.digits))
     rows.append(["mean", *means])
-    return _aligned(rows)
+    scores = _leading_scores(results)
+    if not scores:
+        return _aligned(rows)
+    known = {row["metric"]: row for row in scores}
+    rows.append([f"{100 * LEVEL:.0f} %", *(_interval(known.get(m.key), m.digits) for m in shown)])
+    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
+
+
+def _leading_scores(results: Sequence[SceneResult]) -> list[dict[str, Any]]:
+    """Scores by the protocol whose numbers the scenes' metrics are, that of the first row."""
+    rows = [row for result in results for row in result.rows]
+    own = [row for row in rows if row["protocol"] == rows[0]["protocol"]]
+    return score_table(own).to_pylist()
+
+
+def _by_what(score: Mapping[str, Any]) -> str:
+    names = "threshold", "share", "filter", "temperature"
+    said = [f"{name} {score[name]}" for name in names if score[name] is not None]
+    how = ", ".join([score["selection"], *said, f"phrases: {score['canonical']}"])
+    counts = ((score[f"{what}s"], what) for what in ("sample", "scene"))
+    of = " of ".join(f"{n} {what}" if n == 1 else f"{n} {what}s" for n, what in counts)
+    note = f"; {score['note']}" if score["note"] else ""
+    return f"by {score['protocol']} ({how}); {of}{note}"
+
+
+def _interval(score: Mapping[str, Any] | None, digits: int) -> str:
+    if score is None or score["low"] is None:
+        return "-"
+    return f"{score['low']:.{digits}f}-{score['high']:.{digits}f}"
 
 
 def judgements_table(judgements: pa.Table) -> str:

@@ -243,7 +243,7 @@ def _run(
         with using(store, listen):
             try:
                 chain = Chain("branch", lambda: steps, refs, first="train")
-                return run_chains(stage_task(store), [chain], 1, progress)
+                return run_chains(stage_task(), [chain], 1, progress)
             except KeyboardInterrupt:
                 # Nobody waits for what the thread does, but the program would until it is done.
                 stop.set()

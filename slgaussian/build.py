@@ -13,6 +13,7 @@ from slgaussian.language.named import true_names
 from slgaussian.language.room import find_room
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
+from slgaussian.masks.levels import group_objects
 from slgaussian.parts import PartSettings, described, places
 from slgaussian.predict import load_predictor
 from slgaussian.registry import resolve
@@ -149,7 +150,8 @@ def remember(
 ) -> MemoryBank:
     """Draw an ID code for every object and encode what each view shows of it (section 3.2).
 
-    With the encoder ``named`` objects get the vectors of their true names instead.
+    Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them.
+    With the encoder ``named`` objects get the vectors of their true names instead, and groups none.
     """
     settings = settings or {}
     strategy = load_codes(codes, **settings.get(codes, {}))
@@ -160,7 +162,8 @@ def remember(
     depths = source_depths(gaussians, cameras)
     room = find_room(cameras, depths)
     around = [room.place(camera, depth) for camera, depth in zip(cameras, depths, strict=True)]
-    return build_bank(sample.context, label_maps, loaded, drawn, names, around)
+    groups = group_objects(sample.context, label_maps, depths) if names is None else None
+    return build_bank(sample.context, label_maps, loaded, drawn, names, around, groups)
 
 
 def lift_field(

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -174,9 +174,14 @@ class SemanticField:
         else:
             ids, confidence = elected_ids(image, self.bank.ids)
         alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()
-        colour = drawn[..., :3] / np.maximum(alpha, VISIBLE)[..., None]
-        rgb = np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
-        return FieldView(rgb, ids, confidence, alpha, depth, self)
+        return FieldView(shown(drawn[..., :3], alpha), ids, confidence, alpha, depth, self)
+
+    def changed(self, **parts: Any) -> SemanticField:
+        """The same field with other ``parts``; an encoder that is loaded is not loaded again."""
+        other = replace(self, **parts)
+        if "encoder" in self.__dict__:
+            other.__dict__["encoder"] = self.encoder
+        return other
 
     @cached_property
     def _decoder(self) -> Decoder:
@@ -307,6 +312,15 @@ class SemanticField:
             "cameras": cameras,
             "places": {key: str(place) for key, place in self.places.items()},
         }
+
+
+def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """The picture uint8 [H, W, 3] of composited colours float [H, W, 3] and ``alpha`` [H, W].
+
+    Mean colour of what is there; it fades to black where ``alpha`` is below :data:`VISIBLE`.
+    """
+    colour = drawn / np.maximum(alpha, VISIBLE)[..., None]
+    return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
 
 
 def _check_places(encoder: str, own: Mapping[str, Any], where: Mapping[str, str]) -> None:

@@ -14,32 +14,48 @@ import os
 import uuid
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from datetime import datetime
+from typing import Any, TypeVar
 
-import fsspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from fsspec.implementations.local import LocalFileSystem
+from fsspec.implementations.memory import MemoryFileSystem
 
 from data_specs import Spec, load_spec, mismatch
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, SpecError
+from slgaussian.local_cache import LocalCache
+from slgaussian.remote import explained, open_place, troubles
 
 Arrays = dict[str, np.ndarray]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
-_EPOCH = (
-    1980,
-    1,
-    1,
-    0,
-    0,
-    0,
-)  # the earliest time a zip can hold; a real one would change the bytes
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold; now would change the bytes
 REPAIR = "delete the file and run again to have it made anew"
 """What to do about a damaged artifact."""
+
+PART = 16 * 2**20
+"""Bytes of a part of an upload; from two of them on it is done in parts, shown when all arrived."""
+
+AT_ONCE = 16
+"""Requests that are under way at the same time where many small ones are made."""
+
+
+class DamagedError(SpecError):
+    """An artifact that is not there or not whole; ``uri`` is its place in the store."""
+
+    def __init__(self, message: str, uri: str) -> None:
+        super().__init__(message, uri)
+        self.uri = uri
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 @dataclass(frozen=True)
@@ -64,33 +80,59 @@ class ArtifactRef:
     meta: dict[str, Any] = field(default_factory=dict, compare=False)
 
 
+@dataclass(frozen=True)
+class File:
+    """A file in a store: path relative to the root, bytes, and when it was written (Unix time)."""
+
+    uri: str
+    size: int
+    written: float
+
+
 class ArtifactStore:
     """Artifacts under one root, at ``<spec>/<aa>/<digest>.npz`` or ``.parquet``.
+
+    Of a store on another machine, copies of what was read or written are kept on the local disk
+    (:class:`~slgaussian.local_cache.LocalCache`).
 
     Parameters
     ----------
     root : str or path
-        A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). Made when first
-        written to.
+        A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). A folder is made when
+        first written to, a bucket never.
+
+    Attributes
+    ----------
+    root : str
+        As given, for people to read; it never holds credentials.
+    fs, path
+        The file system, and the root's path in it.
+    local, near : bool
+        Whether it is a folder, as a disk of this machine has; or that, or in this process.
+    cache : LocalCache or None
+        Copies of what is not near.
 
     Raises
     ------
     InputError
-        If fsspec does not know the URL, or lacks the package that speaks its protocol.
+        If the URL holds credentials, fsspec does not know it, or the package that speaks its
+        protocol is not installed.
     """
 
     def __init__(self, root: str | os.PathLike[str] = "./slg-data") -> None:
-        try:
-            self.fs, self.path = fsspec.core.url_to_fs(os.fspath(root))
-        except (ImportError, ValueError) as error:
-            raise InputError(f"store {root}: {error}; or choose a folder with --store") from error
+        self.fs, self.path = open_place(root, "store")
         self.local = isinstance(self.fs, LocalFileSystem)
         self.root = self.path if self.local else os.fspath(root).rstrip("/")
+        self.near = self.local or isinstance(self.fs, MemoryFileSystem)
+        self.cache = None if self.near else LocalCache.from_environment()
 
     def put(
         self, spec: str, content: Mapping[str, np.ndarray] | pa.Table, meta: dict | None = None
     ) -> ArtifactRef:
         """Write an artifact and return its ref; the same content twice is one file.
+
+        It is written even if it is there: one that is damaged is then whole again, and one that
+        nothing refers to yet is young again for :func:`slgaussian.housekeeping.collect`.
 
         Raises
         ------
@@ -108,8 +150,10 @@ class ArtifactStore:
             arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
             rules.check_arrays(arrays, label)
             digest, data = arrays_digest(arrays), encode_arrays(arrays, rules.compress)
-        uri = f"{spec}/{digest[:2]}/{digest}{rules.suffix}"
+        uri = address(spec, digest)
         self.write(uri, data)
+        if self.cache is not None:
+            self.cache.put(uri, data)
         return ArtifactRef(spec, uri, digest, dict(meta or {}))
 
     def get(self, ref: ArtifactRef) -> Arrays | pa.Table:
@@ -117,61 +161,197 @@ class ArtifactStore:
 
         Raises
         ------
-        SpecError
+        DamagedError
             If the file is missing, cut short, altered or not what the spec says: one sentence
             with the file, the field, what was found and what was expected.
+        InputError
+            If a store on another machine does not answer.
         """
+        self._check_address(ref)
+        if self.cache is not None and (data := self.cache.get(ref.uri)) is not None:
+            with suppress(SpecError):
+                return self.understood(ref, data)
+            self.cache.drop(ref.uri)
+        data = self.read(ref.uri, f"a {ref.spec} artifact")
+        content = self.understood(ref, data)
+        if self.cache is not None:
+            self.cache.put(ref.uri, data)
+        return content
+
+    def understood(self, ref: ArtifactRef, data: bytes) -> Arrays | pa.Table:
+        """What the bytes of an artifact hold; DamagedError if they are not what ``ref`` says."""
         rules = load_spec(ref.spec)
         file = f"{self.root}/{ref.uri}"
         try:
-            data = self.fs.cat_file(f"{self.path}/{ref.uri}")
-        except FileNotFoundError:
-            raise mismatch(file, "file", "nothing", f"a {ref.spec} artifact") from None
-        except OSError as error:
-            raise mismatch(file, "file", str(error), "a readable file") from error
-        content = decode(data, rules, file)
-        if rules.columns:
-            rules.check_table(content, file)
-            digest = table_digest(content)
-        else:
-            rules.check_arrays(content, file)
-            digest = arrays_digest(content)
+            content = decode(data, rules, file)
+            if rules.columns:
+                rules.check_table(content, file)
+                digest = table_digest(content)
+            else:
+                rules.check_arrays(content, file)
+                digest = arrays_digest(content)
+        except SpecError as error:
+            raise DamagedError(str(error), ref.uri) from error
         if digest != ref.digest:
             found, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
-            raise mismatch(file, "digest", found, expected)
+            raise self._damaged(ref.uri, found, expected, "digest")
         return content
 
+    def read(self, uri: str, what: str = "a file") -> bytes:
+        """The bytes of a file; DamagedError if it is not there, ``what`` says what was expected."""
+        try:
+            return self.fs.cat_file(f"{self.path}/{uri}")
+        except FileNotFoundError as error:
+            raise self._damaged(uri, "nothing", what) from error
+        except troubles() as error:
+            if not self.local:
+                raise self._failed("read", error) from error
+            raise self._damaged(uri, explained(error), "a readable file") from error
+
+    def check(self, ref: ArtifactRef) -> None:
+        """Raise :class:`DamagedError` if the artifact, or a part that it names, is not there.
+
+        That of a local store is read and compared with its digest. Of one elsewhere it is only
+        asked whether it is there: to fetch everything for a run that finds all of it done would
+        take hours, and damage is found when it is read.
+        """
+        self._check_address(ref)
+        parts = list(ref.meta.get("parts", ()))
+        if self.near:
+            self.get(ref)
+        else:
+            parts.append(ref.uri)
+        self.at_once(self.check_there, parts)
+
     def check_there(self, uri: str) -> None:
-        """Raise :class:`SpecError` if there is no file at a path relative to the root."""
-        if not self.fs.exists(f"{self.path}/{uri}"):
-            raise mismatch(f"{self.root}/{uri}", "file", "nothing", "an artifact")
+        """Raise :class:`DamagedError` if there is no file at a path relative to the root."""
+        try:
+            there = self.fs.exists(f"{self.path}/{uri}")
+        except troubles() as error:
+            raise self._failed("read", error) from error
+        if not there:
+            raise self._damaged(uri, "nothing", "an artifact")
 
     def check_writable(self) -> None:
         """Raise :class:`InputError` now rather than after the work if nothing can be written."""
+        self.clock()
+
+    def clock(self) -> float:
+        """Unix time of the clock that stamps the files; InputError if nothing can be written."""
         probe = f".probe-{uuid.uuid4().hex}"
         self.write(probe, b"")
-        self.fs.rm_file(f"{self.path}/{probe}")
+        try:
+            return _written(self.fs.info(f"{self.path}/{probe}"))
+        except troubles() as error:
+            raise self._failed("read", error) from error
+        finally:
+            self.remove([probe])
 
     def write(self, uri: str, data: bytes) -> None:
         """Write a file that is no artifact, whole or not at all; InputError if that fails."""
         path = f"{self.path}/{uri}"
         try:
-            self.fs.makedirs(path.rsplit("/", 1)[0], exist_ok=True)
             if self.local:
-                write_atomic(path, data)
+                os.makedirs(os.path.dirname(path), exist_ok=True)
+                write_atomic(path, data, sync=True)
+            elif self.near:
+                self.fs.pipe_file(path, data)
             else:
-                self.fs.pipe_file(path, data)  # one put: object stores show it whole or not at all
-        except OSError as error:
-            raise InputError(
-                f"store {self.root}: cannot write there ({error.strerror or error}); choose a "
-                "writable folder with --store"
-            ) from error
+                # One put, or parts that are shown when the last has arrived: whole or not at all.
+                self.fs.pipe_file(path, data, chunksize=PART)
+        except troubles() as error:
+            raise self._failed("write", error) from error
+
+    def remove(self, uris: Iterable[str]) -> None:
+        """Delete files, whether they are there or not; InputError if that fails."""
+        try:
+            self.at_once(self._remove, list(uris))
+        except troubles() as error:
+            raise self._failed("delete", error) from error
+
+    def walk(self, folders: Sequence[str] = ("",)) -> Iterator[list[File]]:
+        """The files in folders and all below, a folder at a time; nothing where there is none.
+
+        InputError if the store cannot be read.
+        """
+        for start in range(0, len(folders), AT_ONCE):
+            for files, below in self.at_once(self._listed, folders[start : start + AT_ONCE]):
+                if files:
+                    yield files
+                yield from self.walk(below)
+
+    def at_once(
+        self, function: Callable[[Item], Result], items: Sequence[Item], most: int = AT_ONCE
+    ) -> list[Result]:
+        """``function`` of each item, those of a store elsewhere side by side: it waits mostly."""
+        if self.near or len(items) < 2:
+            return [function(item) for item in items]
+        with ThreadPoolExecutor(most) as pool:
+            return list(pool.map(function, items))
+
+    def _remove(self, uri: str) -> None:
+        if self.cache is not None:
+            self.cache.drop(uri)
+        with suppress(FileNotFoundError):
+            self.fs.rm_file(f"{self.path}/{uri}")
+
+    def _listed(self, uri: str) -> tuple[list[File], list[str]]:
+        """The files in a folder and the folders in it, each sorted."""
+        files, folders = [], []
+        try:
+            entries = self.fs.ls(f"{self.path}/{uri}".rstrip("/"), detail=True)
+        except (FileNotFoundError, NotADirectoryError):
+            return [], []
+        except troubles() as error:
+            raise self._failed("read", error) from error
+        for entry in entries:
+            own = self._relative(entry)
+            if own == uri:
+                continue  # an object store may have a file of the folder's name
+            if entry["type"] == "directory":
+                folders.append(own)
+            else:
+                files.append(File(own, entry["size"], _written(entry)))
+        return sorted(files, key=lambda file: file.uri), sorted(folders)
+
+    def _relative(self, entry: Mapping[str, Any]) -> str:
+        return entry["name"].rstrip("/").removeprefix(f"{self.path}/")
+
+    def _check_address(self, ref: ArtifactRef) -> None:
+        expected = address(ref.spec, ref.digest)
+        if ref.uri != expected:
+            raise self._damaged(ref.uri, "a ref to it", f"one to {expected}")
+
+    def _damaged(self, uri: str, found: str, expected: str, field: str = "file") -> DamagedError:
+        return DamagedError(str(mismatch(f"{self.root}/{uri}", field, found, expected)), uri)
+
+    def _failed(self, verb: str, error: Exception) -> InputError:
+        why = explained(error, self.path)
+        do = "; choose a writable folder with --store" if self.local and verb == "write" else ""
+        return InputError(f"store {self.root}: cannot {verb} there ({why}){do}")
 
 
-def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a local file so that no reader, and no crash, ever sees a part of it."""
+def address(spec: str, digest: str) -> str:
+    """Path of an artifact relative to the root of its store."""
+    return f"{spec}/{digest[:2]}/{digest}{load_spec(spec).suffix}"
+
+
+def _written(info: Mapping[str, Any]) -> float:
+    """When a file was written, as its file system says it."""
+    stamp = next(info[name] for name in ("mtime", "LastModified", "created") if name in info)
+    return stamp.timestamp() if isinstance(stamp, datetime) else float(stamp)
+
+
+def write_atomic(path: str | os.PathLike[str], data: bytes, sync: bool = False) -> None:
+    """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
+
+    With ``sync``, no crash of the machine either: it is on the disk when this returns.
+    """
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(data)
+        if sync:
+            file.flush()
+            os.fsync(file.fileno())
 
 
 @contextmanager

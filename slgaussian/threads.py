@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -54,6 +55,21 @@ def share(workers: int = 1) -> int:
     torch.set_num_threads(size)
     cv2.setNumThreads(size)
     return size
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Let PyTorch compute on one thread: sums of gradients depend on how many share them."""
+    import numba
+    import torch
+
+    numba.get_num_threads()  # starts Numba's pool, which would set PyTorch's size anew later
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def cores() -> int:

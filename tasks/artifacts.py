@@ -91,8 +91,8 @@ def truth_to_arrays(
     truth: Truth | Mapping[str, Mapping[str, np.ndarray]], sample: Sample
 ) -> Arrays:
     """Labelled truth, or plain masks by view and query, as spec ``truth``."""
-    has_boxes = isinstance(truth, Truth)
-    by_view = truth.masks if has_boxes else truth
+    by_view = truth.masks if isinstance(truth, Truth) else truth
+    has_boxes = isinstance(truth, Truth) and bool(truth.boxes)
     keys = [(view, query) for view, masks in by_view.items() for query in masks]
     boxes = [truth.boxes[view][query] if has_boxes else np.zeros((0, 4)) for view, query in keys]
     size = sample.context[0].image.shape[:2]
@@ -142,10 +142,10 @@ def result_to_arrays(result: SceneResult) -> Arrays:
     prediction_ends, prediction_png = _pack(map(_png, result.predictions.values()))
     picture_ends, picture_png = _pack(map(_png, result.pictures.values()))
     return {
-        "scene": np.array(result.scene),
+        **{name: np.array(getattr(result, name)) for name in ("scene", "dataset", "method")},
         "rows": np.array(json.dumps(result.rows, allow_nan=False)),
         "metrics": np.array(json.dumps(result.scene_metrics, allow_nan=False)),
-        "prediction_names": np.array(list(result.predictions), np.str_).reshape(-1, 2),
+        "prediction_names": np.array(list(result.predictions), np.str_).reshape(-1, 3),
         "prediction_ends": prediction_ends,
         "prediction_png": prediction_png,
         "picture_names": np.array(list(result.pictures), np.str_),
@@ -155,26 +155,29 @@ def result_to_arrays(result: SceneResult) -> Arrays:
 
 
 def result_from_arrays(
-    arrays: Arrays, times: Mapping[str, float], with_pictures: bool = True
+    arrays: Arrays, times: Mapping[str, float], with_images: bool = True
 ) -> SceneResult:
-    """Inverse of :func:`result_to_arrays`; its pictures, slow to decode, only if wanted."""
-    masks = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
-    pictures = dict(
-        zip(
-            arrays["picture_names"].tolist(),
-            _unpack(arrays["picture_ends"], arrays["picture_png"]),
-            strict=True,
-        )
-    )
-    keys = [(str(frame), str(query)) for frame, query in arrays["prediction_names"]]
+    """Inverse of :func:`result_to_arrays`; pictures and masks, slow to decode, only if wanted."""
+    masks, pictures = {}, {}
+    if with_images:
+        masks = {key: _pixels(png) for key, png in predictions_of(arrays).items()}
+        blobs = _unpack(arrays["picture_ends"], arrays["picture_png"])
+        pictures = dict(zip(arrays["picture_names"].tolist(), map(_pixels, blobs), strict=True))
     return SceneResult(
-        scene=str(arrays["scene"]),
+        **{name: str(arrays[name]) for name in ("scene", "dataset", "method")},
         rows=json.loads(str(arrays["rows"])),
         scene_metrics=json.loads(str(arrays["metrics"])),
-        predictions=dict(zip(keys, map(_pixels, masks), strict=True)),
-        pictures={n: _pixels(png) for n, png in pictures.items()} if with_pictures else {},
+        predictions=masks,
+        pictures=pictures,
         times=dict(times),
     )
+
+
+def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], bytes]:
+    """The predicted masks of spec ``scene_result`` as PNG files, by protocol, frame and query."""
+    keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
+    blobs = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
+    return dict(zip(keys, blobs, strict=True))
 
 
 def _png(image: np.ndarray) -> bytes:

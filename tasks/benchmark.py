@@ -15,7 +15,7 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "benchmark"
-VERSION = 4
+VERSION = 5
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
@@ -29,5 +29,14 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
     truth = truth_from_arrays(store.get(call.inputs["truth"]))
     settings = {**call.settings, "rules": Rules(**call.settings["rules"])}
-    result = evaluate(field, sample, label_maps, truth.masks, boxes=truth.boxes or None, **settings)
+    result = evaluate(
+        field,
+        sample,
+        label_maps,
+        truth.masks,
+        boxes=truth.boxes or None,
+        gaussians=field.gaussians,
+        bank=field.bank,
+        **settings,
+    )
     return store.put("scene_result", result_to_arrays(result), {"times": result.times})

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from slgaussian import datasets
+from slgaussian.errors import InputError
+from slgaussian.scene import Sample
 from slgaussian.store import ArtifactRef, ArtifactStore, sha256_of
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 
 STAGE = "ingest"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
@@ -33,28 +39,43 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         settings["near"],
         settings["far"],
     )
-    return store.put("sample", sample_to_arrays(replace(sample, scene=settings["scene"])))
+    sample = replace(sample, scene=settings["scene"])
+    _check_held_out(sample)
+    return store.put("sample", sample_to_arrays(sample))
 
 
-def file_hashes(path: str | Path, views: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of the camera file at ``path`` and of every file it names for the given views.
+def _check_held_out(sample: Sample) -> None:
+    for target in sample.targets:
+        for view in sample.context:
+            same = "is" if target.name == view.name else "is the same picture as"
+            blank = (target.image == target.image[0, 0]).all()
+            if target.name == view.name or (not blank and np.array_equal(target.image, view.image)):
+                raise InputError(
+                    f"scene {sample.scene!r}: the target {target.name!r} {same} the context view "
+                    f"{view.name!r}; a target must be held out"
+                )
 
-    ``path`` is a nerfstudio ``transforms.json`` or its folder; keys are relative names. What is
-    missing or unreadable is left out: reading the scene says so better.
+
+def file_hashes(
+    format: str, path: str | Path, views: Sequence[str], options: Mapping[str, Any]
+) -> dict[str, str]:
+    """SHA-256 of every file that the given views are read from, by its path below ``path``.
+
+    What is missing or unreadable is left out: reading the scene says so better.
     """
-    camera_file = Path(path) / "transforms.json" if Path(path).is_dir() else Path(path)
-    names = [camera_file.name]
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
     try:
-        frames = json.loads(camera_file.read_text("utf-8"))["frames"]
-        for frame in frames:
-            if any(_same_view(frame["file_path"], view) for view in views):
-                names += [file for key, file in frame.items() if key.endswith("file_path")]
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    files = {name: camera_file.parent / name for name in names}
-    return {name: sha256_of(file) for name, file in files.items() if file.is_file()}
+        files = datasets.files(format, path, views, **options)
+    except InputError:
+        return {}
+    return {
+        os.path.relpath(file, folder): _digest(file, file.stat().st_mtime_ns, file.stat().st_size)
+        for file in files
+        if file.is_file()
+    }
 
 
-def _same_view(file_path: str, view: str) -> bool:
-    # Generous: a file too many in the key costs a re-read, one too few would be a stale result.
-    return PurePosixPath(file_path).stem == PurePosixPath(view).stem
+@lru_cache(maxsize=1024)
+def _digest(file: Path, changed: int, size: int) -> str:
+    """SHA-256 of a file that many scenes may share, as a chunk or a model."""
+    return sha256_of(file)

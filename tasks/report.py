@@ -10,17 +10,19 @@ from tasks.artifacts import result_from_arrays
 from tasks.stage import StageCall
 
 STAGE = "report"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``report``. Settings: scenes (their order), manifest, failures. Inputs: one result each.
+    """Spec ``report``. Settings: answers (their order), manifest, failures.
+
+    Inputs: one result each.
 
     The page has no times in it: it is the same whenever and wherever it is made.
     """
     results = [
-        result_from_arrays(store.get(call.inputs[scene]), times={})
-        for scene in call.settings["scenes"]
+        result_from_arrays(store.get(call.inputs[name]), times={})
+        for name in call.settings["answers"]
     ]
     page = render_report(results, call.settings["manifest"], call.settings["failures"])
     return store.put("report", {"html": np.frombuffer(page.encode(), np.uint8)})

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from slgaussian.benchmark.evaluate import truth_from_instances
-from slgaussian.benchmark.labels import ScenePair, read_truth
+from slgaussian.benchmark.labels import read_truth
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
 from tasks.stage import StageCall
 
 STAGE = "truth"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``truth``. Settings: categories, files (hashes of the label files). Inputs: sample.
 
-    ``where["labels"]`` is the folder of label files; without it truth comes from instance ids.
+    ``where["labels"]`` is the folder of labels; without it truth comes from instance ids.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     if "labels" in call.where:
-        names = (tuple(view.name for view in views) for views in (sample.context, sample.targets))
-        pair = ScenePair(sample.scene, *names, categories=tuple(call.settings["categories"]))
-        truth = read_truth(call.where["labels"], pair, sample.targets)
+        truth = read_truth(call.where["labels"], call.settings["categories"], sample.targets)
     else:
         truth = truth_from_instances(sample)
     return store.put("truth", truth_to_arrays(truth, sample))

@@ -1,4 +1,4 @@
-"""Score one field against the truth of its scene, and draw what the numbers mean."""
+"""Score one method against the truth of a scene, and draw what the numbers mean."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from data_specs import load_spec
 from slgaussian.benchmark import metrics, pictures
+from slgaussian.benchmark.answering import Answering, AnsweringView, Result
+from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, Scored, load_protocol
+from slgaussian.benchmark.scores import scene_means
 from slgaussian.errors import InputError
-from slgaussian.gaussians import source_depths
+from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.scene import Camera, Sample, View
-
-if TYPE_CHECKING:
-    from slgaussian.field import FieldView, SemanticField
-    from slgaussian.language.query import QueryResult
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Viewpoints between the first two context cameras that are drawn, by frame name. Queries without
@@ -31,7 +31,10 @@ ERROR_TOP = 0.2
 """Relative depth error that is drawn white."""
 
 NOT_UNDERSTOOD = "not understood"
-"""Note of a row whose query the encoder refuses: no known word, or one it cannot use."""
+"""Note of a row whose query the method refuses: no known word, or one it cannot use."""
+
+ABSENT = "not in this frame"
+"""Note of a row whose query has no pixel of truth in the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,30 +43,36 @@ class SceneResult:
 
     Attributes
     ----------
-    scene : str
+    scene, dataset, method : str
     rows : list of dict
-        One a (frame, query), with the columns of the data spec ``samples``.
+        One a (frame, query, protocol), with the columns of the data spec ``samples``. A query
+        without truth has one row, of the first protocol.
     scene_metrics : {name: float}
-        ``iou``, ``hit_mask``, ``hit_box`` (means over the rows with truth), ``miou``, ``psnr``,
-        ``ssim`` (means over targets), ``abs_rel``, ``delta125`` (context views), ``bad2`` (the
-        same, rectified pairs only), ``target_abs_rel``, ``target_delta125`` (rendered); those
-        without truth are absent. ``near`` and ``far`` are the ends of the depth colours.
-    predictions : {(frame, query): bool [H, W]}
+        The scores of the first protocol (:func:`slgaussian.benchmark.scores.scene_means`), and
+        ``psnr``, ``ssim`` (means over targets), ``abs_rel``, ``delta125`` (context views),
+        ``bad2`` (the same, rectified pairs only), ``target_abs_rel``, ``target_delta125``
+        (rendered); those without truth are absent. ``near`` and ``far`` are the ends of the depth
+        colours.
+    predictions : {(protocol, frame, query): bool [H, W]}
+        The mask of each row; the protocol as in the rows. Some protocols have none.
     pictures : {name: uint8 [H, W, 3]}
         ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
         ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
-        and viewpoints along the way), ``relevancy`` and ``mask`` (queries); and ``objects/all``,
-        every object of the memory bank cut from a photograph, with its id.
+        and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol);
+        and ``objects/all``, every object of the memory bank cut from a photograph, with its id.
     times : {stage: float}
-        Seconds, summed over the scene: ``render``, ``query``, ``segment``. Volatile.
+        Seconds, summed over the scene: ``render``, ``query``, ``segment`` by the method, and
+        ``score`` by the protocols. Volatile.
     """
 
     scene: str
     rows: list[dict[str, Any]]
     scene_metrics: dict[str, float]
-    predictions: dict[tuple[str, str], np.ndarray]
+    predictions: dict[tuple[str, str, str], np.ndarray]
     pictures: dict[str, np.ndarray]
     times: dict[str, float]
+    dataset: str = "scenes"
+    method: str = "slgaussian"
 
 
 def truth_from_instances(sample: Sample) -> dict[str, dict[str, np.ndarray]]:
@@ -84,7 +93,7 @@ def truth_from_instances(sample: Sample) -> dict[str, dict[str, np.ndarray]]:
 
 
 def evaluate(
-    field: SemanticField,
+    field: Answering,
     sample: Sample,
     label_maps: LabelMaps,
     truth: Mapping[str, Mapping[str, np.ndarray]],
@@ -92,15 +101,23 @@ def evaluate(
     boxes: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     queries: Sequence[str] = (),
     method: str = "slgaussian",
+    dataset: str = "scenes",
     rules: Rules | None = None,
+    protocols: Sequence[str] | None = None,
+    gaussians: Gaussians | None = None,
+    bank: MemoryBank | None = None,
+    drawn: bool = True,
 ) -> SceneResult:
-    """Ask the field everything the truth knows, in every target view.
+    """Ask a method everything the truth knows, in every target view, and score its answers.
+
+    It is asked once, for all protocols.
 
     Parameters
     ----------
-    field : SemanticField
+    field : Answering
+        A field of ``sample``, or another method's answer to it.
     sample : Sample
-        The one the field was built from; its targets carry the photographs to compare with.
+        Its targets carry the photographs to compare with.
     label_maps : LabelMaps
         Of the context views, for the pictures.
     truth : {target name: {query: bool [H, W]}}
@@ -110,76 +127,97 @@ def evaluate(
     queries : sequence of str
         Asked without truth, midway between the first two context cameras.
     method : str
-        Name of what made the field, written into every row.
+        Name of what answers, written into every row.
+    dataset : str
+        What the scene belongs to: scores of different data sets are not averaged.
     rules : Rules, optional
         How texts become answers, if not in the default way.
+    protocols : sequence of str, optional
+        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`, each scored. Pictures and the
+        scene's metrics are those of the first. By default all, that of ``rules`` first.
+    gaussians : Gaussians, optional
+        Of the context views' pixels: their depths are scored and drawn.
+    bank : MemoryBank, optional
+        Its objects are drawn.
+    drawn : bool
+        Whether pictures are made.
 
     Returns
     -------
     SceneResult
-        A query that is not understood is a row with IoU 0 and no hit, never left out.
+        A query that is not understood is a row that scores 0, never left out.
 
     Raises
     ------
     InputError
-        If a frame of ``truth`` is not a target, or a mask does not have its size.
+        If a frame of ``truth`` is not a target, a mask does not have its size, a protocol is
+        unknown, or an answer is no relevancy: of another size, NaN, or out of [0, 1].
     """
     _check_truth(sample, truth)
-    record = _Record(sample.scene, method, rules or Rules())
+    rules = rules or Rules()
+    names = protocols or sorted(PROTOCOLS, key=lambda name: name != rules.protocol)
+    named = {"dataset": dataset, "scene": sample.scene, "method": method}
+    record = _Record(named, rules, names, drawn)
     for target in sample.targets:
         with record.stage("render"):
             view = field.render(target.camera)
         masks = truth.get(target.name, {})
-        for query, mask in masks.items():
-            box = None if boxes is None else boxes[target.name][query]
-            record.ask(view, target.name, query, target.image, mask, box)
-        record.segment(view, target.name, masks)
-        record.score("psnr", metrics.psnr(view.rgb, target.image))
-        record.score("ssim", metrics.ssim(view.rgb, target.image))
-        record.score_depth(view.depth, target, prefix="target_")
-        record.pictures[f"photo/{target.name}"] = target.image
-        record.draw_view(view, target.name)
+        own = {} if boxes is None else boxes.get(target.name, {})
+        record.ask(view, target.name, target.image, masks, own)
+        record.measure("psnr", metrics.psnr(view.rgb, target.image))
+        record.measure("ssim", metrics.ssim(view.rgb, target.image))
+        if view.depth.any():
+            record.measure_depth(view.depth, target, prefix="target_")
+        if drawn:
+            record.pictures[f"photo/{target.name}"] = target.image
+            record.draw_view(view, target.name)
 
     first, second = (view.camera for view in sample.context[:2])
     for frame, step in ALONG_THE_WAY.items():
+        if not drawn and not (queries and frame == "halfway"):
+            continue
         with record.stage("render"):
             view = field.render(camera_between(first, second, step))
-        record.draw_view(view, frame)
-        if frame == "halfway":
-            for query in queries:
-                record.ask(view, frame, query, view.rgb)
+        if drawn:
+            record.draw_view(view, frame)
+        if frame == "halfway" and queries:
+            nothing = np.zeros(view.rgb.shape[:2], bool)
+            record.ask(view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, told=False)
 
-    depths = source_depths(field.gaussians, [view.camera for view in sample.context])
-    known = [d if v.depth is None else v.depth for v, d in zip(sample.context, depths, strict=True)]
-    near, far = pictures.depth_range(*known)
-    for view, depth, labels in zip(sample.context, depths, label_maps.labels, strict=True):
-        record.score_depth(depth, view, _disparity_scale(sample))
-        record.pictures |= _context_pictures(view, depth, labels, near, far)
-    if field.bank.boxes is not None:
+    if gaussians is not None:
+        record.look_at_depths(sample, gaussians)
+    if not drawn:
+        return record.result()
+    for view, labels in zip(sample.context, label_maps.labels, strict=True):
+        record.pictures[f"input/{view.name}"] = view.image
+        record.pictures[f"labels/{view.name}"] = pictures.paint_labels(labels, view.image)
+    if bank is not None and bank.boxes is not None:
         images = [view.image for view in sample.context]
-        cuts = pictures.cut_out(images, label_maps.labels, field.bank.ids, field.bank.boxes)
-        tiles = list(zip(map(str, field.bank.ids), cuts, strict=True))
+        cuts = pictures.cut_out(images, label_maps.labels, bank.ids, bank.boxes)
+        tiles = list(zip(map(str, bank.ids), cuts, strict=True))
         record.pictures["objects/all"] = pictures.contact_sheet(tiles, side=56, columns=8)
-    return record.result({"near": near, "far": far})
+    return record.result()
 
 
 class _Record:
     """What has been found out so far."""
 
-    def __init__(self, scene: str, method: str, rules: Rules):
-        self.scene = scene
-        self.rules = asdict(rules)
+    def __init__(
+        self, named: Mapping[str, str], rules: Rules, protocols: Sequence[str], drawn: bool
+    ):
+        self._named, self.drawn = dict(named), drawn
+        # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
+        self.rules = replace(rules, protocol="slgaussian")
+        self.asked = asdict(self.rules)
+        self.protocols = [load_protocol(name) for name in protocols]
         self.rows: list[dict[str, Any]] = []
-        self.predictions: dict[tuple[str, str], np.ndarray] = {}
+        self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
-        self.seconds = {"render": 0.0, "query": 0.0, "segment": 0.0}
-        self._scores: dict[str, list[float]] = {}
+        self.seconds = {"render": 0.0, "query": 0.0, "segment": 0.0, "score": 0.0}
+        self._measured: dict[str, list[float]] = {}
+        self._constants: dict[str, float] = {}
         self._common = {
-            "scene": scene,
-            "method": method,
-            "protocol": rules.selection,
-            "share": rules.share if rules.selection == "near-best" else None,
-            "threshold": rules.threshold,
+            **named,
             "temperature": rules.temperature,
             "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
             "absent": rules.absent,
@@ -191,111 +229,117 @@ class _Record:
         yield
         self.seconds[name] += time.perf_counter() - start
 
-    def score(self, name: str, value: float) -> None:
-        self._scores.setdefault(name, []).append(value)
+    def measure(self, name: str, value: float) -> None:
+        self._measured.setdefault(name, []).append(value)
 
-    def score_depth(
+    def measure_depth(
         self, depth: np.ndarray, view: View, scale: float | None = None, prefix: str = ""
     ) -> None:
         if view.depth is not None:
             for name, value in metrics.depth_errors(depth, view.depth, scale).items():
-                self.score(prefix + name, value)
+                self.measure(prefix + name, value)
+
+    def look_at_depths(self, sample: Sample, gaussians: Gaussians) -> None:
+        """Score and draw the depths of the context views."""
+        depths = source_depths(gaussians, [view.camera for view in sample.context])
+        views = list(zip(sample.context, depths, strict=True))
+        near, far = pictures.depth_range(*(d if v.depth is None else v.depth for v, d in views))
+        self._constants |= {"near": near, "far": far}
+        for view, depth in views:
+            self.measure_depth(depth, view, _disparity_scale(sample))
+            self.pictures |= _depth_pictures(view, depth, near, far)
 
     def ask(
         self,
-        view: FieldView,
+        view: AnsweringView,
         frame: str,
-        query: str,
         ground: np.ndarray,
-        mask: np.ndarray | None = None,
-        boxes: np.ndarray | None = None,
+        masks: Mapping[str, np.ndarray],
+        boxes: Mapping[str, np.ndarray],
+        told: bool = True,
     ) -> None:
-        """Answer, score and draw one query; ``mask`` None or empty: there is no truth."""
-        notes = []
-        hit = None
-        if not _understands(query, view):
-            notes.append(NOT_UNDERSTOOD)
-        else:
-            with self.stage("query"):
-                hit = view.query(query, **self.rules)
+        """Answer, score and draw the queries of a frame, all of ``masks``.
+
+        An empty mask is no truth; unless ``told``, there never was any.
+        """
+        texts = [text for text in masks if _understands(text, view)]
+        hits = self._query(view, texts)
+        asked = Frame(
+            [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
+            list(masks.values()),
+            [_boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
+            self._segment(view, texts, masks),
+        )
+        for protocol in self.protocols:
+            how = protocol.how(self.rules, ground.shape[1])
+            with self.stage("score"):
+                scored = protocol.score(asked, how)
+            leads = protocol is self.protocols[0]
+            for (text, mask), one in zip(masks.items(), scored, strict=True):
+                if not leads and not mask.any():
+                    continue
+                named = {"frame": frame, "query": text, "protocol": protocol.label}
+                note = _note(hits.get(text), absent=told and not mask.any())
+                self._add_row(named | asdict(how), one, hits.get(text), note)
+                if one.mask is not None:
+                    self.predictions[protocol.label, frame, text] = one.mask
+                if leads and self.drawn:
+                    self._draw_query(f"{frame}/{text}", hits.get(text), one, mask, ground)
+
+    def _query(self, view: AnsweringView, texts: Sequence[str]) -> dict[str, Result]:
+        if not texts:
+            return {}
+        with self.stage("query"):
+            hits = view.query_all(texts, **self.asked)
+            for hit in hits:
                 hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
-            if hit.unknown:
-                notes.append(f"unknown: {', '.join(hit.unknown)}")
-            for word, (other, likeness) in hit.taken_for.items():
-                notes.append(f"{word} taken for {other} ({likeness:.2f})")
-        if mask is not None and not mask.any():
-            mask = None
-            notes.append("not in this frame")
-        found = np.zeros(ground.shape[:2], bool) if hit is None else hit.mask
-        point = None if hit is None else hit.point
-        row = self._common | {
-            "frame": frame,
-            "query": query,
-            "iou": None,
-            "hit_mask": None,
-            "hit_box": None,
-            "hit_peak": None,
-            "score": None if hit is None else hit.score,
-            "point_x": None if point is None else float(point[0]),
-            "point_y": None if point is None else float(point[1]),
-            "note": "; ".join(notes),
-        }
-        if mask is not None:
-            boxes = _bounding_box(mask) if boxes is None else boxes
-            row["iou"] = metrics.iou(found, mask)
-            row["hit_mask"] = metrics.point_in_mask(point, mask)
-            row["hit_box"] = metrics.point_in_boxes(point, boxes)
-            row["hit_peak"] = hit is not None and metrics.any_in_boxes(hit.peak, boxes)
-            for name in ("iou", "hit_mask", "hit_box"):
-                self.score(name, float(row[name]))
-        self.rows.append({name: row[name] for name in load_spec("samples").columns})
-        self.predictions[frame, query] = found
-        self._draw_query(f"{frame}/{query}", hit, found, mask, ground)
+        return dict(zip(texts, hits, strict=True))
 
-    def segment(self, view: FieldView, frame: str, masks: Mapping[str, np.ndarray]) -> None:
-        """Score the closed-set segmentation by all queries of the frame."""
-        if not any(mask.any() for mask in masks.values()):
-            return
-        unknown = {
-            row["query"]
-            for row in self.rows
-            if row["frame"] == frame and row["note"].startswith(NOT_UNDERSTOOD)
-        }
-        # Texts that are not understood come last: they win no pixel, so their classes score 0.
-        texts = sorted(masks, key=lambda text: text in unknown)
-        labels = np.zeros(view.ids.shape, np.int32)
-        if len(unknown) < len(texts):
-            with self.stage("segment"):
-                labels = view.segment(texts[: len(texts) - len(unknown)], **self.rules)
-        self.score("miou", metrics.mean_iou(labels, [masks[text] for text in texts]))
+    def _segment(
+        self, view: AnsweringView, texts: Sequence[str], masks: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Which query of ``masks`` wins, int32 [H, W]; those not in ``texts`` win no pixel."""
+        if not texts or not any(mask.any() for mask in masks.values()):
+            return np.zeros(view.rgb.shape[:2], np.int32)
+        competing = sorted(texts)
+        with self.stage("segment"):
+            labels = view.segment(competing, **self.asked)
+        places = {text: k + 1 for k, text in enumerate(masks)}
+        return np.array([0, *(places[text] for text in competing)], np.int32)[labels]
 
-    def draw_view(self, view: FieldView, frame: str) -> None:
+    def _add_row(
+        self, row: Mapping[str, Any], scored: Scored, hit: Result | None, note: str
+    ) -> None:
+        x, y = (None, None) if scored.point is None else map(float, scored.point)
+        score = None if hit is None else float(hit.score)
+        rest = {"score": score, "point_x": x, "point_y": y, "note": note}
+        known = self._common | row | scored.scores | rest
+        self.rows.append({name: known.get(name) for name in load_spec("samples").columns})
+
+    def draw_view(self, view: AnsweringView, frame: str) -> None:
         self.pictures[f"render/{frame}"] = view.rgb
         self.pictures[f"ids/{frame}"] = pictures.paint_labels(view.ids, view.rgb)
 
     def _draw_query(
-        self,
-        name: str,
-        hit: QueryResult | None,
-        found: np.ndarray,
-        mask: np.ndarray | None,
-        ground: np.ndarray,
+        self, name: str, hit: Result | None, scored: Scored, mask: np.ndarray, ground: np.ndarray
     ) -> None:
-        heat = np.zeros(found.shape, np.float32) if hit is None else hit.relevancy
+        heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
+        found = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
         painted = pictures.paint_relevancy(heat, ground)
         answer = pictures.draw_outline(pictures.spotlight(ground, found), found, pictures.PREDICTED)
-        if mask is not None:
+        if mask.any():
             painted = pictures.draw_outline(painted, mask, pictures.TRUE)
             answer = pictures.draw_outline(answer, mask, pictures.TRUE)
-        self.pictures[f"relevancy/{name}"] = pictures.draw_point(painted, hit and hit.point)
-        self.pictures[f"mask/{name}"] = pictures.draw_point(answer, hit and hit.point)
+        self.pictures[f"relevancy/{name}"] = pictures.draw_point(painted, scored.point)
+        self.pictures[f"mask/{name}"] = pictures.draw_point(answer, scored.point)
 
-    def result(self, constants: Mapping[str, float]) -> SceneResult:
-        means = {name: float(np.mean(values)) for name, values in self._scores.items()}
+    def result(self) -> SceneResult:
+        leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
+        means = {name: float(np.mean(values)) for name, values in self._measured.items()}
         return SceneResult(
-            scene=self.scene,
+            **self._named,
             rows=self.rows,
-            scene_metrics=means | dict(constants),
+            scene_metrics=scene_means(leading) | means | self._constants,
             predictions=self.predictions,
             pictures=self.pictures,
             times=self.seconds,
@@ -314,14 +358,10 @@ def camera_between(a: Camera, b: Camera, t: float) -> Camera:
     return replace(a, K=(1 - t) * a.K + t * b.K, c2w=c2w)
 
 
-def _context_pictures(
-    view: View, depth: np.ndarray, labels: np.ndarray, near: float, far: float
+def _depth_pictures(
+    view: View, depth: np.ndarray, near: float, far: float
 ) -> dict[str, np.ndarray]:
-    drawn = {
-        f"input/{view.name}": view.image,
-        f"labels/{view.name}": pictures.paint_labels(labels, view.image),
-        f"depth/{view.name}": pictures.paint_depth(depth, near, far),
-    }
+    drawn = {f"depth/{view.name}": pictures.paint_depth(depth, near, far)}
     if view.depth is not None:
         known = view.depth > 0
         truth = np.where(known, view.depth, 1).astype(np.float64)
@@ -332,7 +372,35 @@ def _context_pictures(
     return drawn
 
 
-def _understands(text: str, view: FieldView) -> bool:
+def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
+    """What protocols score of a result; of a text that is not understood, nothing."""
+    if hit is None:
+        nothing = np.zeros(truth.shape, np.float32)
+        return Answer(nothing, nothing.astype(bool), None, understood=False)
+    for name, array in (("relevancy", hit.relevancy), ("mask", hit.mask)):
+        if array.shape != truth.shape:
+            raise InputError(f"{where}: the {name} is {array.shape}, expected {truth.shape}")
+    low, high = hit.relevancy.min(), hit.relevancy.max()
+    if not (low >= 0 and high <= 1):
+        raise InputError(
+            f"{where}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
+        )
+    return Answer(hit.relevancy, hit.mask, hit.point)
+
+
+def _note(hit: Result | None, absent: bool) -> str:
+    notes = [] if hit is not None else [NOT_UNDERSTOOD]
+    if hit is not None:
+        if hit.unknown:
+            notes.append(f"unknown: {', '.join(hit.unknown)}")
+        for word, (other, likeness) in hit.taken_for.items():
+            notes.append(f"{word} taken for {other} ({likeness:.2f})")
+    if absent:
+        notes.append(ABSENT)
+    return "; ".join(notes)
+
+
+def _understands(text: str, view: AnsweringView) -> bool:
     try:
         view.reader.unknown_words(text)
     except InputError:
@@ -340,8 +408,13 @@ def _understands(text: str, view: FieldView) -> bool:
     return True
 
 
-def _bounding_box(mask: np.ndarray) -> np.ndarray:
+def _boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
+    """The annotated boxes [n, 4], or that of the mask if it has a pixel."""
+    if annotated is not None:
+        return annotated
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    if not len(rows):
+        return np.zeros((0, 4))
     return np.array([[columns[0], rows[0], columns[-1], rows[-1]]], np.float64)
 
 

@@ -11,15 +11,14 @@ from skimage.metrics import structural_similarity
 def iou(predicted: np.ndarray, truth: np.ndarray) -> float:
     """Intersection over union of two bool masks of one shape; 1.0 if both are empty."""
     union = np.count_nonzero(predicted | truth)
-    return np.count_nonzero(predicted & truth) / union if union else 1.0
+    return float(np.count_nonzero(predicted & truth) / union) if union else 1.0
 
 
-def mean_iou(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
-    """Mean class IoU of a closed-set segmentation (the 3D-OVS protocol, arXiv:2305.14093).
+def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:
+    """IoU of every class of a closed-set segmentation (the 3D-OVS protocol, arXiv:2305.14093).
 
     Each class region of the arg-max map is compared with the class mask over the *whole* image,
-    so a pixel that no class labels still counts against the class that claims it. The mean runs
-    over the classes that have a pixel in the truth.
+    so a pixel that no class labels still counts against the class that claims it.
 
     Parameters
     ----------
@@ -30,11 +29,27 @@ def mean_iou(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
 
     Returns
     -------
-    float
-        In [0, 1]; NaN if no class has a pixel.
+    list of float or None
+        In [0, 1]; None for a class without a pixel in its truth, which is no sample.
     """
-    scores = [iou(labels == k + 1, truth) for k, truth in enumerate(truths) if truth.any()]
-    return float(np.mean(scores)) if scores else float("nan")
+    return [iou(labels == k + 1, truth) if truth.any() else None for k, truth in enumerate(truths)]
+
+
+def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
+    """Share of the image's pixels at which every class is told right (3D-OVS, arXiv:2305.14093).
+
+    scikit-learn's accuracy of one bit a class: the pixel's truth has to be one class alone, and
+    that one has to win. So a pixel without a label, or with two, is always wrong; and so is one
+    where nothing wins, which 3D-OVS gives to some class.
+
+    Parameters are those of :func:`class_ious`.
+    """
+    right = np.zeros(labels.shape, bool)
+    claims = np.zeros(labels.shape, np.int32)
+    for k, truth in enumerate(truths):
+        right |= (labels == k + 1) & truth
+        claims += truth
+    return float(np.count_nonzero(right & (claims == 1)) / labels.size)
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:

@@ -26,7 +26,8 @@ from slgaussian.benchmark.evaluate import (
     NOT_UNDERSTOOD,
     SceneResult,
 )
-from slgaussian.benchmark.pictures import encode_jpeg, encode_png
+from slgaussian.benchmark.pictures import encode_jpeg
+from slgaussian.benchmark.scores import score_table
 from slgaussian.errors import InputError
 from slgaussian.store import encode_table, write_atomic
 
@@ -54,6 +55,7 @@ METRICS = (
     Metric("iou", "IoU", 3, "mean over queries of one mask each against the labelled mask"),
     Metric("hit_mask", "Point in mask", 2, "share of queries whose point lies on the object"),
     Metric("hit_box", "Point in box", 2, "the same against the object's box, as LERF counts"),
+    Metric("hit_peak", "Peak in box", 2, "any of the most relevant pixels, as LangSplat counts"),
     Metric("miou", "mIoU", 3, "all queries compete for each pixel; mean class IoU, whole image"),
     Metric("psnr", "PSNR", 1, "dB, rendered novel view against the photograph"),
     Metric("ssim", "SSIM", 3, "rendered novel view against the photograph"),
@@ -121,32 +123,40 @@ def with_times(
 
 
 def write_samples(results: Sequence[SceneResult], out: str | Path) -> None:
-    """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: one row a query.
+    """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: a row a sample.
 
-    Columns are those of the data spec ``samples``.
+    Columns are those of the data spec ``samples``. Beside them ``scores.parquet`` and
+    ``scores.csv``, what the samples amount to, of the spec ``scores``.
     """
     rows = [row for result in results for row in result.rows]
-    schema = load_spec("samples").schema
-    _write(Path(out) / "samples.parquet", encode_table(pa.Table.from_pylist(rows, schema=schema)))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, schema.names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    _write(Path(out) / "samples.csv", text.getvalue().encode())
+    samples = pa.Table.from_pylist(rows, schema=load_spec("samples").schema)
+    for name, table in (("samples", samples), ("scores", score_table(rows))):
+        _write(Path(out) / f"{name}.parquet", encode_table(table))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table.to_pylist())
+        _write(Path(out) / f"{name}.csv", text.getvalue().encode())
 
 
-def write_predictions(results: Sequence[SceneResult], out: str | Path) -> None:
-    """Write every predicted mask to ``out/<method>/<scene>/<frame>/<query>.png``, white = found.
+def write_predictions(
+    rows: Sequence[Mapping[str, Any]],
+    predictions: Mapping[tuple[str, str, str], bytes],
+    out: str | Path,
+) -> None:
+    """Write every mask to ``out/<method>/<protocol>/<scene>/<frame>/<query>.png``, white = found.
 
-    The frame is named as its label file is, without folder and ending; all names are made safe for
-    any file system by :func:`file_name`.
+    ``predictions`` are PNG files by protocol, frame and query, as ``rows`` have them. The protocol
+    goes without its version, and the frame is named as its label file is, without folder and
+    ending; all names are made safe for any file system by :func:`file_name`. A protocol without
+    masks has no folder.
     """
-    for result in results:
-        for row in result.rows:
-            frame = Path(row["frame"]).stem
-            folder = [file_name(part) for part in (row["method"], row["scene"], frame)]
-            path = Path(out, *folder, f"{file_name(row['query'])}.png")
-            _write(path, encode_png(result.predictions[row["frame"], row["query"]]))
+    for row in rows:
+        png = predictions.get(_key(row))
+        if png is not None:
+            protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
+            folder = map(file_name, (row["method"], protocol, row["scene"], frame))
+            _write(Path(out, *folder, f"{file_name(row['query'])}.png"), png)
 
 
 def file_name(text: str) -> str:
@@ -188,9 +198,19 @@ def _scene(result: SceneResult, anchor: str) -> dict[str, Any]:
         "inputs": frames("input"),
         "targets": frames("photo"),
         "path": [frame for frame in ALONG_THE_WAY if f"render/{frame}" in images],
-        "queries": _choose(result.rows),
-        "rows": result.rows,
+        "queries": _choose(_leading(result)),
+        "rows": _leading(result),
     }
+
+
+def _leading(result: SceneResult) -> list[dict[str, Any]]:
+    """The rows of the first protocol, which the page shows."""
+    return [row for row in result.rows if row["protocol"] == result.rows[0]["protocol"]]
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Of the row's mask among the predictions."""
+    return row["protocol"], row["frame"], row["query"]
 
 
 def _choose(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -217,7 +237,7 @@ def _hero(
     best, chosen = -1.0, None
     for result, scene in zip(results, scenes, strict=True):
         for row in scene["queries"]:
-            share = result.predictions[row["frame"], row["query"]].mean()
+            share = result.predictions[_key(row)].mean()
             value = (row["iou"] or 0.0) + (0 < share < LARGEST_THING)
             if value > best:
                 best, chosen = value, {"scene": scene, "row": row}
@@ -231,10 +251,11 @@ def _macro_mean(results: Sequence[SceneResult], key: str) -> float:
 
 def _protocol(results: Sequence[SceneResult]) -> dict[str, Any]:
     """What was asked and how, in a few words each."""
-    rows = [row for result in results for row in result.rows]
+    rows = [row for result in results for row in _leading(result)]
+    said = "method", "protocol", "selection", "threshold", "share", "filter", "temperature"
     asked = {
         key: ", ".join(sorted({"none" if row[key] is None else str(row[key]) for row in rows}))
-        for key in ("method", "protocol", "threshold", "share", "temperature", "canonical")
+        for key in (*said, "canonical")
     }
     return asked | {
         "scored": sum(row["iou"] is not None for row in rows),

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 from slgaussian.benchmark.pictures import encode_png, paint_labels
 from slgaussian.benchmark.report import flatten, template
-from slgaussian.semantic.judge import LEVEL
-from slgaussian.semantic.verdict import LEAST, clip_scores, gain
+from slgaussian.bootstrap import LEAST, LEVEL
+from slgaussian.semantic.verdict import clip_scores, gain
 
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",

@@ -1,6 +1,8 @@
 """One reader a format, each returning a Scene in the project's one camera convention."""
 
 import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from slgaussian.errors import InputError
@@ -9,17 +11,30 @@ from slgaussian.scene import Scene
 
 READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
+    "colmap": "slgaussian.datasets.colmap:read",
+    "llff": "slgaussian.datasets.llff:read",
+    "lerf_ovs": "slgaussian.datasets.lerf_ovs:read",
+    "ovs3d": "slgaussian.datasets.ovs3d:read",
     "re10k": "slgaussian.datasets.re10k:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural:read",
 }
 
+FILES = {
+    name: READERS[name].replace(":read", ":files")
+    for name in ("nerfstudio", "colmap", "llff", "lerf_ovs", "ovs3d", "re10k")
+}
+"""Of the formats that read files, what says which."""
+
+SETS = {name: READERS[name].replace(":read", ":scenes") for name in ("lerf_ovs", "ovs3d", "re10k")}
+"""Of the formats whose folder holds several scenes, what lists them."""
+
 
 def load(format: str, *args: Any, **settings: Any) -> Scene:
     """Read a scene with the reader of that format; arguments are the reader's own.
 
-    ``load("nerfstudio", "photos/")``, ``load("re10k", "re10k/test", "5aca87f95a9412c6")``,
-    ``load("procedural", seed=3)``.
+    ``load("nerfstudio", "photos/")``, ``load("lerf_ovs", "lerf_ovs/", "figurines")``,
+    ``load("re10k", "re10k/test", "5aca87f95a9412c6")``, ``load("procedural", seed=3)``.
 
     Raises
     ------
@@ -27,9 +42,51 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
         If the format is unknown, it does not take these arguments or the data cannot be used.
     """
     read = resolve("data format", READERS, format)
-    try:
-        inspect.signature(read).bind(*args, **settings)
-    except TypeError as error:
-        takes = ", ".join(inspect.signature(read).parameters) or "nothing"
-        raise InputError(f"data format {format!r}: {error}; it takes {takes}") from None
+    _check(format, read, args, settings)
     return read(*args, **settings)
+
+
+def files(format: str, path: str | Path, views: Sequence[str], **settings: Any) -> list[Path]:
+    """The files that views of a scene are read from: a few too many rather than one too few.
+
+    Views may be named as :meth:`slgaussian.scene.Scene.find` knows them, settings are the reader's
+    own. A file that is named may not be there. Formats that read no file have none.
+
+    Raises
+    ------
+    InputError
+        If the format does not take these settings, or what lists the files cannot be read.
+    """
+    if format not in FILES:
+        return []
+    listing = resolve("data format", FILES, format)
+    _check(format, listing, (path, views), settings)
+    return listing(path, views, **settings)
+
+
+def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
+    """The scenes in a folder by name, each with the settings that its reader takes for it.
+
+    A format of one scene a folder has that one, called as the folder is.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown or reads no folder, or what lists its scenes cannot be read.
+    """
+    resolve("data format", READERS, format)
+    if format not in FILES:
+        raise InputError(f"data format {format!r} reads no folder; expected {', '.join(FILES)}")
+    if format in SETS:
+        return resolve("data format", SETS, format)(path)
+    path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    return {folder.resolve().name or "scene": {}}
+
+
+def _check(format: str, function: Callable, args: tuple, settings: dict[str, Any]) -> None:
+    try:
+        inspect.signature(function).bind(*args, **settings)
+    except TypeError as error:
+        takes = ", ".join(inspect.signature(function).parameters) or "nothing"
+        raise InputError(f"data format {format!r}: {error}; it takes {takes}") from None

@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
 import numpy as np
 from PIL import Image
 
-from slgaussian.datasets.photographs import rgb
+from slgaussian.datasets.lens import Maps, straightened
+from slgaussian.datasets.photographs import (
+    EXTENSIONS,
+    absent,
+    open_rgb,
+    stored_size,
+    unreadable,
+)
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 
 FILE = "transforms.json"
-EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG")
-"""Tried in this order where a ``file_path`` leaves its extension out."""
-
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
 
@@ -76,6 +80,22 @@ def read(path: str | Path) -> Scene:
     return Scene(name, cameras, _Reader(file, frames, cameras).read)
 
 
+def files(path: str | Path, views: Sequence[str]) -> list[Path]:
+    """The files that those views are read from: the camera file, and all that it names for them."""
+    path = Path(path)
+    file = path / FILE if path.is_dir() else path
+    stems = {PurePosixPath(view).stem for view in views}
+    named = [file]
+    for entry in _load(file)["frames"]:
+        own = entry if isinstance(entry, dict) else {}
+        places = {key: value for key, value in own.items() if key.endswith("file_path")}
+        if PurePosixPath(str(places.get("file_path"))).stem in stems:
+            photograph = file.parent / places["file_path"]
+            named += [file.parent / str(place) for place in places.values()]
+            named += [Path(f"{photograph}{end}") for end in EXTENSIONS]
+    return named
+
+
 @dataclass(frozen=True, eq=False)
 class _Reader:
     file: Path
@@ -88,23 +108,21 @@ class _Reader:
             raise InputError(f"{self.file}: no frame has the file_path {name!r}")
         frame, camera = self.frames[name], self.cameras[name]
         if frame.image_path is None:
-            raise InputError(self._missing(name))
+            raise self._missing(name)
         image = frame.image(camera)
         depth = frame.depth(camera)
         maps = frame.undistortion(camera)
         if maps is not None:
-            image = cv2.remap(image, *maps, cv2.INTER_LINEAR)
-            depth = None if depth is None else cv2.remap(depth, *maps, cv2.INTER_NEAREST)
+            image, depth = straightened(image, depth, maps)
         return View(name, camera, image, depth)
 
-    def _missing(self, name: str) -> str:
+    def _missing(self, name: str) -> InputError:
         gone = [other for other, frame in self.frames.items() if frame.image_path is None]
-        others = [other for other in gone if other != name]
-        also = f" ({len(others)} more of its {len(self.frames)} photographs missing"
-        also += f": {', '.join(others[:3])}{', ...' if len(others) > 3 else ''})" if others else ""
-        return (
-            f"{self.file.parent / name}: no such photograph, though {self.file.name} names it"
-            f"{also if others else ''}; put the file there or choose another view"
+        return absent(
+            self.file.parent / name,
+            self.file.name,
+            (other for other in gone if other != name),
+            len(self.frames),
         )
 
 
@@ -139,11 +157,7 @@ class _Frame:
 
     def stored_size(self) -> tuple[int, int] | None:
         """Width and height of the stored photograph, None if it cannot be opened."""
-        try:
-            with Image.open(self.image_path or "") as image:
-                return image.size
-        except (OSError, Image.DecompressionBombError):
-            return None
+        return None if self.image_path is None else stored_size(self.image_path)
 
     def camera(self, size: tuple[int, int] | None) -> Camera:
         """The pinhole camera of the undistorted view; ``size`` stands in for absent w and h."""
@@ -182,7 +196,7 @@ class _Frame:
         except InputError as bad:
             raise self.error(str(bad)) from None
 
-    def undistortion(self, camera: Camera) -> tuple[np.ndarray, np.ndarray] | None:
+    def undistortion(self, camera: Camera) -> Maps | None:
         """Where each pixel of the view lies in the stored photograph, as maps for cv2.remap."""
         k = [self.number(f"k{i}", 0.0) for i in range(1, 5)]
         p = [self.number(f"p{i}", 0.0) for i in range(1, 3)]
@@ -205,12 +219,7 @@ class _Frame:
         return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
 
     def image(self, camera: Camera) -> np.ndarray:
-        try:
-            with Image.open(self.image_path) as image:
-                image.load()
-                pixels = rgb(image)
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
-            raise _unreadable(self.image_path, bad) from None
+        pixels = open_rgb(self.image_path)
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
@@ -233,7 +242,7 @@ class _Frame:
                 with Image.open(path) as image:
                     raw = np.asarray(image)
         except (OSError, SyntaxError, ValueError, EOFError) as bad:
-            raise _unreadable(path, bad) from None
+            raise unreadable(path, bad) from None
         raw = raw.squeeze()
         if raw.ndim != 2 or raw.dtype.kind not in "uif":
             raise InputError(
@@ -260,10 +269,3 @@ def _load(file: Path) -> dict[str, Any]:
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     return meta
-
-
-def _unreadable(path: Path, bad: Exception) -> InputError:
-    reason = str(bad).replace(str(path), "the file").strip(" .") or type(bad).__name__
-    return InputError(
-        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
-    )

@@ -8,7 +8,7 @@ other without sharing a frame.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,9 +150,9 @@ def choose(clip: Views, bounds: Bounds) -> list[Pair]:
         targets = _quarters(frames[a : b + 1])
         context = int(frames[a]), int(frames[b])
         overlap = float(shared[a, b])
-        score = _score(overlap, clip.blur[list(context)], clip.blur, bounds)
+        value = score(overlap, clip.blur[list(context)], clip.blur, bounds)
         depth = float(depths[[a, b]].mean())
-        pairs.append(Pair(context, targets, overlap, float(baselines[a, b]), depth, score))
+        pairs.append(Pair(context, targets, overlap, float(baselines[a, b]), depth, value))
     if not pairs:
         apart = np.triu(np.ones_like(fits), 1)
         raise InputError(
@@ -173,23 +173,30 @@ def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
 
     Row a, column b: the share of a's image that lands inside b if all of it lies at ``depths[a]``.
     """
-    n, grid = len(cameras), (np.arange(9) + 0.5) / 9
+    return np.stack([s.mean(-1) for s in sightings(cameras, depths)])
+
+
+def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
+    """Of one view after the other, where in it every view looks, bool [N, 81].
+
+    Row b: which pixels of a regular grid over the image land inside b if all of it lies at its
+    depth.
+    """
+    grid = (np.arange(9) + 0.5) / 9
     shares = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     ends = np.array([(c.width, c.height) for c in cameras], np.float64)
     w2c = np.stack([c.w2c for c in cameras])
     K = np.stack([c.K for c in cameras])
-    out = np.empty((n, n))
-    for a, camera in enumerate(cameras):
-        pixels = np.concatenate([shares * ends[a], np.ones((len(shares), 1))], 1)
-        local = depths[a] * pixels @ np.linalg.inv(camera.K).T
+    for camera, end, depth in zip(cameras, ends, depths, strict=True):
+        pixels = np.concatenate([shares * end, np.ones((len(shares), 1))], 1)
+        local = depth * pixels @ np.linalg.inv(camera.K).T
         world = local @ camera.c2w[:3, :3].T + camera.center
         there = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
         image = there @ K.mT
         z = image[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = image[..., :2] / z
-        out[a] = ((z[..., 0] > 0) & (xy >= 0).all(-1) & (xy < ends[:, None]).all(-1)).mean(-1)
-    return out
+        yield (z[..., 0] > 0) & (xy >= 0).all(-1) & (xy < ends[:, None]).all(-1)
 
 
 def beside_each_other(pairs: Sequence[Pair]) -> list[Pair]:
@@ -229,7 +236,9 @@ def _quarters(frames: np.ndarray) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def _score(overlap: float, own: np.ndarray, blur: np.ndarray, bounds: Bounds) -> float:
+def score(overlap: float, own: np.ndarray, blur: np.ndarray, bounds: Bounds) -> float:
+    """How good a pair is, 0.25 to 1: half of it its overlap, most in the middle of the bounds, and
+    half the blur of the worse view, ``own`` being that of its two and ``blur`` that of all."""
     middle = (bounds.min_overlap + bounds.max_overlap) / 2
     half = max((bounds.max_overlap - bounds.min_overlap) / 2, 1e-9)
     central = 1 - 0.5 * abs(overlap - middle) / half

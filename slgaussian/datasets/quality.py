@@ -47,6 +47,14 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
     return cv2.resize(grey, small, interpolation=cv2.INTER_AREA), size
 
 
+def small(image: np.ndarray) -> np.ndarray:
+    """A photograph uint8 [H, W, 3] in grey and as small as :func:`glance` makes it."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    scale = min(1.0, SIDE / min(grey.shape))
+    size = max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale))
+    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+
+
 def blur(grey: np.ndarray) -> float:
     """How blurred an image uint8 [h, w] is, from 0, sharp, to 1; without any edge 1.
 

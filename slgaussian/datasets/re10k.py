@@ -17,7 +17,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,6 +142,16 @@ def read(path: str | Path, key: str) -> Scene:
         if clip.key == key:
             return clip.scene()
     raise InputError(f"{path}/{index[key]}: has no clip {key!r}, though {INDEX} says so")
+
+
+def files(path: str | Path, views: Sequence[str], key: str) -> list[Path]:
+    """The files that views of a clip are read from: the index of its split, and its chunk."""
+    return [Path(path) / INDEX, Path(path) / read_index(path).get(key, INDEX)]
+
+
+def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """The clips of a split, each with what :func:`read` takes besides the path."""
+    return {key: {"key": key} for key in read_index(path)}
 
 
 def read_index(path: str | Path) -> dict[str, str]:

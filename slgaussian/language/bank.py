@@ -15,6 +15,9 @@ from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.room import Surroundings
 from slgaussian.scene import View
 
+HALF = {"features", "group_features"}
+"""Arrays that are stored in half precision."""
+
 
 @dataclass(frozen=True, eq=False)
 class MemoryBank:
@@ -41,6 +44,12 @@ class MemoryBank:
     boxes : int32 [N, V, 4], optional
         Where each view shows the object: the first column and row, and those after the last, in
         pixels of the view; zeros where absent. To cut out what the object looks like.
+    levels : int32 [L, N], optional
+        What each object is part of, at L levels: at each its own row n, or N + g if it belongs to
+        group g of several objects. A text is then scored on groups too; see
+        :class:`slgaussian.language.relevancy.Scorer`.
+    group_features : float32 [G, V, C], with ``levels``
+        Unit vectors of the groups, zero where a view holds none of a group's objects.
 
     Raises
     ------
@@ -53,6 +62,8 @@ class MemoryBank:
     features: np.ndarray
     present: np.ndarray
     boxes: np.ndarray | None = None
+    levels: np.ndarray | None = None
+    group_features: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -65,6 +76,12 @@ class MemoryBank:
         }
         if self.boxes is not None:
             expected["boxes"] = ("int32", (n, views, 4))
+        if (self.levels is None) != (self.group_features is None):
+            raise InputError("memory bank: levels and group_features go together, found only one")
+        if self.levels is not None:
+            groups = len(self.group_features)
+            expected["levels"] = ("int32", (len(self.levels), n))
+            expected["group_features"] = ("float32", (groups, views, width))
         for name, (dtype, shape) in expected.items():
             array = getattr(self, name)
             if array.dtype != dtype or array.shape != shape:
@@ -83,15 +100,16 @@ class MemoryBank:
             )
         if self.dimension and len(np.unique(self.codes, axis=0)) != n:
             raise InputError("memory bank codes: two objects share one code")
-        lengths = np.linalg.norm(self.features.astype(np.float64), axis=2)
-        wrong = ~(np.abs(lengths - self.present) <= UNIT_TOLERANCE)
-        if wrong.any():
-            row, view = np.argwhere(wrong)[0]
-            raise InputError(
-                f"memory bank features: object {self.ids[row]} in view {view} has length "
-                f"{lengths[row, view]:.4g}, expected {float(self.present[row, view]):g}"
-            )
-
+        _check_lengths("features: object", self.ids, self.features, self.present)
+        if self.levels is not None:
+            own = self.levels == np.arange(n)
+            if not (own | ((self.levels >= n) & (self.levels < n + groups))).all():
+                raise InputError(
+                    f"memory bank levels: expected each object's own row or one of the {groups} "
+                    f"groups, {n} to {n + groups - 1}"
+                )
+            held = self.group_features.any(2)
+            _check_lengths("group_features: group", range(groups), self.group_features, held)
         if self.boxes is not None:
             size = self.boxes[..., 2:] - self.boxes[..., :2]
             shown = (size > 0).all(-1) & (self.boxes >= 0).all(-1)
@@ -112,16 +130,25 @@ class MemoryBank:
         """Numbers a code; 0 where there are no codes."""
         return self.codes.shape[1] if self.codes.ndim == 2 else 0
 
+    @property
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Objects and, after them, groups: float32 [N + G, V, C], and bool [N + G, V] where."""
+        if self.levels is None:
+            return self.features, self.present
+        features = np.concatenate([self.features, self.group_features])
+        return features, np.concatenate([self.present, self.group_features.any(2)])
+
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, as stored in ``bank.npz``: features as float16, boxes if known."""
+        """The arrays by name, as stored in ``bank.npz``: features as float16, what is known."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        arrays["features"] = self.features.astype(np.float16)
-        return {name: array for name, array in arrays.items() if array is not None}
+        known = {name: array for name, array in arrays.items() if array is not None}
+        return known | {name: known[name].astype(np.float16) for name in HALF & known.keys()}
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> MemoryBank:
         """Inverse of :meth:`to_arrays`."""
-        return MemoryBank(**{**arrays, "features": np.asarray(arrays["features"], np.float32)})
+        whole = {name: np.asarray(arrays[name], np.float32) for name in HALF & arrays.keys()}
+        return MemoryBank(**{**arrays, **whole})
 
 
 def build_bank(
@@ -131,8 +158,9 @@ def build_bank(
     codes: np.ndarray,
     names: Mapping[int, str] | None = None,
     surroundings: Sequence[Surroundings] | None = None,
+    groups: np.ndarray | None = None,
 ) -> MemoryBank:
-    """Encode every object in every view that holds it.
+    """Encode every object in every view that holds it, and groups of objects likewise.
 
     Parameters
     ----------
@@ -148,12 +176,16 @@ def build_bank(
         names as texts, the same in all views. An object without a name is absent from all.
     surroundings : sequence of V Surroundings, optional
         Where the pixels of each view lie in the room, for encoders that make use of it.
+    groups : int [L, N], optional
+        Which group each object belongs to at each level, as
+        :func:`slgaussian.masks.levels.group_objects` says. A group of one object is that object,
+        and groups of the same objects at several levels are one. Names have none.
 
     Raises
     ------
     InputError
-        If views, label maps and codes do not match, there is no object at all, or the encoder
-        cannot use a name.
+        If views, label maps, codes and groups do not match, there is no object at all, the encoder
+        cannot use a name, or names have groups.
     """
     ids = label_maps.ids
     if len(ids) == 0:
@@ -166,12 +198,20 @@ def build_bank(
         )
     if len(codes) != len(ids):
         raise InputError(f"memory bank: found {len(codes)} codes for {len(ids)} objects")
+    if groups is not None and (names is not None or groups.shape[1:] != (len(ids),)):
+        raise InputError(
+            f"memory bank: found groups {groups.shape} for {len(ids)} objects"
+            f"{'' if names is None else ' with names'}, expected [levels, {len(ids)}] and no names"
+        )
     present = label_maps.areas() > 0
+    members, levels = None, None
+    if groups is not None:
+        members, levels = _members(groups)
     if names is not None:
         present &= np.isin(ids, list(names))[:, None]
     if surroundings is None:
         surroundings = [None] * len(views)
-    columns, boxes = [], np.zeros((*present.shape, 4), np.int32)
+    columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
     of_views = zip(views, label_maps.labels, present.T, surroundings, strict=True)
     for v, (view, labels, held, around) in enumerate(of_views):
         masks = labels == ids[held][:, None, None]
@@ -179,11 +219,17 @@ def build_bank(
             encoded = encoder.encode_regions(view.image, masks, around)
         else:
             encoded = encoder.encode_text([names[i] for i in ids[held].tolist()])
-        column = np.zeros((len(ids), encoded.shape[1]), np.float32)
-        column[held] = encoded
-        columns.append(column.astype(np.float16).astype(np.float32))
+        columns.append(_half_rounded(encoded, held))
         boxes[held, v] = _boxes(masks)
-    return MemoryBank(ids, np.asarray(codes, np.float32), np.stack(columns, 1), present, boxes)
+        if members is not None:
+            shown = (members & held).any(1)
+            masks = np.zeros((shown.sum(), *labels.shape), bool)
+            masks[:, labels > 0] = members[shown][:, np.searchsorted(ids, labels[labels > 0])]
+            unions.append(_half_rounded(encoder.encode_regions(view.image, masks, around), shown))
+    features = np.stack(columns, 1)
+    together = np.stack(unions, 1) if members is not None else None
+    codes = np.asarray(codes, np.float32)
+    return MemoryBank(ids, codes, features, present, boxes, levels, together)
 
 
 def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:
@@ -237,7 +283,70 @@ def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:
 
     known = first.boxes is not None and later.boxes is not None
     boxes = beside("boxes") if known else None
-    return MemoryBank(ids, codes, beside("features"), beside("present"), boxes)
+    levels, unions = _merged_levels((first, later), places, len(ids))
+    return MemoryBank(ids, codes, beside("features"), beside("present"), boxes, levels, unions)
+
+
+def _merged_levels(
+    banks: Sequence[MemoryBank], places: Sequence[np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Levels and group features of two banks, each with its own groups, in the views of both.
+
+    The groups of one bank say nothing of the other's views, and its levels nothing of the objects
+    that only the other has.
+    """
+    if any(bank.levels is None for bank in banks):
+        return None, None
+    views = sum(bank.present.shape[1] for bank in banks)
+    levels, unions, groups, start = [], [], 0, 0
+    for bank, place in zip(banks, places, strict=True):
+        own = np.tile(np.arange(count, dtype=np.int32), (len(bank.levels), 1))
+        grouped = bank.levels >= len(bank)
+        own[:, place] = np.where(grouped, bank.levels - len(bank) + count + groups, place)
+        levels.append(own)
+        wide = np.zeros((len(bank.group_features), views, bank.features.shape[2]), np.float32)
+        wide[:, start : start + bank.present.shape[1]] = bank.group_features
+        unions.append(wide)
+        groups, start = groups + len(wide), start + bank.present.shape[1]
+    return np.concatenate(levels), np.concatenate(unions)
+
+
+def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The groups of several objects, bool [G, N], and ``levels`` of :class:`MemoryBank`."""
+    count = groups.shape[1]
+    levels = np.tile(np.arange(count, dtype=np.int32), (len(groups), 1))
+    found: dict[bytes, int] = {}
+    members = []
+    for level, numbers in enumerate(groups):
+        for number in np.unique(numbers):
+            member = numbers == number
+            if member.sum() > 1:
+                group = found.setdefault(member.tobytes(), len(found))
+                if group == len(members):
+                    members.append(member)
+                levels[level, member] = count + group
+    return np.array(members, bool).reshape(-1, count), levels
+
+
+def _half_rounded(encoded: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Vectors [M, C] of what is ``held`` bool [N], M of them, zeros elsewhere: float32 [N, C]."""
+    column = np.zeros((len(held), encoded.shape[1]), np.float16)
+    column[held] = encoded
+    return column.astype(np.float32)
+
+
+def _check_lengths(
+    what: str, names: Sequence[int], features: np.ndarray, present: np.ndarray
+) -> None:
+    """InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
+    lengths = np.linalg.norm(features.astype(np.float64), axis=2)
+    wrong = ~(np.abs(lengths - present) <= UNIT_TOLERANCE)
+    if wrong.any():
+        row, view = np.argwhere(wrong)[0]
+        raise InputError(
+            f"memory bank {what} {names[row]} in view {view} has length "
+            f"{lengths[row, view]:.4g}, expected {float(present[row, view]):g}"
+        )
 
 
 def _boxes(masks: np.ndarray) -> np.ndarray:

@@ -10,10 +10,14 @@ With three granularities LangSplat takes the one whose smoothed image is highest
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 FILTER = 30
 """Side of the mean filter, pixels; its window lies from -15 to +14 around a pixel."""
+
+FILTER_WIDTH = 988
+"""Width of the images that :data:`FILTER` was chosen for, those of LERF."""
 
 MASK_THRESHOLD = 0.4
 """Of the image stretched to [-1, 1]: 0.7 of its range."""
@@ -24,40 +28,46 @@ MAJORITY = 7
 _STEPS = 2**30
 
 
-def smoothed(relevancy: np.ndarray) -> np.ndarray:
-    """Mean over :data:`FILTER` squared, the image mirrored at its edges without repeating them.
+def rescaled_filter(width: int) -> int:
+    """The side that covers as much of an image ``width`` pixels wide as 30 of LERF's do."""
+    return max(1, round(FILTER * width / FILTER_WIDTH))
+
+
+def smoothed(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
+    """Mean over ``side`` squared, the image mirrored at its edges without repeating them.
 
     float64 [H, W] of float [H, W] in [0, 1], within 2^-30, equal where windows hold equal values.
     """
-    steps = np.rint(relevancy.astype(np.float64) * _STEPS).astype(np.int64)
-    before, after = FILTER // 2, FILTER - FILTER // 2 - 1
-    for axis in (0, 1):
-        steps = _mirrored(steps, before, after, axis)
-    return _window_sums(steps, FILTER) / (_STEPS * FILTER**2)
+    # Whole numbers whose sums stay below 2^53 are added exactly in float64, in any order.
+    steps = np.rint(relevancy.astype(np.float64) * _STEPS)
+    window = (side, side)
+    sums = cv2.boxFilter(steps, -1, window, normalize=False, borderType=cv2.BORDER_REFLECT_101)
+    return sums / (_STEPS * side**2)
 
 
-def find_mask(relevancy: np.ndarray) -> np.ndarray:
+def find_mask(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
     """The mask bool [H, W] of a relevancy image: smoothed, stretched, cut, cleaned.
 
     The mean of the image and its :func:`smoothed` is stretched to [-1, 1], negative values are
     cut off, and what is above :data:`MASK_THRESHOLD` is kept where it has the majority of the
-    :data:`MAJORITY` squared around (of what the image has of it). An image of one value gives an
-    empty mask.
+    :data:`MAJORITY` squared around, of what the image has of it. The last row and column of the
+    image have no say there: the published code leaves them out of every window. An image of one
+    value gives an empty mask.
     """
-    blend = 0.5 * (smoothed(relevancy) + relevancy)
+    blend = 0.5 * (smoothed(relevancy, side) + relevancy)
     low, high = blend.min(), blend.max()
     stretched = (blend - low) / (high - low + 1e-9)
     return _most_around(np.clip(2 * stretched - 1, 0, 1) > MASK_THRESHOLD)
 
 
-def find_point(relevancy: np.ndarray) -> tuple[tuple[int, int], np.ndarray]:
+def find_point(relevancy: np.ndarray, side: int = FILTER) -> tuple[tuple[int, int], np.ndarray]:
     """Where the :func:`smoothed` image is greatest: one pixel (x, y), and all of them [H, W].
 
     LangSplat counts a hit if *any* of them lies in a box of the truth, which a plateau that spans
     the picture would always do. The one pixel is that of the plateau nearest its centroid, the
     first in row-major order of several.
     """
-    values = smoothed(relevancy)
+    values = smoothed(relevancy, side)
     plateau = values == values.max()
     rows, columns = np.nonzero(plateau)
     n = len(rows)
@@ -68,24 +78,14 @@ def find_point(relevancy: np.ndarray) -> tuple[tuple[int, int], np.ndarray]:
 
 
 def _most_around(mask: np.ndarray) -> np.ndarray:
-    """Where more than half of the window that is in the image is set."""
-    half = MAJORITY // 2
-    inside = np.pad(np.ones(mask.shape, np.int64), half)
-    return 2 * _window_sums(np.pad(mask.astype(np.int64), half), MAJORITY) > _window_sums(
-        inside, MAJORITY
+    """Where more than half of the window is set."""
+    set_, voting = mask.astype(np.float32), np.ones(mask.shape, np.float32)
+    for image in (set_, voting):
+        image[-1], image[:, -1] = 0, 0
+    around, of = (
+        cv2.boxFilter(
+            image, -1, (MAJORITY, MAJORITY), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+        for image in (set_, voting)
     )
-
-
-def _mirrored(values: np.ndarray, before: int, after: int, axis: int) -> np.ndarray:
-    """Rows (or columns) reflected about the first and the last, also where there are few."""
-    n = values.shape[axis]
-    period = max(2 * (n - 1), 1)
-    place = np.arange(-before, n + after) % period
-    return values.take(np.where(place < n, place, period - place), axis)
-
-
-def _window_sums(values: np.ndarray, side: int) -> np.ndarray:
-    """Sums over all windows of ``side`` squared of whole numbers, exact."""
-    total = np.zeros((values.shape[0] + 1, values.shape[1] + 1), np.int64)
-    total[1:, 1:] = values.cumsum(0).cumsum(1)
-    return total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    return 2 * around > of

@@ -21,6 +21,9 @@ from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
 NEAR_BEST = 0.7
 """An object is taken with the best one if its gap reaches this share of the best gap."""
 
+AS_GOOD = 0.9
+"""Of the objects whose gap reaches this share of the best gap, the largest is pointed at."""
+
 PROTOCOLS = ("slgaussian", "langsplat")
 
 PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
@@ -111,20 +114,18 @@ class Rules:
         return "near-best" if self.threshold is None else "threshold"
 
 
-class BankReader:
-    """A memory bank and the encoder that built it: what objects have to say to texts.
+class TextReader:
+    """An encoder that remembers what it read.
 
-    Texts are encoded one by one, so that an answer does not depend on what else is asked, and are
-    remembered, as is what the canonical phrases score.
+    Texts are encoded one by one, so that an answer does not depend on what else is asked.
     """
 
-    def __init__(self, bank: MemoryBank, encoder: Encoder) -> None:
-        self.bank, self.encoder = bank, encoder
+    def __init__(self, encoder: Encoder) -> None:
+        self.encoder = encoder
         self._read = lru_cache(REMEMBERED)(self._encode)
-        self._scorer = lru_cache(4)(self._make_scorer)
 
-    def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
-        """Relevancy gaps float64 [Q, N] of texts to the objects of the bank.
+    def vectors(self, texts: Sequence[str]) -> np.ndarray:
+        """Unit vectors float32 [Q, C] of texts.
 
         Raises
         ------
@@ -134,9 +135,11 @@ class BankReader:
         if isinstance(texts, str) or not len(texts):
             found = "one text" if isinstance(texts, str) else "no text"
             raise InputError(f"query: found {found}, expected a list of at least one")
-        phrases = rules.phrases or tuple(self.encoder.canonical)
-        queries = np.stack([self._read(text)[0] for text in texts])
-        return self._scorer(phrases, rules.absent).gaps(queries)
+        return np.stack([self._read(text)[0] for text in texts])
+
+    def phrases(self, rules: Rules) -> tuple[str, ...]:
+        """The canonical phrases that ``rules`` ask for."""
+        return rules.phrases or tuple(self.encoder.canonical)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that the encoder leaves out."""
@@ -152,9 +155,32 @@ class BankReader:
         encoder = self.encoder
         return encoder.encode_text([text])[0], encoder.unknown_words(text), encoder.taken_for(text)
 
+
+class BankReader(TextReader):
+    """A memory bank and the encoder that built it: what objects have to say to texts.
+
+    What the canonical phrases score is remembered too.
+    """
+
+    def __init__(self, bank: MemoryBank, encoder: Encoder) -> None:
+        super().__init__(encoder)
+        self.bank = bank
+        self._scorer = lru_cache(4)(self._make_scorer)
+
+    def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
+        """Relevancy gaps float64 [Q, N] of texts to the objects of the bank.
+
+        Raises
+        ------
+        InputError
+            If there is no text, or the encoder cannot use one.
+        """
+        queries = self.vectors(texts)
+        return self._scorer(self.phrases(rules), rules.absent).gaps(queries)
+
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
-        canonical = np.stack([self._read(phrase)[0] for phrase in phrases])
-        return Scorer(self.bank.features, self.bank.present, canonical, absent)
+        canonical = self.vectors(phrases)
+        return Scorer(*self.bank.nodes, canonical, absent, self.bank.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +206,8 @@ class QueryResult:
     _seen: ObjectMap = field(repr=False)
     _ranked: np.ndarray = field(repr=False)
     """Places in the bank of the visible objects that some view holds, best first."""
+    _as_good: int = field(repr=False)
+    """How many of those, from the first, are about as good as the first."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: what the rules select, visible or not."""
 
@@ -209,12 +237,17 @@ class QueryResult:
 
     @property
     def point(self) -> tuple[int, int] | None:
-        """Column and row (x, y) of the pixel that is the best guess of where the best object is.
+        """Column and row (x, y) of the pixel that is the best guess of where the object is.
 
-        The middle of where it is thickest; see :func:`slgaussian.language.locate.central_point`.
-        Given even if no object was good enough to be selected; None if the image shows none at all.
+        Of the objects that fit about as well as the best does (:data:`AS_GOOD`), the one that the
+        image shows most of: a sliver fits by chance more easily. The middle of where that one is
+        thickest; see :func:`slgaussian.language.locate.central_point`. Given even if no object was
+        good enough to be selected; None if the image shows none at all.
         """
-        return self._seen.point(int(self._ranked[0])) if len(self._ranked) else None
+        if not len(self._ranked):
+            return None
+        as_good = self._ranked[: self._as_good]
+        return self._seen.point(int(as_good[self._seen.areas[as_good].argmax()]))
 
     @cached_property
     def peak(self) -> np.ndarray:
@@ -275,14 +308,16 @@ def ask(
     for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True):
         ranked = visible[np.argsort(-gaps[visible], kind="stable")]
         ranked = ranked[gaps[ranked] > -np.inf]
+        best = gaps[ranked[0]] if len(ranked) else np.inf
+        as_good = np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best))
         if rules.threshold is not None:
             chosen = gaps > logit(rules.threshold) / rules.temperature
         else:
-            best = gaps[ranked[0]] if len(ranked) else np.inf
             chosen = (gaps > 0) & (gaps >= rules.share * best)
         scores = expit(rules.temperature * gaps)
         said = reader.unknown_words(text), reader.taken_for(text)
-        results.append(kind(text, scores, *said, reader.bank.ids, seen, ranked, chosen))
+        found = ranked, as_good, chosen
+        results.append(kind(text, scores, *said, reader.bank.ids, seen, *found))
     return results
 
 

@@ -8,6 +8,7 @@ early and things stay apart. How much each counts is a :class:`Cues`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ class MergeTree:
 
     Attributes
     ----------
-    leaves : int32 [H, W]
+    leaves : int32 [H, W] or [V, H, W]
         Leaf of every pixel, 0 .. N-1; -1 where there is none.
     parent : int32 [M]
         Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents follow children.
@@ -77,12 +78,17 @@ class MergeTree:
         return np.flatnonzero((self.height <= height) & (above > height))
 
     def labels(self, nodes: np.ndarray) -> np.ndarray:
-        """Paint nodes of a cut: int32 [H, W], k + 1 inside ``nodes[k]``, 0 where no leaf is."""
-        label = np.zeros(len(self.parent) + 1, np.int32)
-        label[nodes] = np.arange(1, len(nodes) + 1)
+        """Paint nodes of a cut: int32 as ``leaves``, k + 1 in ``nodes[k]``, 0 where no leaf is."""
+        return np.append(self.places(nodes) + 1, np.int32(0))[self.leaves]
+
+    def places(self, nodes: np.ndarray) -> np.ndarray:
+        """For every leaf, k of the ``nodes[k]`` of a cut that holds it: int32 [N]."""
+        place = np.full(len(self.parent) + 1, -1, np.int32)
+        place[nodes] = np.arange(len(nodes))
         for node in range(len(self.parent) - 1, -1, -1):
-            label[node] = label[node] or label[self.parent[node]]
-        return label[self.leaves]
+            if place[node] < 0:
+                place[node] = place[self.parent[node]]
+        return place[: int(self.leaves.max(initial=-1)) + 1]
 
     def members(self, nodes: np.ndarray) -> np.ndarray:
         """Which leaves make up each of the ``nodes`` [K]: bool [K, N]."""
@@ -103,25 +109,27 @@ class MergeTree:
 
 @dataclass(frozen=True, eq=False)
 class LeafSums:
-    """All that merging knows about N leaves: sums, so that a union is an addition.
+    """All that merging knows about N leaves in V views: sums, so that a union is an addition.
 
     Attributes
     ----------
-    leaves : int32 [H, W]
+    leaves : int32 [H, W] or [V, H, W]
         Leaf of every pixel, 0 .. N-1, or -1.
     edges : int64 [E, 2]
     length, strength : float64 [E]
         Leaves that touch, the length of their border and its summed strength: :func:`adjacency`.
     size : float64 [N]
-        Share of the image.
+        Share of the image, the mean over views.
     color : float64 [N, 3]
         Mean CIELAB times size.
     histogram : float64 [N, TEXTURE_CODES]
         Texture histogram that sums to size.
-    planes : float64 [N, 10]
+    sizes : float64 [N, V]
+        Share of each view, 0 where it does not show the leaf.
+    planes : float64 [N, V, 10]
         :func:`plane_sums`.
-    boxes : float64 [N, 4]
-        Left, top, right and bottom, with an image of area 1.
+    boxes : float64 [N, V, 4]
+        Left, top, right and bottom, with an image of area 1; inside out where a leaf is not shown.
     """
 
     leaves: np.ndarray
@@ -131,6 +139,7 @@ class LeafSums:
     size: np.ndarray
     color: np.ndarray
     histogram: np.ndarray
+    sizes: np.ndarray
     planes: np.ndarray
     boxes: np.ndarray
 
@@ -140,6 +149,7 @@ def leaf_sums(
     leaves: np.ndarray,
     boundary: np.ndarray,
     depth: np.ndarray | None = None,
+    count: int | None = None,
 ) -> LeafSums:
     """Sum up the pixels of every leaf.
 
@@ -153,8 +163,10 @@ def leaf_sums(
         Border strength.
     depth : float32 [H, W] or None
         Predicted depth, 0 where unknown.
+    count : int, optional
+        The number N of leaves, if some of them are shown in other views only.
     """
-    n = int(leaves.max(initial=-1)) + 1
+    n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0
     index = leaves[inside]
     lab = lab_of(image)
@@ -168,9 +180,32 @@ def leaf_sums(
         size / leaves.size,
         color / leaves.size,
         histogram.reshape(n, TEXTURE_CODES) / leaves.size,
-        plane_sums(leaves, depth, n),
-        _boxes(leaves, n),
+        size[:, None] / leaves.size,
+        plane_sums(leaves, depth, n)[:, None],
+        _boxes(leaves, n)[:, None],
     )
+
+
+def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
+    """The same N leaves in several views of one size, seen as one: each shown in any of them."""
+    leaves = np.stack([view.leaves for view in views])
+    count = len(views[0].size)
+    edges = np.concatenate([view.edges for view in views])
+    keys, inverse = np.unique(edges[:, 0] * count + edges[:, 1], return_inverse=True)
+    length, strength = (
+        np.bincount(inverse, np.concatenate([getattr(view, name) for view in views]), len(keys))
+        for name in ("length", "strength")
+    )
+    means = (
+        np.mean([getattr(view, name) for view in views], 0)
+        for name in ("size", "color", "histogram")
+    )
+    beside = (
+        np.concatenate([getattr(view, name) for view in views], 1)
+        for name in ("sizes", "planes", "boxes")
+    )
+    edges = np.stack([keys // max(count, 1), keys % max(count, 1)], 1)
+    return LeafSums(leaves, edges, length, strength, *means, *beside)
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
@@ -183,6 +218,7 @@ def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
         sums.size.copy(),
         sums.color.copy(),
         sums.histogram.copy(),
+        sums.sizes.copy(),
         sums.planes.copy(),
         sums.boxes.copy(),
         np.array([1.0, cues.color, cues.texture, cues.plane, cues.fill]),
@@ -227,9 +263,12 @@ def plane_sums(leaves, depth, n):
 def _boxes(leaves, n):
     """Left, top, right, bottom of every leaf, float64 [n, 4], in units in which the area is 1."""
     unit = np.sqrt(leaves.size)
-    slices = find_objects(leaves + 1, n)
-    corners = [(x.start, y.start, x.stop, y.stop) for y, x in slices]
-    return np.array(corners, np.float64).reshape(n, 4) / unit
+    corners = np.tile([np.inf, np.inf, -np.inf, -np.inf], (n, 1))
+    for leaf, found in enumerate(find_objects(leaves + 1, n)):
+        if found is not None:
+            y, x = found
+            corners[leaf] = x.start, y.start, x.stop, y.stop
+    return corners / unit
 
 
 @njit(cache=True)
@@ -261,7 +300,7 @@ def plane_gap(a, b):
 
 
 @njit(cache=True)
-def _cost(a, b, border, size, color, histogram, planes, boxes, weights, power):
+def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power):
     """Cost of uniting regions a and b; weights are those of border, color, texture, plane, fill."""
     cost = weights[0] * border
     color_gap = 0.0
@@ -275,15 +314,23 @@ def _cost(a, b, border, size, color, histogram, planes, boxes, weights, power):
         if p + q > 0:
             texture_gap += (p - q) * (p - q) / (p + q)
     cost += weights[2] * texture_gap
-    cost += weights[3] * min(plane_gap(planes[a], planes[b]) / PLANE_STEP, 1.0)
-    wide = max(boxes[a, 2], boxes[b, 2]) - min(boxes[a, 0], boxes[b, 0])
-    high = max(boxes[a, 3], boxes[b, 3]) - min(boxes[a, 1], boxes[b, 1])
-    cost += weights[4] * (1 - (size[a] + size[b]) / (wide * high))
+    misfit, empty, both, some = 0.0, 0.0, 0, 0
+    for v in range(sizes.shape[1]):
+        if sizes[a, v] > 0 and sizes[b, v] > 0:
+            misfit += min(plane_gap(planes[a, v], planes[b, v]) / PLANE_STEP, 1.0)
+            both += 1
+        if sizes[a, v] > 0 or sizes[b, v] > 0:
+            wide = max(boxes[a, v, 2], boxes[b, v, 2]) - min(boxes[a, v, 0], boxes[b, v, 0])
+            high = max(boxes[a, v, 3], boxes[b, v, 3]) - min(boxes[a, v, 1], boxes[b, v, 1])
+            empty += 1 - (sizes[a, v] + sizes[b, v]) / (wide * high)
+            some += 1
+    cost += weights[3] * misfit / max(both, 1)
+    cost += weights[4] * empty / some
     return cost * (size[a] * size[b] / (size[a] + size[b])) ** power
 
 
 @njit(cache=True)
-def _merge(edges, length, strength, size, color, histogram, planes, boxes, weights, power):
+def _merge(edges, length, strength, size, color, histogram, sizes, planes, boxes, weights, power):
     n = size.shape[0]
     parent = np.full(2 * n, -1, np.int32)
     height = np.zeros(2 * n)
@@ -293,7 +340,7 @@ def _merge(edges, length, strength, size, color, histogram, planes, boxes, weigh
     for e in range(live):
         a, b = edges[e]
         border = strength[e] / length[e]
-        cost[e] = _cost(a, b, border, size, color, histogram, planes, boxes, weights, power)
+        cost[e] = _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power)
     edge_to = np.full(n, -1, np.int64)
     count = n
     while live > 0:
@@ -305,9 +352,10 @@ def _merge(edges, length, strength, size, color, histogram, planes, boxes, weigh
         size[keep] += size[gone]
         color[keep] += color[gone]
         histogram[keep] += histogram[gone]
+        sizes[keep] += sizes[gone]
         planes[keep] += planes[gone]
-        boxes[keep, :2] = np.minimum(boxes[keep, :2], boxes[gone, :2])
-        boxes[keep, 2:] = np.maximum(boxes[keep, 2:], boxes[gone, 2:])
+        boxes[keep, :, :2] = np.minimum(boxes[keep, :, :2], boxes[gone, :, :2])
+        boxes[keep, :, 2:] = np.maximum(boxes[keep, :, 2:], boxes[gone, :, 2:])
         height[count] = max(cost[best], height[node[keep]], height[node[gone]])
         parent[node[keep]] = count
         parent[node[gone]] = count
@@ -338,5 +386,7 @@ def _merge(edges, length, strength, size, color, histogram, planes, boxes, weigh
             if a == keep or b == keep:
                 edge_to[b if a == keep else a] = -1
                 border = strength[e] / length[e]
-                cost[e] = _cost(a, b, border, size, color, histogram, planes, boxes, weights, power)
+                cost[e] = _cost(
+                    a, b, border, size, color, histogram, sizes, planes, boxes, weights, power
+                )
     return parent[:count], height[:count]

@@ -8,6 +8,7 @@ import torch
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
+from slgaussian.semantic.code_images import code_images
 
 
 class HardIndex:
@@ -15,9 +16,10 @@ class HardIndex:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, unlabelled, 0."""
-        count, dimension = int(label_maps.labels.max(initial=0)) + 1, bank.dimension
-        table = np.zeros((count, dimension + 1), np.float32)
-        table[bank.ids, :dimension] = bank.codes
-        table[bank.ids, dimension] = 1 if dimension else np.arange(1, len(bank) + 1)
-        features = table[label_maps.labels.ravel()[gaussians.source.numpy()]]
+        labels = label_maps.labels.ravel()[gaussians.source.numpy()]
+        features = code_images(labels, bank.ids, bank.codes)
+        if not bank.dimension:
+            # Without codes the weight says which row of the bank it is, from 1.
+            rows = np.searchsorted(bank.ids, labels) + 1
+            features *= rows[:, None].astype(np.float32)
         return replace(gaussians, features=torch.from_numpy(features))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
@@ -16,12 +14,6 @@ from slgaussian.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.decode import Decoder
 from slgaussian.semantic.lesson import Lesson
-
-DRAWS = 10_000
-"""Resamplings of the bootstrap; of 10,000 the interval's ends have about two sure digits."""
-
-LEVEL = 0.95
-"""Share of the resamplings inside the interval."""
 
 
 def label_iou(
@@ -95,53 +87,6 @@ def novel_labels(
         for name, features in lifted.items():
             found[name].append(decode(planned.render(features).numpy())[0])
     return {name: np.stack(views) for name, views in found.items()}
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """By how much one lifting is better than another on the same samples.
-
-    Attributes
-    ----------
-    difference : float
-        Mean over the samples of the score of the one minus that of the other.
-    low, high : float
-        Where the mean lies for :data:`LEVEL` of the resamplings: a gain is beyond noise if
-        ``low`` is above 0.
-    samples : int
-    """
-
-    difference: float
-    low: float
-    high: float
-    samples: int
-
-
-def compare(scores: Sequence[float], others: Sequence[float], seed: int = 0) -> Comparison:
-    """Paired bootstrap (Efron 1979) over samples: they are drawn with replacement, in pairs.
-
-    Parameters
-    ----------
-    scores, others : sequence of float
-        Of two liftings on the same samples, in one order. Samples without a score (NaN) are left
-        out. Samples of one scene are no independent ones: the interval is then too narrow.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        If the lengths differ or no sample has both scores.
-    """
-    if len(scores) != len(others):
-        raise InputError(f"compare: found {len(scores)} and {len(others)} scores, expected pairs")
-    gains = np.asarray(scores, np.float64) - np.asarray(others, np.float64)
-    gains = gains[np.isfinite(gains)]
-    if len(gains) == 0:
-        raise InputError("compare: found no sample that both were judged on, expected at least one")
-    rng = rng_for(seed, "", "bootstrap")
-    means = gains[rng.integers(len(gains), size=(DRAWS, len(gains)))].mean(1)
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Comparison(float(gains.mean()), float(low), float(high), len(gains))
 
 
 def _ious(found: np.ndarray, target: np.ndarray, asked: np.ndarray) -> list[float]:

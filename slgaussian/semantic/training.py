@@ -22,16 +22,14 @@ machine's cores nor interruptions, on one kind of processor.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pyarrow as pa
 import torch
@@ -53,6 +51,7 @@ from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
+from slgaussian.threads import one_thread
 
 HARMED = 0.5
 """Share of the objects that are harmed where context labels are corrupted."""
@@ -205,7 +204,7 @@ def train(
     )
     place = load_checkpoint(folder, branch, optimiser, run)
     rows, begun = place.rows, time.perf_counter()
-    with _one_thread():
+    with one_thread():
         for step in range(place.step, settings.steps):
             rows.append(_step(branch.train(), optimiser, lessons, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
@@ -309,14 +308,3 @@ def _schedule(done: float) -> float:
 def _plain(architecture: Architecture) -> dict[str, Any]:
     """As it comes back from JSON."""
     return {**asdict(architecture), "widths": list(architecture.widths)}
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    numba.get_num_threads()  # starts Numba's pool, which would set PyTorch's size anew later
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

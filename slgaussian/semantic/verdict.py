@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.semantic.judge import LEVEL, Comparison, compare
-
-LEAST = 6
-"""Clips below which no gain is beyond noise: of five, all gain by chance one time in 32, and the
-level of the interval allows one in 40."""
+from slgaussian.bootstrap import LEAST, LEVEL, Comparison, compare
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """One small room with exact truth and a field of it, made by the real parts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +28,13 @@ class Room:
         masks = self.truth["view_01"]
         some = next(iter(masks.values()))
         truth = {"view_01": masks | {"qqwx": some, "red sofa": np.zeros_like(some)}}
-        return evaluate(self.field, self.sample, self.label_maps, truth, queries=("grey floor",))
+        return self.evaluate(truth, queries=("grey floor",))
+
+    def evaluate(self, truth: Mapping | None = None, **settings: Any) -> SceneResult:
+        """Ask the field what its own truth knows, or another one."""
+        parts = {"gaussians": self.field.gaussians, "bank": self.field.bank}
+        truth = self.truth if truth is None else truth
+        return evaluate(self.field, self.sample, self.label_maps, truth, **parts, **settings)
 
 
 @pytest.fixture(scope="session")

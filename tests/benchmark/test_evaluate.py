@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,14 +19,20 @@ from slgaussian.language.query import Rules
 from slgaussian.scene import Sample
 
 
-def row_of(result, query):
-    (row,) = (row for row in result.rows if row["query"] == query)
+def rows_of(result, protocol="slgaussian"):
+    return [row for row in result.rows if row["protocol"] == f"{protocol}@1"]
+
+
+def row_of(result, query, protocol="slgaussian"):
+    (row,) = (row for row in rows_of(result, protocol) if row["query"] == query)
     return row
 
 
 def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, result):
-    asked = [row["query"] for row in result.rows]
-    assert asked == [*room.truth["view_01"], "qqwx", "red sofa", "grey floor"]
+    known = [*room.truth["view_01"], "qqwx"]
+    assert [row["query"] for row in rows_of(result)] == [*known, "red sofa", "grey floor"]
+    for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs", "threshold-free"):
+        assert [row["query"] for row in rows_of(result, protocol)] == known
     columns = load_spec("samples").columns
     for row in result.rows:
         assert list(row) == list(columns)
@@ -35,7 +42,7 @@ def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, r
 def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
     view = room.field.render(room.sample.targets[0].camera)
     for query, mask in room.truth["view_01"].items():
-        row, found = row_of(result, query), result.predictions["view_01", query]
+        row, found = row_of(result, query), result.predictions["slgaussian@1", "view_01", query]
         hit = view.query(query)
         assert np.array_equal(found, hit.mask)
         assert row["iou"] == metrics.iou(found, mask)
@@ -51,17 +58,26 @@ def test_the_field_of_a_known_room_answers_most_of_its_phrases(result):
     assert result.scene_metrics["psnr"] > 18
 
 
-def test_an_unknown_word_scores_zero_and_stays_in_the_means(room, result):
-    row = row_of(result, "qqwx")
-    assert (row["iou"], row["hit_mask"], row["hit_box"]) == (0.0, False, False)
-    assert row["hit_peak"] is False
-    assert row["note"] == NOT_UNDERSTOOD
-    assert row["score"] is None and row["point_x"] is None
-    assert not result.predictions["view_01", "qqwx"].any()
-    scored = [row["iou"] for row in result.rows if row["iou"] is not None]
+def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(room, result):
+    zeros = {
+        "slgaussian": ("iou", "boundary_iou", "class_iou", "hit_mask", "hit_box"),
+        "langsplat": ("iou", "boundary_iou", "hit_box", "hit_peak"),
+        "langsplat-rescaled": ("iou", "boundary_iou", "hit_box", "hit_peak"),
+        "3d-ovs": ("boundary_iou", "class_iou"),
+        "threshold-free": ("average_precision", "auc", "best_iou"),
+    }
+    for protocol, names in zeros.items():
+        row = row_of(result, "qqwx", protocol)
+        assert [row[name] for name in names] == [0] * len(names)
+        assert row["note"] == NOT_UNDERSTOOD
+        assert row["score"] is row["point_x"] is row["calibration_error"] is None
+        mask = result.predictions.get((f"{protocol}@1", "view_01", "qqwx"))
+        assert mask is None if protocol == "threshold-free" else not mask.any()
+    assert row["iou_curve"] == [0.0] * 19
+    scored = [row["iou"] for row in rows_of(result) if row["iou"] is not None]
     assert len(scored) == len(room.truth["view_01"]) + 1
     assert result.scene_metrics["iou"] == pytest.approx(np.mean(scored), abs=1e-12)
-    without = evaluate(room.field, room.sample, room.label_maps, room.truth)
+    without = room.evaluate()
     n = len(room.truth["view_01"])
     assert result.scene_metrics["miou"] == pytest.approx(
         without.scene_metrics["miou"] * n / (n + 1), abs=0.02
@@ -71,15 +87,16 @@ def test_an_unknown_word_scores_zero_and_stays_in_the_means(room, result):
 def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     absent, untold = row_of(result, "red sofa"), row_of(result, "grey floor")
     for row in (absent, untold):
-        assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["hit_peak"] is None
-        assert row["score"] is not None
-    assert "not in this frame" in absent["note"]
+        assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["class_iou"] is None
+        assert row["score"] is not None and row["point_x"] is not None
+        assert ("slgaussian@1", row["frame"], row["query"]) in result.predictions
+    assert absent["note"] == "not in this frame" and untold["note"] == ""
     assert untold["frame"] == "halfway"
 
 
 def test_words_left_out_of_a_query_are_noted(room):
     mask = next(iter(room.truth["view_01"].values()))
-    result = evaluate(room.field, room.sample, room.label_maps, {"view_01": {"green qqwx": mask}})
+    result = room.evaluate({"view_01": {"green qqwx": mask}})
     assert result.rows[0]["note"] == "unknown: qqwx"
 
 
@@ -87,18 +104,36 @@ def test_annotated_boxes_take_the_place_of_the_masks_own(room):
     whole, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
     first, *others = room.truth["view_01"]
     boxes = {"view_01": {first: nowhere} | dict.fromkeys(others, whole)}
-    result = evaluate(room.field, room.sample, room.label_maps, room.truth, boxes=boxes)
-    assert [row["hit_box"] for row in result.rows] == [False] + [True] * len(others)
+    result = room.evaluate(boxes=boxes)
+    assert [row["hit_box"] for row in rows_of(result)] == [False] + [True] * len(others)
+    assert [row["hit_peak"] for row in rows_of(result, "langsplat")] == [False] + [True] * len(
+        others
+    )
 
 
-def test_a_threshold_changes_the_protocol_and_the_masks(room):
-    rules = Rules(threshold=0.999999, canonical="lerf", absent="zero")
-    result = evaluate(room.field, room.sample, room.label_maps, room.truth, rules=rules)
-    said = ("protocol", "threshold", "share", "canonical", "absent")
+def test_every_row_says_how_its_mask_was_made(room, result):
+    said = ("selection", "threshold", "share", "filter")
+    expected = {
+        "slgaussian": ("near-best", None, 0.7, None),
+        "langsplat": ("stretched", 0.4, None, 30),
+        "langsplat-rescaled": ("stretched", 0.4, None, 4),  # 30 of 988 pixels, of 144
+        "3d-ovs": ("arg-max", None, None, None),
+        "threshold-free": ("none", None, None, None),
+    }
+    for protocol, values in expected.items():
+        found = {tuple(row[name] for name in said) for row in rows_of(result, protocol)}
+        assert found == {values}
+    rules = Rules(threshold=0.999999, canonical="lerf", absent="zero", temperature=2)
+    cut = room.evaluate(rules=rules)
+    assert {tuple(row[name] for name in said) for row in rows_of(cut)} == {
+        ("threshold", 0.999999, None, None)
+    }
+    given = ("temperature", "canonical", "absent")
     phrases = "object, things, stuff, texture"
-    expected = ("threshold", 0.999999, None, phrases, "zero")
-    assert {tuple(row[name] for name in said) for row in result.rows} == {expected}
-    assert not any(mask.any() for mask in result.predictions.values())
+    assert {tuple(row[name] for name in given) for row in cut.rows} == {(2, phrases, "zero")}
+    masks = [m for (protocol, *_), m in cut.predictions.items() if protocol == "slgaussian@1"]
+    assert len(masks) == len(room.truth["view_01"])
+    assert not any(mask.any() for mask in masks)
 
 
 def test_depth_is_judged_where_the_truth_is_known(room, result):
@@ -122,7 +157,7 @@ def test_a_rectified_pair_is_judged_in_pixels_of_disparity(room):
     camera = replace(a.camera, c2w=a.camera.c2w @ move)
     beside = replace(a, name="beside", camera=camera, image=255 - a.image)  # no mere copy
     pair = Sample("pair", (a, beside))
-    result = evaluate(room.field, pair, room.label_maps, {})
+    result = evaluate(room.field, pair, room.label_maps, {}, gaussians=room.field.gaussians)
     depths = source_depths(room.field.gaussians, [view.camera for view in pair.context])
     expected = [
         metrics.depth_errors(depth, a.depth, a.camera.K[0, 0] * 0.3)["bad2"] for depth in depths
@@ -135,7 +170,7 @@ def test_pictures_show_every_view_viewpoint_and_query(result):
     expected = {f"{kind}/{view}" for kind in kinds for view in ("view_00", "view_02")}
     expected |= {f"{kind}/view_01" for kind in ("photo", "render", "ids")}
     expected |= {f"{kind}/{frame}" for kind in ("render", "ids") for frame in ALONG_THE_WAY}
-    for frame, query in result.predictions:
+    for _, frame, query in result.predictions:
         expected |= {f"relevancy/{frame}/{query}", f"mask/{frame}/{query}"}
     assert set(result.pictures) == expected | {"objects/all"}
     for name, picture in result.pictures.items():
@@ -175,21 +210,132 @@ def test_a_truth_that_does_not_fit_is_refused(room):
 
 
 def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, result):
-    rules = Rules(protocol="langsplat")
-    scored = evaluate(room.field, room.sample, room.label_maps, room.truth, rules=rules)
+    """As if the field had been asked by that protocol."""
     view = room.field.render(room.sample.targets[0].camera)
-    for row in scored.rows:
+    rows = rows_of(result, "langsplat")
+    for row in rows[:-1]:  # the last is not understood
         hit = view.query(row["query"], protocol="langsplat")
         truth = room.truth["view_01"][row["query"]]
-        assert row["protocol"] == "langsplat"
+        assert np.array_equal(result.predictions["langsplat@1", "view_01", row["query"]], hit.mask)
         assert row["iou"] == metrics.iou(hit.mask, truth)
         ys, xs = np.nonzero(truth)
         box = np.s_[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
         assert row["hit_peak"] == hit.peak[box].any()
+        assert (row["point_x"], row["point_y"]) == hit.point
         # The point is a pixel of the peak.
         assert row["hit_peak"] or not row["hit_box"]
         # Relevancies do not depend on the protocol.
         assert row["score"] == row_of(result, row["query"])["score"]
+
+
+def test_the_protocol_of_the_rules_leads(room, result):
+    """It decides what is drawn, and the scene's metrics, and no score."""
+    led = room.evaluate(rules=Rules(protocol="langsplat"))
+    assert led.rows[0]["protocol"] == "langsplat@1"
+    assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
+    assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics
+    plain = room.evaluate()
+    for protocol in ("slgaussian", "langsplat", "3d-ovs", "threshold-free"):
+        assert rows_of(led, protocol) == rows_of(plain, protocol)
+    name = f"mask/view_01/{next(iter(room.truth['view_01']))}"
+    assert not np.array_equal(led.pictures[name], plain.pictures[name])
+
+
+def test_protocols_can_be_chosen(room):
+    some = room.evaluate(protocols=["3d-ovs", "slgaussian"])
+    assert {row["protocol"] for row in some.rows} == {"3d-ovs@1", "slgaussian@1"}
+    assert set(some.scene_metrics) >= {"miou", "accuracy", "boundary_iou", "psnr"}
+    with pytest.raises(InputError, match="protocol: found 'lerf', expected one of slgaussian, "):
+        room.evaluate(protocols=["lerf"])
+
+
+class Counting:
+    """A field that counts what is asked of it, and has nothing else than methods must have."""
+
+    def __init__(self, field, relevancy=None):
+        self.field, self.asked, self.relevancy = field, [], relevancy
+
+    def render(self, camera):
+        self.asked.append("render")
+        return CountingView(self.field.render(camera), self)
+
+
+class CountingView:
+    def __init__(self, view, owner):
+        self._view, self._owner = view, owner
+        self.rgb, self.ids, self.reader = view.rgb, np.zeros_like(view.ids), view.reader
+        self.depth = np.zeros_like(view.depth)
+
+    def query_all(self, texts, **rules):
+        self._owner.asked.append("query")
+        hits = self._view.query_all(texts, **rules)
+        if self._owner.relevancy is not None:
+            hits = [SimpleNamespace(**_parts(hit, self._owner.relevancy)) for hit in hits]
+        return hits
+
+    def segment(self, texts, **rules):
+        self._owner.asked.append("segment")
+        return self._view.segment(texts, **rules)
+
+
+def _parts(hit, relevancy):
+    names = ("text", "mask", "point", "peak", "score", "objects", "unknown", "taken_for")
+    return {name: getattr(hit, name) for name in names} | {"relevancy": relevancy}
+
+
+def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, result):
+    counted = Counting(room.field)
+    found = evaluate(counted, room.sample, room.label_maps, room.truth)
+    # One target, and three views along the way.
+    assert counted.asked == ["render", "query", "segment", "render", "render", "render"]
+    assert found.rows == room.evaluate().rows
+    # A method that does not know depths is not judged by them, and none are drawn without any.
+    assert not {"target_abs_rel", "abs_rel", "near"} & set(found.scene_metrics)
+    assert not any(name.startswith("depth/") for name in found.pictures)
+
+
+@pytest.mark.parametrize(
+    ("relevancy", "message"),
+    [
+        (np.full((104, 144), np.nan), "relevancy goes from nan to nan"),
+        (np.full((104, 144), -0.1), "goes from -0.1 to -0.1, expected numbers from 0 to 1"),
+        (np.full((104, 144), np.inf), "goes from inf"),
+        (np.ones((52, 144)), r"the relevancy is \(52, 144\), expected \(104, 144\)"),
+    ],
+)
+def test_an_answer_that_is_no_relevancy_is_refused(room, relevancy, message):
+    query = next(iter(room.truth["view_01"]))
+    with pytest.raises(InputError, match=f"'view_01': '{query}': .*{message}"):
+        evaluate(Counting(room.field, relevancy), room.sample, room.label_maps, room.truth)
+
+
+def test_hard_truths_are_scored_without_nan(room):
+    """One pixel, everything, nothing; and what the encoder knows but the room does not show."""
+    some = next(iter(room.truth["view_01"].values()))
+    one, corner = np.zeros_like(some), np.zeros_like(some)
+    one[50, 70] = corner[0, 0] = True
+    masks = {
+        "red crate": one,
+        "grey floor": np.ones_like(some),
+        "blue sofa": np.zeros_like(some),
+        "zzgl": corner,
+    }
+    found = room.evaluate({"view_01": masks})
+    numbers = [value for row in found.rows for value in row.values() if isinstance(value, float)]
+    assert numbers and np.isfinite(numbers).all()
+    assert np.isfinite(list(found.scene_metrics.values())).all()
+    full = row_of(found, "grey floor", "threshold-free")
+    assert full["auc"] is None and full["average_precision"] == 1.0
+    # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
+    assert row_of(found, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
+
+
+def test_a_frame_of_which_nothing_is_understood_or_labelled(room):
+    some = next(iter(room.truth["view_01"].values()))
+    found = room.evaluate({"view_01": {"qqwx": some}})
+    assert found.scene_metrics["miou"] == found.scene_metrics["iou"] == 0.0
+    empty = room.evaluate({"view_01": {"red sofa": np.zeros_like(some)}})
+    assert len(empty.rows) == 1 and "iou" not in empty.scene_metrics
 
 
 def test_the_camera_between_starts_and_ends_at_the_two(room):

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.benchmark.labels import ScenePair, read_labels, read_pairs, read_truth
+from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.labels import labelled_frames, read_labels, read_truth
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
 
@@ -48,10 +49,85 @@ def test_objects_of_one_category_are_united_and_keep_their_boxes(tmp_path):
     square = np.zeros((24, 40), bool)
     square[10:19, 20:29] = True
     assert np.array_equal(both, one | square)
-    pair = ScenePair("s", ("a", "b"), ("frame_1",), ("red crate",))
-    truth = read_truth(tmp_path, pair, [view_of(40, 24)])
+    asked = ("red crate",)
+    truth = read_truth(tmp_path, asked, [view_of(40, 24)])
     boxes = truth.boxes["images/frame_1.png"]["red crate"]
     assert boxes.tolist() == [[2, 1, 17, 14], [20, 10, 28, 18]]
+
+
+class TestHoles:
+    RING = ([[5, 5], [25, 5], [25, 20], [5, 20]], [[10, 9], [20, 9], [20, 15], [10, 15]])
+
+    def mask(self, folder, *objects):
+        write(folder, objects)
+        return read_labels(folder, "frame_1", 40, 24)["red crate"]
+
+    def test_a_hole_is_cut_out_of_its_own_object_only(self, tmp_path):
+        outer, hole = self.RING
+        ring = {**thing(segmentation=outer), "holes": [hole]}
+        whole = self.mask(tmp_path, thing(segmentation=outer))
+        cut = self.mask(tmp_path, ring)
+        inside = np.zeros_like(whole)
+        inside[10:15, 11:20] = True  # the edge of a hole belongs to the object
+        assert np.array_equal(cut, whole & ~inside)
+        # Another piece of the category, seen through the hole.
+        piece = thing(segmentation=[[12, 11], [16, 11], [16, 13], [12, 13]])
+        for pair in ((ring, piece), (piece, ring)):
+            both = self.mask(tmp_path, *pair)
+            assert both[11:14, 12:17].all()
+            assert both.sum() == cut.sum() + 15
+
+    def test_a_slit_makes_a_hole_for_readers_of_one_polygon(self, tmp_path):
+        outer, hole = self.RING
+        slit = [*outer, outer[0], hole[0], *hole[:0:-1], hole[0], outer[0]]
+        mask = self.mask(tmp_path, thing(segmentation=slit))
+        assert not mask[11:14, 12:19].any()
+        assert mask[5:8, 5:25].all()
+        assert mask[17:20, 5:25].all()
+
+    def test_where_a_polygon_crosses_itself_the_twice_covered_is_outside(self, tmp_path):
+        twice = [
+            [2, 2],
+            [20, 2],
+            [20, 14],
+            [2, 14],
+            [2, 2],
+            [8, 5],
+            [14, 5],
+            [14, 11],
+            [8, 11],
+            [8, 5],
+        ]
+        mask = self.mask(tmp_path, thing(segmentation=twice))
+        assert mask[12, 10]
+        assert not mask[8, 11]
+
+    @pytest.mark.parametrize("holes", [3, [3], [[[1, 2], [3, 4]]], [[[0, 0], [1, np.nan], [2, 2]]]])
+    def test_a_hole_that_is_no_polygon_is_refused(self, tmp_path, holes):
+        with pytest.raises(InputError, match=r"frame_1\.json: objects\[0\]"):
+            self.mask(tmp_path, {**thing(), "holes": holes})
+
+
+def test_frames_of_one_name_in_two_folders_have_their_own_labels(tmp_path):
+    for folder, category in (("left", "sofa"), ("right", "door")):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder, [thing(category)])
+    write(tmp_path, [thing("table")])
+    for view, category in (("left", "sofa"), ("right", "door"), ("images", "table")):
+        assert list(read_labels(tmp_path, f"{view}/frame_1.png", 40, 24)) == [category]
+    assert labelled_frames(tmp_path) == {
+        "frame_1": ("table",),
+        "left/frame_1": ("sofa",),
+        "right/frame_1": ("door",),
+    }
+
+
+def test_labelled_frames_list_each_category_once_in_order(tmp_path):
+    write(tmp_path, [thing("sofa"), thing(), thing("sofa")])
+    assert labelled_frames(tmp_path) == {"frame_1": ("sofa", "red crate")}
+    write(tmp_path, [thing(" ")])
+    with pytest.raises(InputError, match=r"frame_1\.json: objects\[0\]: category"):
+        labelled_frames(tmp_path)
 
 
 @settings(max_examples=30, deadline=None)
@@ -65,8 +141,8 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
         moved = view_of(40, 24, mask.astype(np.int32)).resized(height, width)
         assert np.array_equal(fitted[category], moved.instances.astype(bool))
     # A box follows its pixels: its corners are where the resized camera sees them.
-    pair = ScenePair("s", ("a", "b"), ("frame_1",), ("box",))
-    boxes = read_truth(folder, pair, [view_of(width, height)]).boxes["images/frame_1.png"]["box"]
+    asked = ("box",)
+    boxes = read_truth(folder, asked, [view_of(width, height)]).boxes["images/frame_1.png"]["box"]
     before, after = view_of(40, 24).camera, view_of(40, 24).resized(height, width).camera
     rays = np.linalg.inv(before.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
     corners = (after.K @ rays)[:2].T
@@ -76,8 +152,8 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
 def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_path):
     edge = thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23))
     write(tmp_path, [thing(), edge])
-    pair = ScenePair("s", ("a", "b"), ("frame_1",), ("edge", "red crate", "ghost"))
-    truth = read_truth(tmp_path, pair, [view_of(24, 24)])
+    asked = ("edge", "red crate", "ghost")
+    truth = read_truth(tmp_path, asked, [view_of(24, 24)])
     masks = truth.masks["images/frame_1.png"]
     assert list(masks) == ["edge", "red crate", "ghost"]
     assert [bool(mask.any()) for mask in masks.values()] == [False, True, False]
@@ -130,54 +206,9 @@ def test_a_missing_or_unreadable_label_file_is_named(tmp_path):
         read_labels(tmp_path, "images/frame_7.png", 40, 24)
 
 
-def good_pairs():
-    entry = {"context": ["a", "c"], "target": ["b"], "categories": ["red crate", "sofa"]}
-    return {"hall": entry, "attic": {**entry, "target": ["b", "d"]}}
-
-
-def test_pairs_are_read_in_file_order(tmp_path):
-    path = tmp_path / "pairs.json"
-    path.write_text(json.dumps(good_pairs()))
-    assert read_pairs(path) == [
-        ScenePair("hall", ("a", "c"), ("b",), ("red crate", "sofa")),
-        ScenePair("attic", ("a", "c"), ("b", "d"), ("red crate", "sofa")),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"target": ["a"]}, "'a' is both context and target"),
-        ({"context": ["a"]}, "'context' holds"),
-        ({"context": ["a", "a"]}, "'context' holds"),
-        ({"target": []}, "'target' holds"),
-        ({"categories": None}, "'categories' is missing"),
-        ({"categories": "sofa"}, "'categories' is a str"),
-        ({"target": [3]}, "expected a list of names"),
-    ],
-)
-def test_a_bad_pair_is_named_with_its_scene(tmp_path, change, message):
-    path = tmp_path / "pairs.json"
-    pairs = good_pairs()
-    pairs["attic"].update(change)
-    path.write_text(json.dumps(pairs))
-    with pytest.raises(InputError) as caught:
-        read_pairs(path)
-    assert f"{path}: scene 'attic'" in str(caught.value)
-    assert message in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["[]", "{}", '{"hall": 3}', "nonsense"])
-def test_an_index_that_is_not_one_is_refused(tmp_path, text):
-    path = tmp_path / "pairs.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match=r"pairs\.json"):
-        read_pairs(path)
-
-
 def test_the_office_labels_are_all_there(real_data):
     folder = real_data / "office"
-    for pair in read_pairs(folder / "pairs.json"):
+    for pair in read_index(folder / "pairs.json").pairs:
         masks = read_labels(folder / "labels", pair.targets[0], 576, 416)
         assert set(pair.categories) == set(masks)
         assert all(mask.any() for mask in masks.values())

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from data_specs import load_spec
+from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.report import (
     SHOWN_QUERIES,
     file_name,
@@ -58,6 +59,10 @@ def page_of(results, manifest=MANIFEST, failures=()) -> tuple[str, Page]:
     return html, page
 
 
+def leading(result):
+    return [row for row in result.rows if row["protocol"] == "slgaussian@1"]
+
+
 def test_the_page_needs_no_network_and_no_script(result):
     html, page = page_of([result])
     assert not {"script", "link", "iframe"} & set(page.tags)
@@ -73,8 +78,8 @@ def test_the_page_shows_the_numbers_and_how_they_were_made(result):
     _, page = page_of([result])
     for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
-    assert "Protocol near-best" in page.text and "temperature 10.0" in page.text
-    scored = sum(row["iou"] is not None for row in result.rows)
+    assert "Protocol slgaussian@1 (near-best" in page.text and "temperature 10.0" in page.text
+    scored = sum(row["iou"] is not None for row in leading(result))
     assert f"{scored} scored queries" in page.text
     for row in result.rows:
         assert row["query"] in page.text
@@ -99,7 +104,7 @@ def test_pictures_of_the_best_and_the_worst_queries_are_shown(result):
         i["alt"].removeprefix("relevancy of ") for i in page.images if "relevancy of" in i["alt"]
     ]
     assert len(shown) == SHOWN_QUERIES
-    scores = {row["query"]: row["iou"] for row in result.rows if row["score"] is not None}
+    scores = {row["query"]: row["iou"] for row in leading(result) if row["score"] is not None}
     scores = {query: iou for query, iou in scores.items() if iou is not None}
     assert scores[shown[0]] == max(scores.values())
     assert scores[shown[-1]] == min(scores.values())
@@ -135,7 +140,7 @@ def test_names_are_text_and_never_markup(result):
         result,
         scene="<script>x</script>",
         rows=rows,
-        predictions={("view_01", "<b>&"): np.ones((104, 144), bool)},
+        predictions={("slgaussian@1", "view_01", "<b>&"): np.ones((104, 144), bool)},
         pictures=pictures,
     )
     html, page = page_of([odd])
@@ -153,37 +158,52 @@ def test_a_scene_without_truth_has_pictures_and_dashes(result):
 
 
 def test_sample_tables_hold_the_rows(tmp_path, result):
-    write_samples([result, replace(result, scene="other")], tmp_path)
+    other = [row | {"scene": "other"} for row in result.rows]
+    write_samples([result, replace(result, scene="other", rows=other)], tmp_path)
     table = pq.read_table(tmp_path / "samples.parquet")
     load_spec("samples").check_table(table, "samples.parquet")
     assert table.to_pylist()[: len(result.rows)] == result.rows
     with open(tmp_path / "samples.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * len(result.rows)
-    for row, printed in zip(result.rows, rows, strict=False):
+    for row, printed in zip([*result.rows, *other], rows, strict=True):
         assert printed == {k: "" if v is None else str(v) for k, v in row.items()}
+    scores = pq.read_table(tmp_path / "scores.parquet")
+    load_spec("scores").check_table(scores, "scores.parquet")
+    first = scores.to_pylist()[0]
+    assert (first["metric"], first["scenes"]) == ("iou", 2)
+    assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
+    with open(tmp_path / "scores.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == scores.num_rows
 
 
 def test_an_empty_run_has_empty_tables(tmp_path):
     write_samples([], tmp_path)
-    table = pq.read_table(tmp_path / "samples.parquet")
-    load_spec("samples").check_table(table, "samples.parquet")
-    assert table.num_rows == 0
+    for name in ("samples", "scores"):
+        table = pq.read_table(tmp_path / f"{name}.parquet")
+        load_spec(name).check_table(table, f"{name}.parquet")
+        assert table.num_rows == 0
+
+
+def masks_of(result) -> dict[tuple[str, str, str], bytes]:
+    return {key: encode_png(mask) for key, mask in result.predictions.items()}
 
 
 def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
-    write_predictions([result], tmp_path)
+    write_predictions(result.rows, masks_of(result), tmp_path)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert len(files) == len(result.rows)
-    for (frame, query), mask in result.predictions.items():
-        path = tmp_path / "slgaussian" / result.scene / frame / f"{query}.png"
+    assert len(files) == len(result.predictions)
+    assert len(files) == sum(row["protocol"] != "threshold-free@1" for row in result.rows)
+    for (protocol, frame, query), mask in result.predictions.items():
+        folder = tmp_path / "slgaussian" / protocol.removesuffix("@1") / result.scene / frame
+        path = folder / f"{query}.png"
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
 def test_same_results_give_the_same_files(tmp_path, result):
     for folder in (tmp_path / "a", tmp_path / "b"):
         write_samples([result], folder)
-        write_predictions([result], folder)
+        write_predictions(result.rows, masks_of(result), folder)
     for path in (tmp_path / "a").rglob("*"):
         if path.is_file():
             twin = tmp_path / "b" / path.relative_to(tmp_path / "a")

@@ -74,7 +74,7 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     store = ArtifactStore(tmp_path / "store")
     pipeline.run(settings_for(tmp_path, missing, workers=1), store)
     # The page shows times, which differ; all else is content.
-    hidden = ("cache/", ".prefect/")
+    hidden = ("keys/", ".prefect/")
     assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
     assert files_below(tmp_path / "out", ("report",)) == files_below(folder / "out", ("report",))
 

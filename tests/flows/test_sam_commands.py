@@ -60,8 +60,8 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
     assert f"<dt>settings.sam.model</dt><dd>{digest}</dd>" in page
     assert capsys.readouterr().err.startswith("with planesweep, sam, ")
     records = [
-        json.loads(json.loads(file.read_text())["result"])
-        for file in (Path(store.path) / "cache" / "masks").rglob("*")
+        json.loads(file.read_text())
+        for file in (Path(store.path) / "keys" / "masks").rglob("*")
         if file.is_file()
     ]
     assert [r["meta"]["settings"]["sam"]["model"] for r in records] == [digest]

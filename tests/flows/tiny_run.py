@@ -33,7 +33,7 @@ def run_tiny(store: ArtifactStore, plans: dict, workers: int = 2, stream=None):
     def tiny():
         with using(store):
             chains = [Chain(scene, plan, first="make") for scene, plan in plans.items()]
-            return run_chains(stage_task(store), chains, workers, progress)
+            return run_chains(stage_task(), chains, workers, progress)
 
     outcome = tiny()
     progress.summary()

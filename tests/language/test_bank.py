@@ -46,10 +46,16 @@ def test_arrays_round_trip(bank, tmp_path):
     with np.load(tmp_path / "bank.npz") as stored:
         assert stored["features"].dtype == np.float16
         again = MemoryBank.from_arrays(dict(stored))
+    same_bank(again, bank)
+
+
+def same_bank(one, other):
     for field in fields(MemoryBank):
-        there, here = getattr(again, field.name), getattr(bank, field.name)
-        assert there.dtype == here.dtype
-        np.testing.assert_array_equal(there, here)
+        there, here = getattr(one, field.name), getattr(other, field.name)
+        assert (there is None) == (here is None)
+        if here is not None:
+            assert there.dtype == here.dtype
+            np.testing.assert_array_equal(there, here)
 
 
 def test_boxes_hold_their_objects_and_touch_them(bank):
@@ -146,3 +152,100 @@ def test_views_maps_and_codes_must_agree(bank, lexicon):
         build_bank([view_of(image[1:])], maps, lexicon, bank.codes[:1])
     with pytest.raises(InputError, match="2 codes for 1 objects"):
         build_bank([view], maps, lexicon, bank.codes)
+
+
+@pytest.fixture(scope="module")
+def pieces():
+    """A red ball in quarters (ids 2 to 5; 5 in the first view only) and a blue one (7)."""
+    image, whole = photograph([(ball(90, 120, 40), RED), (ball(230, 120, 30), BLUE)])
+    y, x = np.mgrid[: whole.shape[0], : whole.shape[1]]
+    quarter = 2 + (x > 90) + 2 * (y > 120)
+    first = np.where(whole == 1, quarter, np.where(whole == 2, 7, 0)).astype(np.int32)
+    second = np.where(first == 5, 4, first)
+    groups = np.array([[0, 0, 0, 0, 1], [1, 1, 0, 0, 2], [4, 4, 4, 4, 2]])
+    maps = LabelMaps(np.stack([first, second]), np.ones((2, *whole.shape), np.float32))
+    return [view_of(image), view_of(image)], maps, groups, (whole == 1)
+
+
+def grouped_bank(pieces, lexicon, **changes):
+    views, maps, groups, _ = pieces
+    codes = np.linspace(0.1, 0.9, 15).reshape(5, 3)
+    given = {"groups": groups} | changes
+    return build_bank(views, maps, lexicon, codes, **given)
+
+
+def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
+    views, _, _, whole = pieces
+    bank = grouped_bank(pieces, lexicon)
+    # Of the whole ball in two levels there is one group, and of a group of one object none.
+    np.testing.assert_array_equal(bank.levels, [[5, 5, 5, 5, 4], [7, 7, 6, 6, 4], [5, 5, 5, 5, 4]])
+    expected = lexicon.encode_regions(views[0].image, whole[None])[0]
+    np.testing.assert_allclose(bank.group_features[0], [expected] * 2, atol=2**-11)
+    features, present = bank.nodes
+    assert features.shape[:2] == present.shape == (8, 2)
+    assert present[5:].all() and not present[3, 1]
+    arrays = bank.to_arrays()
+    load_spec("bank").check_arrays(arrays, "bank.npz")
+    assert arrays["group_features"].dtype == np.float16
+    same_bank(MemoryBank.from_arrays(arrays), bank)
+    # Without groups, all else is the same.
+    bare = grouped_bank(pieces, lexicon, groups=None)
+    same_bank(replace(bank, levels=None, group_features=None), bare)
+    assert bare.nodes[0] is bare.features
+    alone = grouped_bank(pieces, lexicon, groups=np.arange(5)[None])
+    np.testing.assert_array_equal(alone.levels, [np.arange(5)])
+    assert alone.group_features.shape == (0, 2, lexicon.width)
+
+
+def test_a_group_that_a_view_does_not_hold_is_absent_there(pieces, lexicon):
+    views, maps, _, _ = pieces
+    labels = maps.labels.copy()
+    labels[1][labels[1] < 7] = 0
+    bank = grouped_bank((views, LabelMaps(labels, maps.margin), pieces[2], None), lexicon)
+    np.testing.assert_array_equal(bank.group_features.any(2), [[True, False]] * 3)
+
+
+def test_merged_banks_keep_the_groups_of_both(pieces, lexicon):
+    def known_as(bank, ids):
+        """The bank under other ids, with codes that follow from them."""
+        codes = np.zeros((5, 3), np.float32)
+        codes[:, 0] = ids / 20
+        return replace(bank, ids=ids.astype(np.int32), codes=codes)
+
+    bank = grouped_bank(pieces, lexicon)
+    first, shifted = known_as(bank, bank.ids), known_as(bank, bank.ids + 3)  # both have 5 and 7
+    both = merge(first, shifted)
+    assert both.ids.tolist() == [2, 3, 4, 5, 6, 7, 8, 10]
+    assert both.levels.tolist() == [
+        [8, 8, 8, 8, 4, 5, 6, 7],
+        [10, 10, 9, 9, 4, 5, 6, 7],
+        [8, 8, 8, 8, 4, 5, 6, 7],
+        [0, 1, 2, 11, 11, 11, 11, 7],
+        [0, 1, 2, 13, 13, 12, 12, 7],
+        [0, 1, 2, 11, 11, 11, 11, 7],
+    ]
+    np.testing.assert_array_equal(both.group_features[:3, :2], first.group_features)
+    np.testing.assert_array_equal(both.group_features[3:, 2:], shifted.group_features)
+    assert not both.group_features[:3, 2:].any() and not both.group_features[3:, :2].any()
+    assert merge(first, replace(shifted, levels=None, group_features=None)).levels is None
+
+
+def test_groups_that_make_no_sense_are_refused(pieces, lexicon):
+    bank = grouped_bank(pieces, lexicon)
+    beyond, others = bank.levels.copy(), bank.levels.copy()
+    beyond[0, 0], others[0, 0] = 8, 1
+    for changes, match in (
+        ({"levels": None}, "go together"),
+        ({"levels": beyond}, "one of the 3 groups, 5 to 7"),
+        ({"levels": others}, "own row"),
+        ({"levels": bank.levels[:, :4]}, "levels: found int32"),
+        ({"group_features": bank.group_features * 2}, "group 0 in view 0 has length 2"),
+        ({"group_features": bank.group_features[:, :1]}, "group_features: found float32"),
+        ({"group_features": bank.group_features * np.float32(np.nan)}, "group 0 in view 0"),
+    ):
+        with pytest.raises(InputError, match=match):
+            replace(bank, **changes)
+    with pytest.raises(InputError, match=r"found groups \(3, 4\) for 5 objects"):
+        grouped_bank(pieces, lexicon, groups=pieces[2][:, :4])
+    with pytest.raises(InputError, match="with names"):
+        grouped_bank(pieces, lexicon, names={2: "red ball"})

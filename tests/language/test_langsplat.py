@@ -9,18 +9,19 @@ from scipy import ndimage
 from slgaussian.language import langsplat
 
 
-def plain_smoothed(relevancy: np.ndarray) -> np.ndarray:
-    return ndimage.uniform_filter(relevancy.astype(np.float64), 30, mode="mirror")
+def plain_smoothed(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
+    return ndimage.uniform_filter(relevancy.astype(np.float64), side, mode="mirror")
 
 
-def plain_mask(relevancy: np.ndarray) -> np.ndarray:
+def plain_mask(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
     """Step by step; the majority by counting the pixels of every window."""
-    blend = 0.5 * (plain_smoothed(relevancy) + relevancy)
+    blend = 0.5 * (plain_smoothed(relevancy, side) + relevancy)
     stretched = (blend - blend.min()) / (blend.max() - blend.min() + 1e-9)
     above = np.clip(2 * stretched - 1, 0, 1) > 0.4
     out = np.zeros_like(above)
+    voting = above[:-1, :-1]
     for row, column in np.ndindex(*above.shape):
-        window = above[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
+        window = voting[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
         out[row, column] = 2 * window.sum() > window.size
     return out
 
@@ -33,13 +34,38 @@ def objects_image(seed: int, shape: tuple[int, int]) -> np.ndarray:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90))
-def test_the_smoothed_image_is_that_of_the_plain_filter(seed, height, width):
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90), st.sampled_from([1, 17, 30])
+)
+def test_the_smoothed_image_is_that_of_the_plain_filter(seed, height, width, side):
     """SciPy's filter adds up as it goes along; its own error is some 1e-15 a pixel."""
     relevancy = np.random.default_rng(seed).random((height, width))
-    got = langsplat.smoothed(relevancy)
+    got = langsplat.smoothed(relevancy, side)
     assert got.shape == relevancy.shape
-    np.testing.assert_allclose(got, plain_smoothed(relevancy), atol=2**-30)
+    np.testing.assert_allclose(got, plain_smoothed(relevancy, side), atol=2**-30)
+
+
+def test_the_sums_are_exact():
+    """Whole numbers, with Python's own integers: what ties is decided without rounding."""
+    relevancy = np.random.default_rng(4).random((35, 41))
+    steps = [[round(float(v) * 2**30) for v in row] for row in relevancy]
+
+    def mirrored(place, n):
+        place %= 2 * (n - 1)
+        return min(place, 2 * (n - 1) - place)
+
+    got = langsplat.smoothed(relevancy)
+    for row, column in ((0, 0), (34, 40), (3, 39), (17, 20)):
+        total = sum(
+            steps[mirrored(y, 35)][mirrored(x, 41)]
+            for y in range(row - 15, row + 15)
+            for x in range(column - 15, column + 15)
+        )
+        assert got[row, column] == total / (2**30 * 900)
+
+
+def test_the_filter_grows_with_the_image():
+    assert [langsplat.rescaled_filter(w) for w in (988, 576, 1, 1976)] == [30, 17, 1, 60]
 
 
 def test_the_window_reaches_15_before_and_14_after():
@@ -50,11 +76,25 @@ def test_the_window_reaches_15_before_and_14_after():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_mask_is_that_of_the_plain_steps(seed):
+@pytest.mark.parametrize("side", [30, 17])
+def test_the_mask_is_that_of_the_plain_steps(seed, side):
     relevancy = objects_image(seed, (60, 85))
-    got = langsplat.find_mask(relevancy)
+    got = langsplat.find_mask(relevancy, side)
     assert got.dtype == bool and 0 < got.mean() < 1
-    np.testing.assert_array_equal(got, plain_mask(relevancy))
+    np.testing.assert_array_equal(got, plain_mask(relevancy, side))
+
+
+def test_the_last_row_and_column_have_no_vote():
+    """A square set in the corner, kept at its rim by the votes of the pixels inside alone."""
+    above = np.zeros((40, 50), bool)
+    above[-5:, -5:] = True
+    # The window of the corner pixel is rows 36 to 38 and columns 46 to 48: all set.
+    kept = langsplat._most_around(above)
+    assert kept[-1, -1]
+    # Only the last row and column set: nobody votes for them.
+    edge = np.zeros((40, 50), bool)
+    edge[-1], edge[:, -1] = True, True
+    assert not langsplat._most_around(edge).any()
 
 
 def test_an_image_of_one_value_has_no_mask():

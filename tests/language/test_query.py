@@ -1,5 +1,6 @@
 """Find, locate and segment on pictures whose objects are known."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,14 +15,18 @@ from drawn import (
     ball,
     bank_of,
     box,
+    cone,
     find,
     photograph,
     segment,
+    view_of,
 )
 
 from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
 from slgaussian.language import langsplat
-from slgaussian.language.bank import MemoryBank
+from slgaussian.language.bank import MemoryBank, build_bank
+from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask, describe
 from slgaussian.language.relevancy import relevancy
@@ -294,3 +299,42 @@ def test_grey_is_not_mistaken_for_the_background(lexicon):
     image, ids = photograph([(wall, GREY), (ball(200, 180, 25), RED)])
     hit = find("grey wall", ids, bank_of([image], [ids], lexicon), lexicon)
     assert {i for i, _ in hit.objects} == {1}
+
+
+def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
+    """In quarters it looks like no ball, and cones beside it are no better."""
+    image, whole = photograph(
+        [(ball(80, 120, 42), BLUE), (cone(200, 80, 34), BLUE), (box(260, 180, 30), BLUE)]
+    )
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    quarter = 4 + (x > 80) + 2 * (y > 120)
+    ids = np.where(whole == 1, quarter, whole).astype(np.int32)
+    maps = LabelMaps(ids[None], np.ones((1, HEIGHT, WIDTH), np.float32))
+    codes = grid_codes(6, np.random.default_rng(0))
+    groups = np.array([[0, 1, 2, 2, 2, 2]])
+    bank = build_bank([view_of(image)], maps, lexicon, codes, groups=groups)
+    hit = find("blue ball", ids, bank, lexicon)
+    np.testing.assert_array_equal(hit.mask, whole == 1)
+    assert whole[hit.point[1], hit.point[0]] == 1
+    answers = segment(["box", "ball", "cone"], ids, bank, lexicon)
+    np.testing.assert_array_equal(answers[whole > 0], np.array([0, 2, 3, 1])[whole[whole > 0]])
+    assert {d.text for d in describe(["ball", "cone"], BankReader(bank, lexicon), Rules())} == {
+        "ball",
+        "cone",
+    }
+    alone = find("blue ball", ids, replace(bank, levels=None, group_features=None), lexicon)
+    assert (alone.mask != (whole == 1)).any()
+
+
+def test_of_objects_about_as_good_the_larger_is_pointed_at(scene, lexicon):
+    ids, bank = scene
+    best, second = (find("red ball", ids, bank, lexicon).objects[k][0] for k in (0, 1))
+    behind = ids.copy()
+    behind[(ids == best) & (np.arange(WIDTH) % 3 > 0)] = 0
+    hit = find("red ball", behind, bank, lexicon)
+    assert hit.objects[0][0] == best and hit.score == hit.objects[0][1]
+    assert behind[hit.point[1], hit.point[0]] == second
+    # One that does not fit is not pointed at, however large.
+    wide = np.where(ids == 0, 3, ids).astype(np.int32)
+    point = find("red ball", wide, bank, lexicon).point
+    assert wide[point[1], point[0]] in (1, 4)

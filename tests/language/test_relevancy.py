@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.language.relevancy import Scorer, relevancy
+from slgaussian.language.relevancy import SOFT, Scorer, relevancy
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -154,3 +154,77 @@ def test_bad_vectors_and_settings_are_refused(case):
     for temperature in (0, -1, np.nan, np.inf):
         with pytest.raises(InputError, match="temperature"):
             relevancy(features, present, queries, canonical, temperature)
+
+
+def softly(features, present, queries, canonical, levels):
+    """The gap over an object and its groups as the module has it, by loops."""
+    out = np.full((len(queries), levels.shape[1]), -np.inf)
+    for q, query in enumerate(queries):
+        for n in range(levels.shape[1]):
+            leads = [
+                features[row, v] @ query - max(features[row, v] @ canon for canon in canonical)
+                for row in [n, *levels[:, n]]
+                for v in np.flatnonzero(present[row])
+            ]
+            if leads:
+                weights = [np.exp(lead / SOFT) for lead in leads]
+                out[q, n] = np.average(leads, weights=weights)
+    return out
+
+
+@pytest.fixture
+def nested():
+    """Ten objects: 0-3 in group 10, 0-5 in group 11 above it, 9 alone; 8 and group 12 unseen."""
+    rng = np.random.default_rng(3)
+    present = rng.random((13, 3)) < 0.6
+    present[[8, 12]] = False
+    present[9] = True, False, False
+    features = unit(rng, 13, 3, 16) * present[..., None]
+    levels = np.tile(np.arange(10), (2, 1))
+    levels[0, :4], levels[1, :6], levels[1, 7:9] = 10, 11, 12
+    return features, present, unit(rng, 5, 16), unit(rng, 4, 16), levels
+
+
+def test_groups_count_as_the_formula_says(nested):
+    features, present, queries, canonical, levels = nested
+    got = Scorer(features, present, canonical, levels=levels).gaps(queries)
+    # Sums of 9 leads below 2: the noise floor is some 1e-15.
+    np.testing.assert_allclose(got, softly(*nested), rtol=0, atol=1e-14)
+    assert (got[:, 8] == -np.inf).all()
+    alone = Scorer(features[:10], present[:10], canonical).gaps(queries)
+    np.testing.assert_array_equal(got[:, 9], alone[:, 9])  # one view, no group: one lead
+    zeros = Scorer(features, present, canonical, "zero", levels).gaps(queries)
+    assert np.isfinite(zeros).all() and (zeros[:, 8] == 0).all()
+
+
+def test_a_group_in_which_all_is_alone_or_the_same_changes_nothing(nested):
+    features, present, queries, canonical, _ = nested
+    one = present & (present.cumsum(1) == 1)
+    rows, own = np.arange(13), np.tile(np.arange(13), (3, 1))
+    plain = Scorer(features, one, canonical).gaps(queries)
+    assert np.array_equal(Scorer(features, one, canonical, levels=own).gaps(queries), plain)
+    # A group whose vectors are those of its only object.
+    twice = np.concatenate([features] * 2), np.concatenate([one] * 2)
+    copies = (rows + 13)[None]
+    assert np.array_equal(Scorer(*twice, canonical, levels=copies).gaps(queries), plain)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_a_soft_gap_lies_between_the_mean_and_the_greatest(seed, count):
+    rng = np.random.default_rng(seed)
+    features, queries, canonical = unit(rng, 14, 2, 8), unit(rng, 3, 8), unit(rng, 2, 8)
+    levels = rng.integers(8, 14, (count, 8))
+    got = Scorer(features, np.ones((14, 2), bool), canonical, levels=levels).gaps(queries)
+    leads = np.stack([features @ q - (features @ canonical.T).max(2) for q in queries])
+    every = leads[:, np.concatenate([np.arange(8)[None], levels]).T].reshape(3, 8, -1)
+    assert (got <= every.max(2) + 1e-12).all()
+    assert (got >= every.mean(2) - 1e-12).all()
+
+
+def test_ten_thousand_equal_objects_tie_wherever_they_stand():
+    rng = np.random.default_rng(0)
+    features = np.concatenate([np.repeat(unit(rng, 1, 2, 8), 10_000, 0), unit(rng, 700, 2, 8)])
+    levels = np.full((2, 10_000), 10_000)
+    gaps = Scorer(features, np.ones((10_700, 2), bool), unit(rng, 3, 8), levels=levels)
+    assert (np.ptp(gaps.gaps(unit(rng, 7, 8)), 1) == 0).all()

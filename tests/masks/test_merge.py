@@ -11,6 +11,7 @@ from slgaussian.masks.merge import (
     MergeTree,
     _plane_error,
     build_tree,
+    joint_sums,
     leaf_sums,
     plane_gap,
     plane_sums,
@@ -45,6 +46,13 @@ def members_by_walking(tree):
             out[node, leaf] = True
             node = tree.parent[node]
     return out
+
+
+@given(trees, st.integers(0, 12))
+def test_places_tell_which_node_of_a_cut_holds_a_leaf(tree, most):
+    nodes = tree.cut(0.6, most)
+    np.testing.assert_array_equal(tree.places(nodes), members_by_walking(tree)[nodes].argmax(0))
+    np.testing.assert_array_equal(tree.labels(nodes), tree.places(nodes)[tree.leaves] + 1)
 
 
 @given(trees)
@@ -107,14 +115,22 @@ def plain_cost(a, b, sums, cues):
     color = [sums.color[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b)]
     p, q = (sums.histogram[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b))
     used = p + q > 0
-    gap = plane_gap(sums.planes[a].sum(0), sums.planes[b].sum(0))
-    extent = sums.boxes[a + b, 2:].max(0) - sums.boxes[a + b, :2].min(0)
+    misfits, empty = [], []
+    for view in range(sums.sizes.shape[1]):
+        shown = [sums.sizes[leaves, view].sum() for leaves in (a, b)]
+        if all(shown):
+            gap = plane_gap(sums.planes[a, view].sum(0), sums.planes[b, view].sum(0))
+            misfits.append(min(gap / PLANE_STEP, 1))
+        if any(shown):
+            corners = sums.boxes[a + b, view]
+            extent = corners[:, 2:].max(0) - corners[:, :2].min(0)
+            empty.append(1 - sum(shown) / extent.prod())
     terms = [
         (1.0, sums.strength[between].sum() / sums.length[between].sum()),
         (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOR_STEP, 1)),
         (cues.texture, ((p - q)[used] ** 2 / (p + q)[used]).sum()),
-        (cues.plane, min(gap / PLANE_STEP, 1)),
-        (cues.fill, 1 - sum(sizes) / extent.prod()),
+        (cues.plane, np.mean(misfits) if misfits else 0),
+        (cues.fill, np.mean(empty)),
     ]
     return (
         sum(weight * term for weight, term in terms)
@@ -127,6 +143,35 @@ def plain_cost(a, b, sums, cues):
 def test_merging_equals_its_plain_reference(noise, cues, with_depth):
     image, leaves, boundary, depth = noise
     sums = leaf_sums(image, leaves, boundary, depth if with_depth else None)
+    check_merging(sums, cues)
+
+
+@pytest.mark.parametrize("cues", [Cues(), Cues(0.1, 0.4, 0.3, 0.5, 0.1)])
+def test_merging_in_several_views_equals_its_plain_reference(noise, cues):
+    """One view turned round, with a leaf that it does not show, and one without depth."""
+    image, leaves, boundary, depth = noise
+    hidden = np.where(leaves == 4, 1, leaves)[::-1].copy()
+    bare = np.where(leaves == 0, -1, leaves)
+    views = [
+        leaf_sums(image, leaves, boundary, depth, 6),
+        leaf_sums(image[::-1].copy(), hidden, boundary, depth, 6),
+        leaf_sums(image[:, ::-1].copy(), bare, boundary[::-1], None, 6),
+    ]
+    joint = joint_sums(views)
+    assert joint.sizes.shape == (6, 3) and joint.sizes[4, 1] == joint.sizes[0, 2] == 0
+    check_merging(joint, cues)
+
+
+def test_one_view_seen_as_several_is_that_view(noise):
+    alone = leaf_sums(*noise)
+    for cues in (Cues(), Cues(fill=0.5, size_power=0.1)):
+        one, three = build_tree(alone, cues), build_tree(joint_sums([alone] * 3), cues)
+        np.testing.assert_array_equal(one.parent, three.parent)
+        np.testing.assert_allclose(one.height, three.height, rtol=1e-12)
+
+
+def check_merging(sums, cues):
+    """A tree over six leaves against one that is built from costs worked out anew each time."""
     tree = build_tree(sums, cues)
     live = {node: [node] for node in range(6)}
     sets, height = dict(live), [0.0] * 6

@@ -4,8 +4,9 @@ import pyarrow as pa
 import pytest
 
 from data_specs import load_spec
+from slgaussian.bootstrap import LEAST
 from slgaussian.errors import InputError
-from slgaussian.semantic.verdict import LEAST, clip_scores, gain, verdict
+from slgaussian.semantic.verdict import clip_scores, gain, verdict
 
 
 def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from contents import failures, labels
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -25,18 +26,11 @@ from slgaussian.store import (
 )
 
 
-def labels(value: int = 3) -> dict[str, np.ndarray]:
-    maps = np.full((2, 4, 5), value, np.int32)
-    return {"labels": maps, "margin": np.full((2, 4, 5), 0.5, np.float32)}
-
-
-def failures(*scenes: str) -> pa.Table:
-    rows = [{"scene": s, "stage": "masks", "kind": "InputError", "reason": "why"} for s in scenes]
-    return pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
-
-
-@pytest.fixture(params=["local", "memory"])
-def store(request, tmp_path):
+@pytest.fixture(params=["local", "memory", "s3"])
+def store(request, tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")  # copies are tested elsewhere
+    if request.param == "s3":
+        return ArtifactStore(request.getfixturevalue("bucket") + "/some/prefix")
     root = tmp_path / "store" if request.param == "local" else f"memory://{uuid.uuid4().hex}"
     return ArtifactStore(root)
 
@@ -180,10 +174,16 @@ def test_no_damaged_byte_escapes_as_another_error(local):
                 assert str(path) in str(error)
 
 
-@pytest.mark.parametrize("root", ["foo://bucket", "s3://"])
-def test_a_place_that_cannot_be_a_store_is_an_input_error(root, monkeypatch):
+@pytest.mark.parametrize(
+    ("root", "why"),
+    [
+        ("foo://bucket", "Protocol not known: foo; or choose a folder"),
+        ("s3a://bucket", r"needs s3fs, which `pip install 'slgaussian\[s3\]'` brings"),
+    ],
+)
+def test_a_place_that_cannot_be_a_store_is_an_input_error(root, why, monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
-    with pytest.raises(InputError, match=f"store {root}"):
+    with pytest.raises(InputError, match=f"store {root}: {why}"):
         ArtifactStore(root)
 
 

@@ -105,7 +105,7 @@ def test_a_result_keeps_every_pixel(sample, store):
         scene="a",
         rows=[{"frame": "f", "query": "red ball", "iou": 0.1 + 0.2, "hit_mask": None}],
         scene_metrics={"iou": 0.1 + 0.2},
-        predictions={("f", "red ball"): mask, ("f", "größe"): ~mask},
+        predictions={("a@1", "f", "red ball"): mask, ("a@1", "f", "größe"): ~mask},
         pictures={"input/f": image},
         times={"query": 1.5},
     )
@@ -121,7 +121,7 @@ def test_a_result_keeps_every_pixel(sample, store):
         assert back.predictions[key].dtype == bool
         np.testing.assert_array_equal(back.predictions[key], mask)
     np.testing.assert_array_equal(back.pictures["input/f"], image)
-    assert result_from_arrays(arrays, {}, with_pictures=False).pictures == {}
+    assert result_from_arrays(arrays, {}, with_images=False).pictures == {}
     nothing = SceneResult("a", [], {}, {}, {}, {})
     empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)), {})
     assert vars(empty) == vars(nothing)

@@ -1,0 +1,150 @@
+"""Choosing the context views of labelled frames: the index file of a labelled set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.corpus_settings import IndexSettings
+from slgaussian import datasets
+from slgaussian.benchmark.index import Index, ScenePair, write_index
+from slgaussian.benchmark.labels import labelled_frames
+from slgaussian.datasets import lerf_ovs, ovs3d
+from slgaussian.datasets.around import Around, Rule, surround
+from slgaussian.datasets.pairs import Bounds, Views
+from slgaussian.datasets.quality import blur, exposure, small
+from slgaussian.errors import InputError
+from slgaussian.predict.distance import typical_depths
+from slgaussian.scene import Scene
+
+PLACES = {
+    "lerf_ovs": f"{lerf_ovs.LABELS}/{{scene}}",
+    "ovs3d": f"{{scene}}/{ovs3d.LABELS}",
+}
+"""Where a format keeps the labels of a scene in its own folder."""
+
+
+def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: Path) -> Index:
+    """Choose two context views for every labelled frame of a set, and write the index file.
+
+    Labels are those of the format, or lie in ``labels``: there in a folder of each scene's name if
+    the format has several scenes.
+
+    Raises
+    ------
+    InputError
+        If the data cannot be read, nothing is labelled, or no labelled frame has a pair.
+    """
+    rule = Rule(Bounds(**settings.bounds()), settings.min_cover, settings.max_aside)
+    if labels is None and settings.format not in PLACES:
+        raise InputError(
+            f"data format {settings.format!r} has no labels of its own; give their folder with "
+            "--labels"
+        )
+    pairs: list[ScenePair] = []
+    left_out: dict[str, str] = {}
+    for name, options in datasets.scenes(settings.format, data).items():
+        if labels is None:
+            place = PLACES[settings.format].format(scene=name)
+        else:
+            place = name if settings.format in datasets.SETS else ""
+        folder = (labels or data) / place
+        if folder.is_dir():
+            scene = datasets.load(settings.format, data, **options)
+            found = _surrounded(scene, name, labelled_frames(folder), rule)
+            for called, one in found.items():
+                if isinstance(one, str):
+                    left_out[called] = one
+                else:
+                    pairs.append(ScenePair(called, *one[:3], place, options, one[3]))
+    if not pairs:
+        why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
+        raise InputError(f"{labels or data}: no labelled frame has a pair ({why or 'no labels'})")
+    index = Index(tuple(pairs), settings.format, rule.described(), left_out)
+    write_index(out, index)
+    return index
+
+
+Chosen = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, float]]
+"""Context, targets, categories and what was measured of a pair."""
+
+
+def _surrounded(
+    scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
+) -> dict[str, Chosen | str]:
+    """Of every labelled frame its pair, or why there is none; under the pair's name."""
+    known = lerf_ovs.labelled(name)
+    views, out = _views_of(scene, frames, known)
+    names, clip, unreadable = _look(scene)
+    place = {view: i for i, view in enumerate(names)}
+    asked = {}
+    for frame, view in views.items():
+        if view in unreadable:
+            out[frame] = unreadable[view]
+        elif frame not in out:
+            asked[frame] = place[view]
+    barred = {place[view] for view in views.values() if view in place}
+    around = surround(clip, list(asked.values()), barred, rule)
+    for frame, found in zip(asked, around, strict=True):
+        if found.pair is None:
+            out[frame] = found.reason
+        else:
+            context = tuple(names[i] for i in found.pair.context)
+            out[frame] = context, (views[frame],), frames[frame], _measured(found)
+    order = [frame for frame in dict.fromkeys([*frames, *known]) if frame in out]
+    return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
+
+
+def _views_of(
+    scene: Scene, frames: Mapping[str, tuple[str, ...]], known: Iterable[str]
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """The views of the labelled frames, and of those that cannot be asked why.
+
+    ``known`` are frames that the data set calls labelled, whether their labels are there or not:
+    they are no context views of others.
+    """
+    views, out = {}, {}
+    for frame in dict.fromkeys([*frames, *known]):
+        try:
+            views[frame] = scene.find(frame)
+        except InputError as error:
+            out[frame] = str(error)
+            continue
+        if frame not in frames:
+            out[frame] = "is a labelled frame, but its labels are missing"
+        elif not frames[frame]:
+            out[frame] = "nothing is labelled in it"
+    return views, out
+
+
+def _measured(found: Around) -> dict[str, float]:
+    pair = found.pair
+    values = {
+        "overlap": pair.overlap,
+        "baseline": pair.baseline,
+        "cover": found.cover,
+        "aside": found.aside,
+        "score": pair.score,
+    }
+    return {name: round(value, 4) for name, value in values.items()}
+
+
+def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:
+    """What is known of the views of a scene that can be read, and of the others why not."""
+    names, greys, unreadable = [], [], {}
+    for name in scene.cameras:
+        try:
+            greys.append(small(scene.read(name).image))
+            names.append(name)
+        except InputError as error:
+            unreadable[name] = str(error)
+    cameras = [
+        scene.cameras[name].resized(*grey.shape[::-1])
+        for name, grey in zip(names, greys, strict=True)
+    ]
+    mean, clipped = np.array([exposure(grey) for grey in greys]).reshape(-1, 2).T
+    blurs = np.array([blur(grey) for grey in greys])
+    return names, Views(cameras, typical_depths(greys, cameras), blurs, mean, clipped), unreadable

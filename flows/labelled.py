@@ -1,0 +1,79 @@
+"""The scenes of a labelled set, as an index lists them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flows.settings import SceneSettings, Settings
+from slgaussian import datasets
+from slgaussian.benchmark.index import ScenePair, read_index
+from slgaussian.benchmark.labels import labelled_frames
+from slgaussian.errors import InputError
+
+
+def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
+    """The scenes of a labelled set as its index lists them, and what is to be said of the others.
+
+    Clips of a published index that are not in the data, and, where labels are given, those without,
+    are left out; of the others the targets that are labelled.
+
+    Raises
+    ------
+    InputError
+        If the index cannot be read, its format is not the given one, or nothing of it is there.
+    """
+    if settings.data is None or settings.pairs is None:
+        raise InputError("a labelled set needs data and pairs, and labels where it has none inside")
+    index = read_index(settings.pairs)
+    if index.format and settings.format and index.format != settings.format:
+        raise InputError(
+            f"{settings.pairs}: was made for data of format {index.format!r}, but format is "
+            f"{settings.format!r}; leave it out"
+        )
+    if index.format is None and settings.labels is None:
+        raise InputError(f"{settings.pairs}: does not say where its labels are; give their folder")
+    format = index.format or settings.format or "nerfstudio"
+    said = []
+    if index.left_out:
+        name, reason = next(iter(index.left_out.items()))
+        said.append(f"left out by the index: {len(index.left_out)}, such as {name}: {reason}")
+    pairs = index.pairs
+    if format == "re10k":
+        there = datasets.scenes(format, settings.data)
+        pairs = tuple(pair for pair in pairs if pair.options.get("key") in there)
+        if len(pairs) < len(index.pairs):
+            gone = len(index.pairs) - len(pairs)
+            said.append(f"not in {settings.data}: {gone} of the {len(index.pairs)} clips")
+    scenes = [found for pair in pairs if (found := _scene(pair, format, settings)) is not None]
+    if len(scenes) < len(pairs):
+        said.append(f"without labels: {len(pairs) - len(scenes)} of the {len(pairs)} clips there")
+    if not scenes:
+        raise InputError(f"{settings.pairs}: nothing of it can be scored ({'; '.join(said)})")
+    return scenes, said
+
+
+def _scene(pair: ScenePair, format: str, settings: Settings) -> SceneSettings | None:
+    """The scene of a pair; None if labels are given, but none of what it asks is labelled."""
+    targets, categories = list(pair.targets), list(pair.categories)
+    labels: Path | None = (settings.labels or settings.data) / pair.labels
+    if not categories and settings.labels is None:
+        labels = None
+    elif not categories:
+        known = labelled_frames(labels) if labels.is_dir() else {}
+        targets = [name for name in targets if name in known]
+        categories = list(dict.fromkeys(c for name in targets for c in known[name]))
+        if not categories:
+            return None
+    folder = settings.data.resolve()
+    folder = folder.parent if folder.is_file() else folder
+    return SceneSettings(
+        name=pair.scene,
+        dataset=folder.name,
+        format=format,
+        options=dict(pair.options),
+        path=settings.data,
+        context=list(pair.context),
+        targets=targets,
+        labels=labels,
+        categories=categories,
+    )

@@ -1,0 +1,67 @@
+"""Other methods in the same run: each answers the scenes that the field has answered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from flows.chains import Chain, Step
+from flows.settings import SceneSettings, Settings
+from slgaussian.benchmark.methods import ROWS, Row
+from slgaussian.errors import InputError
+from slgaussian.parts import places
+from slgaussian.store import ArtifactRef
+
+STAGE = "rivals"
+OURS = "slgaussian"
+
+
+def chosen(names: Sequence[str]) -> dict[str, Row]:
+    """The rows of the table of methods by these names, in its order; ``all`` stands for all.
+
+    Without our own, which is scored anyway.
+
+    Raises
+    ------
+    InputError
+        If there is no such method.
+    """
+    for name in names:
+        if name not in (*ROWS, "all"):
+            raise InputError(
+                f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
+            )
+    return {
+        name: row
+        for name, row in ROWS.items()
+        if name != OURS and (name in names or "all" in names)
+    }
+
+
+def chains(
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    refs: Mapping[str, Mapping[str, ArtifactRef]],
+) -> list[Chain]:
+    """A chain of one step a method and scene, of the scenes that have ``refs`` of their stages."""
+    rows = chosen(settings.against)
+    parts = settings.part_settings()
+    where = places(parts.get(settings.encoder, {}))
+    for part in (settings.proposer, settings.lifting):
+        for key, place in places(parts.get(part, {})).items():
+            where[f"{part}.{key}"] = place
+    made = []
+    for scene in scenes:
+        if scene.name not in refs:
+            continue
+        for name, row in rows.items():
+            asked = {"queries": scene.queries, "rules": settings.rules()}
+            named = {"method": name, "dataset": scene.dataset}
+            step = Step(
+                STAGE,
+                {**named, "of": row.method, "own": dict(row.settings), **asked},
+                {"sample": "ingest", "truth": "truth", "labels": "masks", "field": "field"},
+                where,
+            )
+            own = dict(refs[scene.name])
+            made.append(Chain(f"{scene.name}: {name}", lambda step=step: [step], own, STAGE))
+    return made

@@ -1,0 +1,118 @@
+"""What a method must be able to do to be compared: answer texts, from any camera.
+
+A :class:`slgaussian.field.SemanticField` and its views are of these shapes as they are. Whatever
+scores a method asks no more of it than this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from slgaussian.scene import Camera
+
+
+@runtime_checkable
+class Reader(Protocol):
+    """What is understood of a text."""
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """The words of ``text`` that are left out; InputError if none can be used."""
+
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """The words of ``text`` that count as others: the other one, and how alike they are."""
+
+
+@runtime_checkable
+class Result(Protocol):
+    """What a text found in one image of ``height`` H and ``width`` W.
+
+    Attributes
+    ----------
+    text : str
+    mask : bool [H, W]
+        What the rules select.
+    relevancy : float32 [H, W]
+        In [0, 1]; 0.5 is "as good as any phrase"; 0 where nothing is known.
+    point : (int, int) or None
+        Column and row (x, y) of the best guess of where it is; None if nothing at all is known.
+    peak : bool [H, W]
+        All pixels where the relevancy is greatest, by the rules.
+    score : float
+        The greatest relevancy; 0 if nothing at all is known.
+    objects : tuple of (int, float)
+        The selected objects as (id, relevancy), best first; empty where a method has none.
+    unknown : tuple of str
+        Words of the text that were left out.
+    taken_for : {word: (other, similarity)}
+        Words that are not known and count as others.
+    """
+
+    @property
+    def text(self) -> str: ...  # noqa: D102
+    @property
+    def mask(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def relevancy(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def point(self) -> tuple[int, int] | None: ...  # noqa: D102
+    @property
+    def peak(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def score(self) -> float: ...  # noqa: D102
+    @property
+    def objects(self) -> tuple[tuple[int, float], ...]: ...  # noqa: D102
+    @property
+    def unknown(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def taken_for(self) -> Mapping[str, tuple[str, float]]: ...  # noqa: D102
+
+
+@runtime_checkable
+class AnsweringView(Protocol):
+    """A scene as one camera sees it, ready to be asked.
+
+    Attributes
+    ----------
+    rgb : uint8 [H, W, 3]
+        The camera's size.
+    ids : int32 [H, W]
+        Object ids, 0 where there is none: all 0 for a method that knows no objects.
+    depth : float32 [H, W]
+        z-depth in scene units, 0 where it is not known.
+    reader : Reader
+    """
+
+    @property
+    def rgb(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def ids(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def depth(self) -> np.ndarray: ...  # noqa: D102
+    @property
+    def reader(self) -> Reader: ...  # noqa: D102
+
+    def query_all(self, texts: Sequence[str], **rules: Any) -> Sequence[Result]:
+        """Where each of ``texts`` is; ``rules`` are :class:`slgaussian.language.query.Rules`.
+
+        InputError if there is no text, or one that cannot be used.
+        """
+
+    def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
+        """Which text fits each pixel best: int32 [H, W], 0 = nothing known, k + 1 = ``texts[k]``.
+
+        InputError as :meth:`query_all`.
+        """
+
+
+@runtime_checkable
+class Answering(Protocol):
+    """Answers texts from any camera."""
+
+    def render(self, camera: Camera) -> AnsweringView:
+        """The scene as ``camera`` sees it.
+
+        What answers need beyond that may be left until the first text is asked.
+        """

@@ -1,0 +1,82 @@
+"""The class masks of 3D-OVS: ``<frame>/<class>.png`` for every class of ``classes.txt``.
+
+A line of ``classes.txt`` is a class, and what is asked for it. 3D-OVS takes the number that a
+frame's folder is called by for the photograph's place in the sorted list; in the published scenes
+that is the photograph's name too, and here the name counts.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.benchmark.placement import Placement
+from slgaussian.errors import InputError
+
+FILE = "classes.txt"
+INSIDE = 255
+"""Grey level of a pixel of the class; 3D-OVS takes every other one, blurred edges too, for none."""
+
+
+def are_in(folder: str | Path) -> bool:
+    """Whether a folder of labels is one of class masks."""
+    return (Path(folder) / FILE).is_file()
+
+
+def classes(folder: str | Path) -> tuple[str, ...]:
+    """The classes, sorted; InputError if there is none, or one twice."""
+    file = Path(folder) / FILE
+    try:
+        lines = file.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as bad:
+        raise InputError(f"{file}: cannot be read ({bad})") from None
+    names = sorted(line.strip() for line in lines if line.strip())
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"{file}: found {names}, expected different classes, one a line")
+    return tuple(names)
+
+
+def frames(folder: str | Path) -> list[str]:
+    """Names of the frames that have masks, sorted."""
+    return sorted(path.name for path in Path(folder).iterdir() if path.is_dir())
+
+
+def files(folder: str | Path, view_name: str) -> list[Path]:
+    """The files that the masks of a frame are read from."""
+    own = Path(folder) / Path(view_name).stem
+    return [Path(folder) / FILE, *(own / f"{name}.png" for name in classes(folder))]
+
+
+def read(folder: str | Path, view_name: str, width: int, height: int) -> dict[str, np.ndarray]:
+    """The masks of a frame, bool [height, width] by class, scaled and cropped as its photograph is.
+
+    A class that is cropped away, or not in the frame, has an empty mask.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or damaged, or has none but other grey levels than 0 and 255.
+    """
+    names = classes(folder)
+    found = {}
+    for name, file in zip(names, files(folder, view_name)[1:], strict=True):
+        try:
+            with Image.open(file) as image:
+                grey = np.asarray(image.convert("L"))
+        except FileNotFoundError:
+            raise InputError(
+                f"{file}: no such mask; every labelled frame needs one for each class of {FILE}, "
+                "black where it does not show it"
+            ) from None
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
+            raise InputError(f"{file}: cannot be read as an image ({bad})") from None
+        inside = grey == INSIDE
+        if grey.any() and not inside.any():
+            raise InputError(
+                f"{file}: its brightest pixel is {grey.max()}, expected {INSIDE} where the class is"
+            )
+        at = Placement.of(grey.shape[1], grey.shape[0], width, height)
+        found[name] = at.fit(inside.astype(np.uint8)) > 0
+    return found

@@ -1,0 +1,208 @@
+"""The index of scene pairs: which views each field is built from, and which it is asked in.
+
+A small JSON file, so that two people run the same pairs::
+
+    {"version": 2,
+     "format": "lerf_ovs",
+     "rule": {"name": "around", "version": 1, "min_overlap": 0.6, ...},
+     "scenes": {
+       "ramen-frame_00024": {
+         "options": {"scene": "ramen"}, "labels": "label/ramen",
+         "context": ["frame_00019.jpg", "frame_00031.jpg"], "target": ["frame_00024.jpg"],
+         "categories": ["chopsticks", ...],
+         "measured": {"overlap": 0.81, ...}}, ...},
+     "left_out": {"ramen-frame_00006": "why"}}
+
+``format`` and ``options`` are what :func:`slgaussian.datasets.load` takes; ``labels`` is a folder
+below that of the labels, or of the data where no other is given. Older files are only the object of
+scenes, with context, target and categories. The evaluation index published with pixelSplat and
+MVSplat is read too: RealEstate10K clips by key, with frame numbers and without categories. In 575
+of its 6,474 clips a target is a context frame as well; such targets are left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from slgaussian.datasets.re10k import read_evaluation
+from slgaussian.errors import InputError
+from slgaussian.store import write_atomic
+
+VERSION = 2
+
+
+@dataclass(frozen=True)
+class ScenePair:
+    """Two context views, the held-out views between them, and what is asked there.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the pair in tables and folders.
+    context, targets : tuple of str
+        View names; none is both.
+    categories : tuple of str
+        None where the index does not say: whatever is labelled in the targets.
+    labels : str
+        Folder of the labels, below that of all labels.
+    options : mapping
+        What the reader of the format takes besides the path.
+    measured : {name: float}
+        What the pair was chosen by.
+    """
+
+    scene: str
+    context: tuple[str, ...]
+    targets: tuple[str, ...]
+    categories: tuple[str, ...] = ()
+    labels: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    measured: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Index:
+    """An index file.
+
+    Attributes
+    ----------
+    pairs : tuple of ScenePair
+        In the order of the file.
+    format : str or None
+        Of the data; None where the file does not say.
+    rule : mapping
+        By which the pairs were chosen, with its settings; empty where the file does not say.
+    left_out : {name: str}
+        Labelled frames that have no pair, and why.
+    """
+
+    pairs: tuple[ScenePair, ...]
+    format: str | None = None
+    rule: Mapping[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_index(path: str | Path) -> Index:
+    """Read an index of any of the three kinds.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or malformed, of a newer version, a target is also a context view,
+        or a list is too short or repeats an entry.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the pair index ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: the pair index is not valid JSON ({error})") from error
+    if not isinstance(content, dict) or not content:
+        raise InputError(f"{path}: expected an object of scenes, found {_kind(content)}")
+    if _is_evaluation(content):
+        return _published(path)
+    if not isinstance(content.get("version"), int):
+        return Index(tuple(_pair(path, name, entry) for name, entry in content.items()))
+    if content["version"] != VERSION:
+        raise InputError(
+            f"{path}: is of version {content['version']}, this program reads up to {VERSION}; make "
+            "it again with `slgaussian pairs`, or install a newer slgaussian"
+        )
+    for key, kind in {"format": str, "rule": dict, "scenes": dict, "left_out": dict}.items():
+        if not isinstance(content.get(key), kind):
+            raise InputError(
+                f"{path}: {key!r} is {_kind(content.get(key))}, expected a {kind.__name__}"
+            )
+    pairs = tuple(_pair(path, name, entry) for name, entry in content["scenes"].items())
+    return Index(pairs, content["format"], content["rule"], content["left_out"])
+
+
+def write_index(path: str | Path, index: Index) -> None:
+    """Write an index as version 2; the same index gives the same bytes."""
+    scenes = {
+        pair.scene: {
+            "options": dict(pair.options),
+            "labels": pair.labels,
+            "context": list(pair.context),
+            "target": list(pair.targets),
+            "categories": list(pair.categories),
+            "measured": dict(pair.measured),
+        }
+        for pair in index.pairs
+    }
+    content = {
+        "version": VERSION,
+        "format": index.format,
+        "rule": dict(index.rule),
+        "scenes": scenes,
+        "left_out": dict(index.left_out),
+    }
+    try:
+        write_atomic(path, (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the index ({error.strerror})") from error
+
+
+def _is_evaluation(content: dict[str, Any]) -> bool:
+    """Whether it is a published index: nulls, or frame numbers and nothing that is asked."""
+    return all(
+        entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
+        for entry in content.values()
+    )
+
+
+def _published(path: Path) -> Index:
+    """A published index; its targets that are context frames of the same clip are left out."""
+    pairs, left_out = [], {}
+    for key, (context, targets) in read_evaluation(path).items():
+        for name in targets:
+            if name in context:
+                left_out[f"{key}/{name}"] = "is both context and target; a target must be held out"
+        held_out = tuple(name for name in targets if name not in context)
+        if len(set(context)) < 2 or not held_out:
+            left_out[key] = f"context {context} and target {targets} are no two views and a third"
+            continue
+        pairs.append(ScenePair(key, tuple(context), held_out, labels=key, options={"key": key}))
+    return Index(tuple(pairs), "re10k", left_out=left_out)
+
+
+def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
+    where = f"{path}: scene {scene!r}"
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: expected an object, found {_kind(entry)}")
+    context = _names(entry, "context", 2, where)
+    targets = _names(entry, "target", 1, where)
+    categories = _names(entry, "categories", 1, where)
+    seen = sorted(set(context) & set(targets))
+    if seen:
+        raise InputError(
+            f"{where}: {seen[0]!r} is both context and target; a target must be held out"
+        )
+    labels, options = entry.get("labels", ""), entry.get("options", {})
+    measured = entry.get("measured", {})
+    if not isinstance(labels, str) or PurePosixPath(labels).is_absolute():
+        raise InputError(f"{where}: 'labels' is {labels!r}, expected a folder below the labels")
+    for key, value in (("options", options), ("measured", measured)):
+        if not isinstance(value, dict):
+            raise InputError(f"{where}: {key!r} is {_kind(value)}, expected an object")
+    return ScenePair(scene, context, targets, categories, labels, options, measured)
+
+
+def _names(entry: dict[str, Any], key: str, at_least: int, where: str) -> tuple[str, ...]:
+    names = entry.get(key)
+    if not isinstance(names, list) or not all(isinstance(n, str) and n.strip() for n in names):
+        raise InputError(f"{where}: {key!r} is {_kind(names)}, expected a list of names")
+    if len(names) < at_least or len(set(names)) < len(names):
+        raise InputError(
+            f"{where}: {key!r} holds {names}, expected at least {at_least} different name(s)"
+        )
+    return tuple(names)
+
+
+def _kind(value: Any) -> str:
+    return "missing" if value is None else f"a {type(value).__name__}"

@@ -1,0 +1,85 @@
+"""What a camera sees of the Gaussians: their colours, and any vectors that their pixels carry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from slgaussian.field import shown
+from slgaussian.gaussians import Gaussians
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Camera
+
+TOGETHER = 64
+"""Numbers a Gaussian that are drawn in one pass: 490,000 Gaussians take 125 MB of memory then."""
+
+MOST_NUMBERS = 2**26
+"""Of a feature image, 256 MB in float32; a larger one is drawn at a half or a quarter ... of the
+resolution. Vectors of 58 numbers at three scales fit at 416 x 576, of 512 at one scale a half."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A rendered photograph.
+
+    Attributes
+    ----------
+    rgb : uint8 [H, W, 3]
+    alpha : float32 [H, W]
+    depth : float32 [H, W]
+        z-depth in scene units, 0 where nothing is.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+
+
+def draw_picture(gaussians: Gaussians, camera: Camera) -> Picture:
+    """The colours of the Gaussians as ``camera`` sees them."""
+    image = rasterize(gaussians, None, camera)
+    alpha = image.alpha.float().numpy()
+    return Picture(shown(image.values.float().numpy(), alpha), alpha, image.depth.float().numpy())
+
+
+def draw_vectors(
+    gaussians: Gaussians,
+    camera: Camera,
+    at: Callable[[np.ndarray, int, int], np.ndarray],
+    image: np.ndarray,
+) -> None:
+    """Composite what the source pixels of the Gaussians carry: sums over what is there, each times
+    its share of the light.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+    camera : Camera
+    at : callable
+        Of ``(pixels, start, stop)``: these numbers of the vectors of context pixels int64 [n], flat
+        indices of [V, H, W]: float32 [n, stop - start]. Asked for in pieces, so that not all are in
+        memory at once.
+    image : float32 [H, W, C]
+        Written to; of the camera's size.
+    """
+    source = gaussians.source.numpy()
+    for start in range(0, image.shape[2], TOGETHER):
+        stop = min(start + TOGETHER, image.shape[2])
+        values = torch.from_numpy(at(source, start, stop))
+        image[..., start:stop] = rasterize(gaussians, values, camera).values.float().numpy()
+
+
+def reduced(camera: Camera, numbers: int) -> Camera:
+    """The camera at the resolution at which ``numbers`` a pixel are few enough.
+
+    The full one, a half, a quarter ..., the first that keeps within :data:`MOST_NUMBERS`.
+    """
+    factor = 1
+    while camera.height * camera.width * numbers > MOST_NUMBERS * factor**2:
+        factor *= 2
+    if factor == 1:
+        return camera
+    return camera.resized(max(camera.width // factor, 1), max(camera.height // factor, 1))

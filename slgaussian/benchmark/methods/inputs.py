@@ -1,0 +1,130 @@
+"""What a method is given of a scene, and what several of them need and none computes twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.labels import LabelMaps
+from slgaussian.language import Encoder
+from slgaussian.language.bank import MemoryBank, build_bank
+from slgaussian.language.named import true_names
+from slgaussian.language.query import TextReader
+from slgaussian.language.room import Room, Surroundings, find_room
+from slgaussian.masks import MaskProposer
+from slgaussian.masks.flatten import flatten, without_crumbs
+from slgaussian.masks.levels import group_objects
+from slgaussian.scene import Sample, View
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """A scene with the field of the default method. Methods look at no target and no truth.
+
+    Attributes
+    ----------
+    sample : Sample
+    field : SemanticField
+        What :func:`slgaussian.build.build_field` made of it.
+    label_maps : LabelMaps
+        Of the context views, as they went into the field.
+    proposer : MaskProposer
+        The one that they were made with.
+    seed : int
+        Of the field too: decides codes and the weights of networks at their start.
+    settings : {part: settings}
+        Of the parts of the field, as :func:`slgaussian.build.build_field` takes them.
+    classes : tuple of str
+        All that will be asked of the scene, for methods that need a closed list.
+    """
+
+    sample: Sample
+    field: SemanticField
+    label_maps: LabelMaps
+    proposer: MaskProposer
+    seed: int = 0
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    classes: tuple[str, ...] = ()
+
+    @property
+    def bank(self) -> MemoryBank:
+        """What the context views say about each object."""
+        return self.field.bank
+
+    @property
+    def encoder(self) -> Encoder:
+        """Of regions and texts."""
+        return self.field.encoder
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """As predicted, without features."""
+        return replace(self.field.gaussians, features=None)
+
+    @cached_property
+    def reader(self) -> TextReader:
+        """Texts as vectors."""
+        return TextReader(self.encoder)
+
+    @cached_property
+    def depths(self) -> np.ndarray:
+        """Predicted depth of the context views, float32 [V, H, W], 0 unknown."""
+        return source_depths(self.gaussians, [view.camera for view in self.sample.context])
+
+    @cached_property
+    def room(self) -> Room:
+        """Where things are, by the predicted depth."""
+        return find_room([view.camera for view in self.sample.context], self.depths)
+
+    @cached_property
+    def surroundings(self) -> list[Surroundings]:
+        """Where the pixels of each context view lie."""
+        return [
+            self.room.place(view.camera, depth)
+            for view, depth in zip(self.sample.context, self.depths, strict=True)
+        ]
+
+    @cached_property
+    def own_labels(self) -> LabelMaps:
+        """Each context view cut up on its own: no id is in two views."""
+        maps, count = [], 0
+        for view, depth in zip(self.sample.context, self.depths, strict=True):
+            found = without_crumbs(flatten(self.proposer.propose(view.image, depth=depth)))
+            maps.append(np.where(found > 0, found + count, 0).astype(np.int32))
+            count += int(found.max(initial=0))
+        labels = np.stack(maps)
+        return LabelMaps(labels, np.ones(labels.shape, np.float32))
+
+    @cached_property
+    def own_bank(self) -> MemoryBank:
+        """What each view says about its :attr:`own_labels`: without codes, without groups."""
+        return self.look_at(self.sample.context, self.own_labels, self.depths, self.surroundings)
+
+    def look_at(
+        self,
+        views: Sequence[View],
+        label_maps: LabelMaps,
+        depths: Sequence[np.ndarray | None],
+        surroundings: Sequence[Surroundings] | None,
+        grouped: bool = False,
+    ) -> MemoryBank:
+        """What views say about the objects of their label maps, without codes.
+
+        As it is known of the field's own; if ``grouped``, also about groups of objects where the
+        field knows those. Without any object the bank is empty.
+        """
+        ids, groups = label_maps.ids, None
+        codes = np.zeros((len(ids), 0), np.float32)
+        if len(ids) == 0:
+            nothing = np.zeros((0, len(views), self.bank.features.shape[2]), np.float32)
+            return MemoryBank(ids, codes, nothing, np.zeros((0, len(views)), bool))
+        if grouped and self.bank.levels is not None:
+            groups = group_objects(views, label_maps, depths)
+        names = true_names(self.sample, label_maps) if self.encoder.name == "named" else None
+        return build_bank(views, label_maps, self.encoder, codes, names, surroundings, groups)

@@ -1,0 +1,87 @@
+"""The tables and masks that a benchmark leaves, for anyone to score again.
+
+Everything written here depends on its arguments alone: same results, same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from data_specs import load_spec
+from slgaussian.benchmark.scores import score_table
+from slgaussian.errors import InputError
+from slgaussian.store import encode_table, write_atomic
+
+Row = Mapping[str, Any]
+
+
+def write_samples(rows: Sequence[Row], out: str | Path) -> None:
+    """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: a row a sample.
+
+    Columns are those of the data spec ``samples``. Beside them ``scores.parquet`` and
+    ``scores.csv``, what the samples amount to, of the spec ``scores``.
+    """
+    samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
+    for name, table in (("samples", samples), ("scores", score_table(rows))):
+        write_file(Path(out) / f"{name}.parquet", encode_table(table))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table.to_pylist())
+        write_file(Path(out) / f"{name}.csv", text.getvalue().encode())
+
+
+def write_predictions(
+    rows: Sequence[Row], predictions: Mapping[tuple[str, str, str], bytes], out: str | Path
+) -> None:
+    """Write every mask into folder ``out``, at the place of its row (:func:`mask_place`).
+
+    ``predictions`` are PNG files by protocol, frame and query, as ``rows`` have them, white where
+    something was found. A protocol without masks has no folder.
+    """
+    for row in rows:
+        png = predictions.get((row["protocol"], row["frame"], row["query"]))
+        if png is not None:
+            write_file(Path(out, mask_place(row)), png)
+
+
+def mask_place(row: Row) -> Path:
+    """``<method>/<protocol>/<scene>/<frame>/<query>.png``.
+
+    The protocol goes without its version, and the frame is named as its label file is, without
+    folder and ending; all names are made safe for any file system by :func:`file_name`.
+    """
+    protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
+    folder = map(file_name, (row["method"], protocol, row["scene"], frame))
+    return Path(*folder, f"{file_name(row['query'])}.png")
+
+
+def file_name(text: str) -> str:
+    """A file name for any text: ASCII letters, digits, space, ``.``, ``-`` and ``_``.
+
+    A text that has nothing else keeps its looks, as the class masks of 3D-OVS do; any other gets a
+    hash of itself at the end, so that different texts keep different names.
+    """
+    safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
+    if safe and safe == text:
+        return safe
+    return f"{safe}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file whole, and the folders above it; InputError if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, data)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"
+        ) from error

@@ -1,0 +1,235 @@
+"""The protocols by which answers are scored: what a number means, by name and version.
+
+Numbers of different protocols do not compare, even where they share a name: LangSplat scores 51.4
+mIoU by its own and 9.7 by that of OpenGaussian. So a protocol has a version, which is raised when
+anything that it computes changes, and every row of scores says ``name@version``. In plain words
+they are in `docs/protocols.md`.
+
+A method answers a frame once, and each protocol scores these answers: what a protocol needs beyond
+the relevancy image it makes from that image alone, the same for all methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from slgaussian.benchmark import metrics, ranking
+from slgaussian.benchmark.boundaries import boundary_iou
+from slgaussian.errors import InputError
+from slgaussian.language import langsplat
+from slgaussian.language.query import Rules
+
+THRESHOLDS = tuple(k / ranking.BINS for k in range(1, ranking.BINS))
+"""Relevancies at which the protocol threshold-free cuts, one after another: 0.05 to 0.95."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method says to one text in one view.
+
+    Attributes
+    ----------
+    relevancy : float [H, W]
+        In [0, 1]; 0 where nothing is known.
+    mask : bool [H, W]
+        What the method selects by the rules it is asked with.
+    point : (x, y) or None
+        Where it points.
+    understood : bool
+        False if it knows no word of the text; then nothing is found.
+    """
+
+    relevancy: np.ndarray
+    mask: np.ndarray
+    point: tuple[float, float] | None
+    understood: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a method answered in one view, and the truth.
+
+    Attributes
+    ----------
+    answers, masks, boxes : sequences
+        Of each query: an :class:`Answer`, the true mask bool [H, W], and the true boxes
+        float [n, 4] (x0, y0, x1, y1).
+    labels : int32 [H, W]
+        ``k + 1`` where query ``k`` wins over all others, 0 where none does.
+    """
+
+    answers: Sequence[Answer]
+    masks: Sequence[np.ndarray]
+    boxes: Sequence[np.ndarray]
+    labels: np.ndarray
+
+    @cached_property
+    def class_ious(self) -> list[float | None]:
+        """See :func:`slgaussian.benchmark.metrics.class_ious`."""
+        return metrics.class_ious(self.labels, self.masks)
+
+    @cached_property
+    def accuracy(self) -> float:
+        """See :func:`slgaussian.benchmark.metrics.exact_accuracy`."""
+        return metrics.exact_accuracy(self.labels, self.masks)
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """The scores of one query of a frame, by the columns of the data spec ``samples``.
+
+    ``point`` (x, y) and ``mask`` bool [H, W] are what was scored, None where a protocol has none.
+    """
+
+    scores: Mapping[str, Any]
+    mask: np.ndarray | None = None
+    point: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class How:
+    """How a mask is made of relevancy, by the columns of the data spec ``samples``.
+
+    Attributes
+    ----------
+    selection : str
+        ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.query.Rules`;
+        ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask.
+    threshold, share : float or None
+        What the selection goes by.
+    filter : int or None
+        Side of the mean filter, pixels.
+    """
+
+    selection: str
+    threshold: float | None = None
+    share: float | None = None
+    filter: int | None = None
+
+
+@dataclass(frozen=True)
+class ScoringProtocol:
+    """A way to score.
+
+    Attributes
+    ----------
+    name : str
+    version : int
+        Raised whenever another number could come out.
+    how : function (Rules, int) -> How
+        In images of that many pixels' width, if methods are asked with those rules.
+    score_query : function (Frame, int, How) -> Scored
+        Query number k of a frame.
+    """
+
+    name: str
+    version: int
+    how: Callable[[Rules, int], How]
+    score_query: Callable[[Frame, int, How], Scored]
+
+    @property
+    def label(self) -> str:
+        """What rows and tables call it: ``name@version``."""
+        return f"{self.name}@{self.version}"
+
+    def score(self, frame: Frame, how: How) -> list[Scored]:
+        """One a query, in their order; without a pixel of truth it has no scores."""
+        scored = [self.score_query(frame, k, how) for k in range(len(frame.masks))]
+        return [
+            one if truth.any() else replace(one, scores={})
+            for one, truth in zip(scored, frame.masks, strict=True)
+        ]
+
+
+def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
+    answer, truth = frame.answers[k], frame.masks[k]
+    scores = {
+        "iou": metrics.iou(answer.mask, truth),
+        "boundary_iou": boundary_iou(answer.mask, truth),
+        "class_iou": frame.class_ious[k],
+        "hit_mask": metrics.point_in_mask(answer.point, truth),
+        "hit_box": metrics.point_in_boxes(answer.point, frame.boxes[k]),
+    }
+    return Scored(scores, answer.mask, answer.point)
+
+
+def _langsplat(frame: Frame, k: int, how: How) -> Scored:
+    relevancy, truth, boxes = frame.answers[k].relevancy, frame.masks[k], frame.boxes[k]
+    mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
+    known = relevancy > 0
+    if known.any():
+        # A hole must not stretch the range that the threshold is a share of.
+        image = np.where(known, relevancy, relevancy.min(where=known, initial=np.inf))
+        mask = langsplat.find_mask(image, how.filter)
+        point, peak = langsplat.find_point(image, how.filter)
+    scores = {
+        "iou": metrics.iou(mask, truth),
+        "boundary_iou": boundary_iou(mask, truth),
+        "hit_box": metrics.point_in_boxes(point, boxes),
+        "hit_peak": metrics.any_in_boxes(peak, boxes),
+    }
+    return Scored(scores, mask, point)
+
+
+def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
+    region = frame.labels == k + 1
+    scores = {
+        "boundary_iou": boundary_iou(region, frame.masks[k]),
+        "class_iou": frame.class_ious[k],
+        "accuracy": frame.accuracy,
+    }
+    return Scored(scores, region)
+
+
+def _threshold_free(frame: Frame, k: int, how: How) -> Scored:
+    if not frame.answers[k].understood:
+        zeros = dict.fromkeys(("average_precision", "auc", "best_iou"), 0.0)
+        return Scored(zeros | {"iou_curve": [0.0] * len(THRESHOLDS)})
+    ranked = ranking.rank(frame.answers[k].relevancy, frame.masks[k])
+    return Scored(
+        {
+            "average_precision": ranking.average_precision(ranked),
+            "auc": ranking.area_under_roc(ranked),
+            "best_iou": ranking.best_iou(ranked),
+            "calibration_error": ranking.calibration_error(ranked),
+            "iou_curve": ranking.ious_above(ranked, THRESHOLDS),
+        }
+    )
+
+
+def _by_rules(rules: Rules, width: int) -> How:
+    share = rules.share if rules.selection == "near-best" else None
+    return How(rules.selection, rules.threshold, share)
+
+
+def _stretched(rules: Rules, width: int) -> How:
+    return How("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER)
+
+
+def _stretched_rescaled(rules: Rules, width: int) -> How:
+    return replace(_stretched(rules, width), filter=langsplat.rescaled_filter(width))
+
+
+PROTOCOLS: Mapping[str, ScoringProtocol] = {
+    protocol.name: protocol
+    for protocol in (
+        ScoringProtocol("slgaussian", 1, _by_rules, _slgaussian),
+        ScoringProtocol("langsplat", 1, _stretched, _langsplat),
+        ScoringProtocol("langsplat-rescaled", 1, _stretched_rescaled, _langsplat),
+        ScoringProtocol("3d-ovs", 1, lambda rules, width: How("arg-max"), _three_d_ovs),
+        ScoringProtocol("threshold-free", 1, lambda rules, width: How("none"), _threshold_free),
+    )
+}
+"""All protocols by name."""
+
+
+def load_protocol(name: str) -> ScoringProtocol:
+    """The protocol of that name; InputError, with the names there are, if it is not one."""
+    if name not in PROTOCOLS:
+        raise InputError(f"protocol: found {name!r}, expected one of {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name]

@@ -1,0 +1,305 @@
+"""From samples to scores: means over scenes, how far they can be trusted, and differences.
+
+A sample is a row of the spec ``samples``. As LangSplat averages: the mean of the samples of a
+scene, then the unweighted mean over scenes. mIoU and accuracy are those of frames, as 3D-OVS
+averages: the mean over the classes of a frame, over the frames of a scene, over scenes. Scenes are
+the independent samples, so the bootstrap draws scenes; with one scene there is no interval.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from data_specs import load_spec
+from slgaussian.benchmark import ranking
+from slgaussian.benchmark.protocols import THRESHOLDS
+from slgaussian.bootstrap import (
+    LEAST,
+    LEVEL,
+    Comparison,
+    compare,
+    interval,
+    interval_of_mean,
+    resamplings,
+)
+from slgaussian.errors import InputError
+
+Row = Mapping[str, Any]
+
+SETTINGS = ("selection", "temperature", "threshold", "share", "canonical", "absent")
+"""Columns of the samples that must be one in all that a score is made of."""
+
+GROUPS = ("dataset", "method", "protocol")
+"""Columns of the samples that every score is of one value of."""
+
+ONE_SCENE = "one scene: no interval"
+FEW_SCENES = f"fewer than {LEAST} scenes: a rough interval"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A score and where its samples are.
+
+    Attributes
+    ----------
+    name : str
+    column : str
+        Of the data spec ``samples``.
+    by_frame : bool
+        Whether the samples of a frame are averaged first.
+    index, threshold : int, float, optional
+        Which number of a list, and the threshold that it is of.
+    """
+
+    name: str
+    column: str
+    by_frame: bool = False
+    index: int | None = None
+    threshold: float | None = None
+
+    def of(self, row: Row) -> float | None:
+        """The sample of a row, None if it has none."""
+        value = row[self.column]
+        if value is None:
+            return None
+        return float(value if self.index is None else value[self.index])
+
+
+METRICS = (
+    Metric("iou", "iou"),
+    Metric("boundary_iou", "boundary_iou"),
+    Metric("miou", "class_iou", by_frame=True),
+    Metric("accuracy", "accuracy", by_frame=True),
+    Metric("hit_mask", "hit_mask"),
+    Metric("hit_box", "hit_box"),
+    Metric("hit_peak", "hit_peak"),
+    Metric("average_precision", "average_precision"),
+    Metric("auc", "auc"),
+    Metric("best_iou", "best_iou"),
+    Metric("calibration_error", "calibration_error"),
+)
+"""Every score that is a mean; which of them there are, the protocol of a row decides."""
+
+CURVE = tuple(
+    Metric("iou", "iou_curve", index=k, threshold=threshold)
+    for k, threshold in enumerate(THRESHOLDS)
+)
+"""The IoU with each threshold."""
+
+SCORE_CALIBRATION = "score_calibration_error"
+"""Expected calibration error of the greatest relevancy as a chance that the point is on the object;
+of all samples at once, since a scene has too few for bins."""
+
+
+def scene_means(rows: Iterable[Row]) -> dict[str, float]:
+    """The scores of one scene, method and protocol by name, without the curve.
+
+    Those without a sample are left out.
+    """
+    rows = list(rows)
+    means = {metric.name: _scene_mean(rows, metric) for metric in METRICS}
+    return {name: mean for name, mean in means.items() if mean is not None}
+
+
+def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
+    """All scores of samples as a table of the spec ``scores``: by data set, method and protocol.
+
+    Raises
+    ------
+    InputError
+        If samples of one method and protocol were made with different settings.
+    """
+    found: list[dict[str, Any]] = []
+    for names, own in _grouped(rows, *GROUPS).items():
+        common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(own)}
+        scenes = list(_grouped(own, "scene").values())
+        for metric in (*METRICS, *CURVE):
+            means = [(_scene_mean(scene, metric), scene) for scene in scenes]
+            known = [(mean, scene) for mean, scene in means if mean is not None]
+            if not known:
+                continue
+            values = np.array([mean for mean, _ in known])
+            samples = sum(metric.of(row) is not None for _, scene in known for row in scene)
+            row = common | {"metric": metric.name, "value": float(values.mean())}
+            if metric.threshold is not None:
+                row["threshold"] = metric.threshold
+            ends = interval_of_mean(values, seed) if len(values) > 1 else None
+            found.append(row | _trust(ends, len(values), samples))
+        found += [common | row for row in _score_calibration(scenes, seed)]
+    return pa.Table.from_pylist(found, schema=load_spec("scores").schema)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much one method is better than another, by one protocol and metric.
+
+    Attributes
+    ----------
+    dataset, protocol, metric : str
+    threshold : float or None
+        The one tried, of the protocol threshold-free.
+    gain : Comparison
+        Of their scenes; ``gain.low`` and ``gain.high`` say nothing if there is one.
+    samples : int
+        Those that both have.
+    """
+
+    dataset: str
+    protocol: str
+    metric: str
+    threshold: float | None
+    gain: Comparison
+    samples: int
+
+
+def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> list[Difference]:
+    """Paired differences of two methods, or of one in two runs: ``rows`` minus ``others``.
+
+    Only what both were asked counts, the same query of the same frame by the same version of a
+    protocol; settings may differ, as one may be what is compared. Scenes are drawn in pairs.
+
+    Raises
+    ------
+    InputError
+        If one of them holds a sample twice, such as samples of two methods.
+    """
+    mine, theirs = (_by_sample(each) for each in (rows, others))
+    pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
+    found = []
+    groups = _grouped(pairs, "dataset", "protocol", of=lambda pair: pair[0])
+    for (dataset, protocol), own in groups.items():
+        scenes = _grouped(own, "scene", of=lambda pair: pair[0]).values()
+        for metric in (*METRICS, *CURVE):
+            shared = [
+                [p for p in scene if None not in (metric.of(p[0]), metric.of(p[1]))]
+                for scene in scenes
+            ]
+            shared = [scene for scene in shared if scene]
+            if not shared:
+                continue
+            one, other = (
+                [_scene_mean([pair[side] for pair in scene], metric) for scene in shared]
+                for side in (0, 1)
+            )
+            gain = compare(one, other, seed)
+            samples = sum(map(len, shared))
+            found.append(
+                Difference(dataset, protocol, metric.name, metric.threshold, gain, samples)
+            )
+    return found
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How often the point was on the object, by how sure the method was.
+
+    Attributes
+    ----------
+    counts, hits : int64 [B]
+        Samples in each of :data:`slgaussian.benchmark.ranking.BINS` bins of score, and hits.
+    scores : float64 [B]
+        Sum of the samples' scores.
+    """
+
+    counts: np.ndarray
+    hits: np.ndarray
+    scores: np.ndarray
+
+    def error(self) -> float:
+        """Expected calibration error, in [0, 1]; at least one sample is needed."""
+        return float(np.abs(self.scores - self.hits).sum() / self.counts.sum())
+
+
+def reliability(rows: Iterable[Row]) -> Reliability:
+    """Bin the samples of a method that have a score and ``hit_mask``, those of one protocol."""
+    known = [row for row in rows if row["score"] is not None and row["hit_mask"] is not None]
+    scores = np.array([row["score"] for row in known], np.float64)
+    hits = np.array([row["hit_mask"] for row in known], bool)
+    bins = ranking.bin_of(scores)
+    return Reliability(
+        np.bincount(bins, minlength=ranking.BINS),
+        np.bincount(bins[hits], minlength=ranking.BINS),
+        np.bincount(bins, scores, ranking.BINS),
+    )
+
+
+def _score_calibration(scenes: Sequence[Sequence[Row]], seed: int) -> list[dict[str, Any]]:
+    """The row of :data:`SCORE_CALIBRATION`, if there is a sample of it."""
+    own = [each for each in map(reliability, scenes) if each.counts.any()]
+    if not own:
+        return []
+    gaps = np.stack([each.scores - each.hits for each in own])
+    counts = np.array([each.counts.sum() for each in own])
+    value = float(np.abs(gaps.sum(0)).sum() / counts.sum())
+    ends = None
+    if len(own) > 1:
+        drawn = resamplings(len(own), seed)
+        total = np.zeros((len(drawn), ranking.BINS))
+        for scene in drawn.T:  # one at a time, so that memory does not grow with the scenes
+            total += gaps[scene]
+        ends = interval(np.abs(total).sum(1) / counts[drawn].sum(1))
+    trust = _trust(ends, len(own), int(counts.sum()))
+    return [{"metric": SCORE_CALIBRATION, "value": value, **trust}]
+
+
+def _trust(ends: tuple[float, float] | None, scenes: int, samples: int) -> dict[str, Any]:
+    low, high = ends or (None, None)
+    note = ONE_SCENE if ends is None else FEW_SCENES if scenes < LEAST else ""
+    return {"low": low, "high": high, "scenes": scenes, "samples": samples, "note": note}
+
+
+def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
+    """Of one scene; None without a sample."""
+    if not metric.by_frame:
+        values = [value for row in rows if (value := metric.of(row)) is not None]
+    else:
+        frames = _grouped(rows, "frame").values()
+        once = Metric(metric.name, metric.column)
+        values = [mean for own in frames if (mean := _scene_mean(own, once)) is not None]
+    return float(np.mean(values)) if values else None
+
+
+def _settings(rows: Sequence[Row]) -> dict[str, Any]:
+    """What all samples of a method and protocol were made with."""
+    for name in SETTINGS:
+        values = {row[name] for row in rows}
+        if len(values) > 1:
+            listed = ", ".join(sorted(map(str, values)))
+            raise InputError(
+                f"scores of {rows[0]['method']} by {rows[0]['protocol']}: samples were made with "
+                f"{name} {listed}; score those of one setting, or call the method differently"
+            )
+    filters = sorted({row["filter"] for row in rows} - {None})
+    return {name: rows[0][name] for name in SETTINGS} | {
+        "filter": ", ".join(map(str, filters)) or None
+    }
+
+
+def _by_sample(rows: Iterable[Row]) -> dict[tuple[str, ...], Row]:
+    keyed: dict[tuple[str, ...], Row] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("dataset", "protocol", "scene", "frame", "query"))
+        if key in keyed:
+            _, protocol, scene, frame, query = key
+            raise InputError(
+                f"differences: {query!r} in {frame!r} of scene {scene!r} is there twice by "
+                f"{protocol}; give the samples of one method of one run"
+            )
+        keyed[key] = row
+    return keyed
+
+
+def _grouped(
+    rows: Iterable[Any], *names: str, of: Callable[[Any], Row] = lambda row: row
+) -> dict[tuple[Hashable, ...], list[Any]]:
+    """Rows by some of their columns, in order of appearance."""
+    groups: dict[tuple[Hashable, ...], list[Any]] = defaultdict(list)
+    for row in rows:
+        groups[tuple(of(row)[name] for name in names)].append(row)
+    return dict(groups)

@@ -1,0 +1,258 @@
+"""COLMAP reconstructions: photographs, the sparse model beside them, and its lenses undone.
+
+COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here
+(https://colmap.github.io/format.html). The lenses are pycolmap's own, so that every camera model is
+read that has a focal length; photographs without distortion do not need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slgaussian.datasets.lens import OUTSIDE, Maps
+from slgaussian.datasets.photographs import (
+    EXTENSIONS,
+    absent,
+    image_folder,
+    posed_view,
+    stored_size,
+)
+from slgaussian.datasets.sparse import SparseCamera, SparseModel, model_files, read_model
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+
+PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
+"""Where in the folder of a scene its model is looked for; the first is COLMAP's largest one."""
+
+TRACK = 3
+"""Fewest images that must show a point for its depth to count."""
+
+POINTS = 12
+"""Fewest such points that an image's depth range is taken from."""
+
+
+def read(path: str | Path, images: str | None = None) -> Scene:
+    """Read a scene; photographs are opened and straightened when a view is asked for.
+
+    Views are named by their path below the folder of photographs, as in the model, and sorted by
+    it, whatever their ids. Straight views keep the focal lengths and principal point of the lens,
+    so intrinsics may differ from view to view; what the lens did not see is black. Photographs that
+    were shrunk (all of one camera alike) get shrunk cameras.
+
+    A camera's ``near`` and ``far`` are 0.8 times the depth of the third nearest point that it sees
+    and twice the 98th percentile, if it sees enough points: those sit on texture, not on the
+    nearest or farthest surface.
+
+    Parameters
+    ----------
+    path : path
+        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself.
+    images : str, optional
+        Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
+        on.
+
+    Raises
+    ------
+    InputError
+        If there is no model, a file of it is damaged, a camera model has no pinhole camera, or
+        pycolmap is needed and not installed. A missing or unreadable photograph is an error only of
+        its own view.
+    """
+    path = Path(path)
+    source = _place(path)
+    model = read_model(source)
+    folder = image_folder(path, images)
+    names: dict[str, int] = {}
+    for number, image in sorted(model.images.items(), key=lambda item: item[1].name):
+        if image.name in names:
+            raise InputError(f"{source}: two images are called {image.name!r}; remove one")
+        names[image.name] = number
+    files = {name: _file(path, folder, name) for name in names}
+    lenses = _lenses(source, model, files)
+    ranges = _depth_ranges(model)
+    cameras, by_view = {}, {}
+    for name, number in names.items():
+        image = model.images[number]
+        lens = by_view[name] = lenses[image.camera]
+        near, far = ranges.get(number, (None, None))
+        try:
+            camera = Camera(lens.K, _inverse(image.w2c), *lens.size, near, far)
+        except InputError as bad:
+            raise InputError(f"{source}: image {name!r}: {bad}") from None
+        cameras[name] = camera
+    if not cameras:
+        raise InputError(f"{source}: has no posed image; reconstruct again")
+    reader = _Reader(source, folder, files, cameras, by_view)
+    return Scene(path.resolve().name or "scene", cameras, reader.read)
+
+
+def files(path: str | Path, views: Sequence[str], images: str | None = None) -> list[Path]:
+    """The files that those views are read from: the model's, and photographs of such names."""
+    path = Path(path)
+    stems = {Path(view).stem for view in views}
+    folder = image_folder(path, images)
+    photographs = (file for file in folder.rglob("*") if file.suffix in EXTENSIONS)
+    return [*model_files(_place(path)), *sorted(p for p in photographs if p.stem in stems)]
+
+
+def _place(path: Path) -> Path:
+    for place in PLACES:
+        if model_files(path / place):
+            return path / place
+    raise InputError(
+        f"{path}: has no COLMAP model; expected cameras and images, .bin or .txt, in "
+        f"{path / PLACES[0]}"
+    )
+
+
+def _file(scene: Path, folder: Path, name: str) -> Path | None:
+    # Some tools write shrunk photographs with another extension.
+    for start in (folder / name, scene / name):
+        for file in (start, *(start.with_suffix(end) for end in EXTENSIONS)):
+            if file.is_file():
+                return file
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """A camera of the model, its photographs stored at ``size`` (width, height)."""
+
+    stored: SparseCamera
+    size: tuple[int, int]
+    K: np.ndarray
+    straight: bool
+
+    def maps(self) -> Maps | None:
+        """As :mod:`slgaussian.datasets.lens` has them; None for a pinhole camera."""
+        if self.straight:
+            return None
+        width, height = self.size
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(self.K).T
+        there = _pycolmap_camera(self.stored).img_from_cam(rays)
+        there *= (width / self.stored.width, height / self.stored.height)
+        there = np.where(np.isfinite(there), there - 0.5, OUTSIDE)  # OpenCV's pixel centres
+        columns, rows = there.astype(np.float32).reshape(height, width, 2).transpose(2, 0, 1)
+        return np.ascontiguousarray(columns), np.ascontiguousarray(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    source: Path
+    folder: Path
+    files: Mapping[str, Path | None]
+    cameras: Mapping[str, Camera]
+    lenses: Mapping[str, _Lens]
+
+    def read(self, name: str) -> View:
+        """Open and straighten one view."""
+        if name not in self.cameras:
+            raise InputError(f"{self.source}: has no image {name!r}")
+        file = self.files[name]
+        if file is None:
+            gone = (o for o, found in self.files.items() if found is None and o != name)
+            raise absent(self.folder / name, str(self.source), gone, len(self.files))
+        return posed_view(file, name, self.cameras[name], self.lenses[name].maps())
+
+
+def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path | None]) -> dict[int, _Lens]:
+    """The lens of each camera that took an image, at the size of the first one that is there."""
+    lenses: dict[int, _Lens] = {}
+    for image in sorted(model.images.values(), key=lambda image: image.name):
+        file = files[image.name]
+        lens = lenses.get(image.camera)
+        if lens is None:
+            stored = model.cameras[image.camera]
+            K, straight = _pinhole(stored, f"{source}: camera {image.camera}")
+            lens = _Lens(stored, (0, 0), K, straight)
+        if lens.size == (0, 0) and file is not None:
+            size = _shrunk(lens.stored, stored_size(file))
+            scale = np.array([size[0] / lens.stored.width, size[1] / lens.stored.height, 1])
+            lens = replace(lens, size=size, K=scale[:, None] * lens.K)
+        lenses[image.camera] = lens
+    return {
+        number: replace(lens, size=(lens.stored.width, lens.stored.height))
+        if lens.size == (0, 0)
+        else lens
+        for number, lens in lenses.items()
+    }
+
+
+def _shrunk(camera: SparseCamera, found: tuple[int, int] | None) -> tuple[int, int]:
+    """The size found if it is the camera's own shape, up to whole pixels; else the camera's."""
+    own = camera.width, camera.height
+    if found is None:
+        return own
+    wide, high = found[0] / own[0], found[1] / own[1]
+    return found if abs(wide - high) <= 1 / own[0] + 1 / own[1] else own
+
+
+def _pinhole(camera: SparseCamera, where: str) -> tuple[np.ndarray, bool]:
+    """Intrinsics [3, 3] of the straight view, and whether the lens is that already."""
+    if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        fx, fy, cx, cy = (
+            camera.params if len(camera.params) == 4 else camera.params[:1] + camera.params
+        )
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), True
+    lens = _pycolmap_camera(camera)
+    if not len(lens.focal_length_idxs()):
+        raise InputError(
+            f"{where}: its model {camera.model} has no focal length, so that no pinhole camera "
+            "sees what it saw; cut its images into pinhole ones and reconstruct again"
+        )
+    K = lens.calibration_matrix()
+    corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
+    rays = corners @ np.linalg.inv(K).T
+    # pycolmap calls a fisheye without parameters undistorted, which it is not of a pinhole.
+    return K, np.allclose(lens.img_from_cam(rays), corners[:, :2], rtol=0, atol=1e-6)
+
+
+def _pycolmap_camera(camera: SparseCamera) -> Any:
+    try:
+        import pycolmap
+    except ImportError:
+        raise InputError(
+            f"the camera model {camera.model} is distorted, and pycolmap, which knows it, is not "
+            "installed; pip install 'slgaussian[colmap]'"
+        ) from None
+    try:
+        return pycolmap.Camera(
+            model=camera.model, width=camera.width, height=camera.height, params=camera.params
+        )
+    except (RuntimeError, ValueError):
+        raise InputError(
+            f"the camera model {camera.model} is not known to pycolmap {pycolmap.__version__}; "
+            "pip install 'slgaussian[colmap]'"
+        ) from None
+
+
+def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
+    """Near and far of the images that see enough points, by id; see :func:`read`."""
+    seen = np.unique(model.seen, axis=0)  # an image may show a point twice
+    lengths = np.bincount(seen[:, 0], minlength=len(model.points))
+    seen = seen[lengths[seen[:, 0]] >= TRACK]
+    seen = seen[np.argsort(seen[:, 1], kind="stable")]
+    starts = np.flatnonzero(np.diff(seen[:, 1], prepend=-1))
+    ranges = {}
+    for own in np.split(seen, starts[1:]):
+        image = model.images.get(int(own[0, 1])) if len(own) else None
+        if image is None:
+            continue
+        depths = np.sort(model.points[own[:, 0]] @ image.w2c[2, :3] + image.w2c[2, 3])
+        depths = depths[depths > 0]
+        if len(depths) >= POINTS:
+            ranges[int(own[0, 1])] = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
+    return ranges
+
+
+def _inverse(w2c: np.ndarray) -> np.ndarray:
+    c2w = np.eye(4)
+    c2w[:3, :3] = w2c[:3, :3].T
+    c2w[:3, 3] = -w2c[:3, :3].T @ w2c[:3, 3]
+    return c2w

@@ -1,0 +1,48 @@
+"""Photographs straightened: what a pinhole camera would have seen where a lens bent the rays.
+
+A lens is told by two maps, float32 [H, W] each: the column and the row of the stored photograph, in
+OpenCV's count from pixel centres, that each pixel of the straight one shows.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+OUTSIDE = -1e4
+"""Column and row of what the lens did not see, which makes it black."""
+
+Maps = tuple[np.ndarray, np.ndarray]
+
+
+def straightened(
+    image: np.ndarray, depth: np.ndarray | None, maps: Maps
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A photograph uint8 [H, W, 3] and its depth float32 [H, W] or None, both straight.
+
+    Colours are interpolated, depths taken from the nearest pixel; what the lens did not see is
+    black, with depth 0.
+    """
+    maps = unfolded(*maps)
+    image = cv2.remap(image, *maps, cv2.INTER_LINEAR)
+    return image, None if depth is None else cv2.remap(depth, *maps, cv2.INTER_NEAREST)
+
+
+def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
+    """The maps without what a polynomial makes up beyond the image circle.
+
+    A distortion polynomial holds where it was fitted. Farther out it may turn back and show the
+    picture a second time, mirrored; whatever lies behind such a fold, where the determinant of the
+    map's derivative is not positive, is not connected with the middle and is taken as not seen.
+    """
+    (dx_dv, dx_du), (dy_dv, dy_du) = np.gradient(columns), np.gradient(rows)
+    upright = (dx_du * dy_dv > dx_dv * dy_du).astype(np.uint8)  # NaN is not
+    if upright.all():
+        return columns, rows
+    parts = cv2.connectedComponents(upright, connectivity=4)[1]
+    middle = parts[columns.shape[0] // 2, columns.shape[1] // 2]
+    seen = (parts == middle) & (upright > 0)
+    return (
+        np.where(seen, columns, np.float32(OUTSIDE)),
+        np.where(seen, rows, np.float32(OUTSIDE)),
+    )

@@ -1,0 +1,71 @@
+"""LERF-OVS, the scenes of LERF that LangSplat labelled: COLMAP folders and labelled frames.
+
+The folder has one with ``images`` and ``sparse/0`` for each scene, and ``label``, in which
+``<scene>/<frame>.json`` is read by :mod:`slgaussian.benchmark.labels`. In LangSplat the labelled
+frames are training views; here they are held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from slgaussian.datasets import colmap
+from slgaussian.errors import InputError
+from slgaussian.scene import Scene
+
+LABELS = "label"
+"""Folder of the labels, in it one a scene."""
+
+LABELLED = {
+    "figurines": (41, 105, 152, 195),
+    "ramen": (6, 24, 60, 65, 81, 119, 128),
+    "teatime": (2, 25, 43, 107, 129, 140),
+    "waldo_kitchen": (53, 66, 89, 140, 154),
+}
+"""The published scenes, and the numbers of their labelled frames, ``frame_00041`` and so on."""
+
+
+def labelled(scene: str) -> list[str]:
+    """Names of the labelled frames of a published scene; none of another."""
+    return [f"frame_{number:05d}" for number in LABELLED.get(scene, ())]
+
+
+def read(path: str | Path, scene: str) -> Scene:
+    """Read one scene as :func:`slgaussian.datasets.colmap.read` does.
+
+    Parameters
+    ----------
+    path : path
+        Folder of the whole set.
+    scene : str
+        A folder in it, such as figurines.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or it cannot be read.
+    """
+    return colmap.read(find_scene(path, scene, scenes(path)))
+
+
+def files(path: str | Path, views: Sequence[str], scene: str) -> list[Path]:
+    """The files that those views of a scene are read from."""
+    return colmap.files(Path(path) / scene, views)
+
+
+def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """The scenes of the set by name, each with what :func:`read` takes besides the path."""
+    found = sorted(folder.parent.name for folder in Path(path).glob("*/sparse"))
+    return {name: {"scene": name} for name in found}
+
+
+def find_scene(path: str | Path, scene: str, known: dict[str, Any]) -> Path:
+    """The folder of a scene; InputError if it is not among those known."""
+    if scene not in known:
+        raise InputError(
+            f"{path}: has no scene {scene!r}; found {', '.join(known) or 'none'} (give the folder "
+            "of the whole set)"
+        )
+    return Path(path) / scene

@@ -1,0 +1,119 @@
+"""LLFF scenes: photographs and one ``poses_bounds.npy`` with a row of 17 numbers for each.
+
+A row is a 3x5 matrix by rows, then the depth range: camera-to-world axes in the columns down,
+right, backward, the camera's position, and (height, width, focal length) in pixels of the whole
+photograph (https://github.com/Fyusion/LLFF#using-your-own-poses-without-running-colmap). There are
+no names: row i belongs to the i-th photograph by name. Lenses are taken for pinholes, with the
+principal point in the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, stored_size
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+
+FILE = "poses_bounds.npy"
+ROW = 17
+
+
+def read(path: str | Path, images: str | None = None) -> Scene:
+    """Read a scene; views are named by the files of their photographs, opened when asked for.
+
+    ``near`` and ``far`` are those of the file.
+
+    Parameters
+    ----------
+    path : path
+        Folder with ``poses_bounds.npy``.
+    images : str, optional
+        Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
+        on. Whatever their size, the focal length follows.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, a row is no camera, or there are not as many photographs
+        as rows.
+    """
+    path = Path(path)
+    file = path / FILE
+    folder = image_folder(path, images)
+    rows = _rows(file)
+    photographs = photographs_in(folder)
+    if len(photographs) != len(rows):
+        raise InputError(
+            f"{file}: has {len(rows)} rows, but {folder} has {len(photographs)} photographs; there "
+            "must be one for each row, in the order of their names, and nothing else"
+        )
+    files, cameras = {}, {}
+    for photograph, row in zip(photographs, rows, strict=True):
+        files[photograph.name] = photograph
+        try:
+            cameras[photograph.name] = _camera(row, stored_size(photograph))
+        except InputError as bad:
+            raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
+    name = path.resolve().name or "scene"
+    return Scene(name, cameras, _Reader(file, files, cameras).read)
+
+
+def files(path: str | Path, views: Sequence[str], images: str | None = None) -> list[Path]:
+    """The files that those views are read from: the poses, and photographs of such names."""
+    stems = {Path(view).stem for view in views}
+    photographs = photographs_in(image_folder(Path(path), images))
+    return [Path(path) / FILE, *(file for file in photographs if file.stem in stems)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    file: Path
+    files: Mapping[str, Path]
+    cameras: Mapping[str, Camera]
+
+    def read(self, name: str) -> View:
+        """Open one view."""
+        if name not in self.files:
+            raise InputError(f"{self.file}: no photograph is called {name!r}")
+        return posed_view(self.files[name], name, self.cameras[name])
+
+
+def _rows(file: Path) -> np.ndarray:
+    try:
+        rows = np.load(file, allow_pickle=False)
+    except OSError as bad:
+        raise InputError(f"{file}: cannot be read ({bad.strerror or bad})") from None
+    except (ValueError, EOFError) as bad:
+        raise InputError(f"{file}: is no array of numbers ({bad}); write it again") from None
+    if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind not in "fiu" or not len(rows):
+        raise InputError(
+            f"{file}: found {rows.dtype} {rows.shape}, expected a row of {ROW} numbers for each "
+            "photograph"
+        )
+    return rows.astype(np.float64)
+
+
+def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
+    """The camera of a row, for a photograph stored at that width and height."""
+    if not np.isfinite(row).all():
+        raise InputError("holds NaN or infinity")
+    matrix, (near, far) = row[:15].reshape(3, 5), row[15:]
+    height, width, focal = matrix[:, 4]
+    down, right, back = matrix[:, :3].T
+    if height < 1 or width < 1:
+        raise InputError(f"says {width:g}x{height:g} pixels; expected the photograph's size")
+    w, h = size or (round(width), round(height))
+    if abs(w / width - h / height) > 1 / width + 1 / height:
+        raise InputError(
+            f"says {width:g}x{height:g} pixels, but the photograph is {w}x{h}, another shape; it "
+            "was cropped or turned"
+        )
+    c2w = np.eye(4)
+    c2w[:3, :4] = np.stack([right, down, -back, matrix[:, 3]], 1)
+    K = np.array([[focal * w / width, 0, w / 2], [0, focal * h / height, h / 2], [0, 0, 1]])
+    return Camera(K, c2w, w, h, float(near), float(far))

@@ -1,0 +1,304 @@
+"""The files of a COLMAP sparse model: cameras, posed images and points, ``.bin`` or ``.txt``.
+
+The formats are https://colmap.github.io/format.html; newer files beside them, of rigs and frames,
+repeat the poses and are not needed. pycolmap reads these files too, but of a file that is cut short
+some versions (4.2.1 is one) make numbers up, do not return or end the process. Here every count is
+checked against what is left of the file.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slgaussian.errors import InputError
+
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
+}  # fmt: skip
+"""Camera models: name and number of parameters by the number that binary files have for them."""
+
+KINDS = ("cameras", "images", "points3D")
+
+
+@dataclass(frozen=True)
+class SparseCamera:
+    """The intrinsics of one camera: model name, size in pixels, the model's own parameters."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SparseImage:
+    """One posed image: the name of its file, its camera's id, world-to-camera float64 [4, 4]."""
+
+    name: str
+    camera: int
+    w2c: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SparseModel:
+    """What the files say.
+
+    Attributes
+    ----------
+    cameras : {id: SparseCamera}
+    images : {id: SparseImage}
+    points : float64 [P, 3]
+        World points, in scene units.
+    seen : int64 [M, 2]
+        Each sighting of a point: its row in ``points``, and the id of the image.
+    """
+
+    cameras: dict[int, SparseCamera]
+    images: dict[int, SparseImage]
+    points: np.ndarray
+    seen: np.ndarray
+
+
+def model_files(folder: Path) -> list[Path]:
+    """Those of its three files that a folder has, all of one kind; none if cameras or images lack.
+
+    Points may be missing: a reconstruction without them still has poses.
+    """
+    for kind in (".bin", ".txt"):
+        files = [folder / f"{name}{kind}" for name in KINDS]
+        if files[0].is_file() and files[1].is_file():
+            return [file for file in files if file.is_file()]
+    return []
+
+
+def read_model(folder: Path) -> SparseModel:
+    """Read the model in a folder; the binary files if it has both kinds.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file is cut short or holds what it cannot; the message names it.
+    """
+    files = model_files(folder)
+    if not files:
+        raise InputError(
+            f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
+        )
+    read = _BINARY if files[0].suffix == ".bin" else _TEXT
+    content = dict(zip(KINDS, files, strict=False))
+    cameras = _checked(content["cameras"], read["cameras"])
+    images = _checked(content["images"], read["images"])
+    points, seen = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
+    if "points3D" in content:
+        points, seen = _checked(content["points3D"], read["points3D"])
+    for image in images.values():
+        if image.camera not in cameras:
+            raise InputError(
+                f"{content['images']}: {image.name!r} was taken with camera {image.camera}, which "
+                f"{content['cameras'].name} does not have; the two files are not of one model"
+            )
+    return SparseModel(cameras, images, points, seen)
+
+
+def _checked(file: Path, read):
+    try:
+        return read(file)
+    except OSError as bad:
+        raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
+    except _Wrong as bad:
+        raise InputError(f"{file}: {bad}; it is damaged or cut short, copy it again") from None
+
+
+class _Wrong(Exception):
+    """What is wrong with a file."""
+
+
+class _Bytes:
+    """A binary file that is read from its beginning, and never past its end."""
+
+    def __init__(self, file: Path):
+        self.data = file.read_bytes()
+        self.at = 0
+
+    def take(self, layout: str) -> tuple:
+        """The next values, as :mod:`struct` calls them."""
+        start = self.skip(struct.calcsize(f"<{layout}"))
+        return struct.unpack_from(f"<{layout}", self.data, start)
+
+    def skip(self, count: int) -> int:
+        """Leave out so many bytes; returns where they began."""
+        start = self.at
+        if count > len(self.data) - start:
+            raise _Wrong(f"ends after {len(self.data)} bytes, in the middle of an entry")
+        self.at += count
+        return start
+
+    def text(self) -> str:
+        """The text up to the next zero byte."""
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise _Wrong("ends in the middle of a name")
+        start, self.at = self.at, end + 1
+        return self.data[start:end].decode("utf-8", "replace")
+
+    def entries(self, least: int) -> Iterator[int]:
+        """As many times as a count says that comes next, if entries of ``least`` bytes can fit."""
+        (count,) = self.take("Q")
+        if count * least > len(self.data) - self.at:
+            raise _Wrong(f"says that it has {count} entries, but ends after {len(self.data)} bytes")
+        yield from range(count)
+        if self.at != len(self.data):
+            raise _Wrong(f"goes on for {len(self.data) - self.at} bytes after its last entry")
+
+
+def _binary_cameras(file: Path) -> dict[int, SparseCamera]:
+    data = _Bytes(file)
+    cameras: dict[int, SparseCamera] = {}
+    for _ in data.entries(24):
+        number, model, width, height = data.take("iiQQ")
+        if model not in MODELS:
+            raise _Wrong(f"camera {number} is of model {model}, which is not known")
+        name, count = MODELS[model]
+        _add_camera(cameras, number, name, width, height, data.take(f"{count}d"))
+    return cameras
+
+
+def _text_cameras(file: Path) -> dict[int, SparseCamera]:
+    counts = dict(MODELS.values())
+    cameras: dict[int, SparseCamera] = {}
+    for line, words in _lines(file):
+        try:
+            number, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            params = tuple(map(float, words[4:]))
+        except (ValueError, IndexError):
+            raise _Wrong(f"line {line} is no camera") from None
+        if model not in counts:
+            raise _Wrong(f"camera {number} is of model {model!r}, which is not known")
+        if len(params) != counts[model]:
+            raise _Wrong(
+                f"line {line}: {model} has {counts[model]} parameters, found {len(params)}"
+            )
+        _add_camera(cameras, number, model, width, height, params)
+    return cameras
+
+
+def _add_camera(
+    cameras: dict[int, SparseCamera],
+    number: int,
+    model: str,
+    width: int,
+    height: int,
+    params: tuple[float, ...],
+) -> None:
+    if number in cameras:
+        raise _Wrong(f"has two cameras {number}")
+    if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
+        raise _Wrong(f"camera {number} is {width}x{height} pixels with parameters {params}")
+    cameras[number] = SparseCamera(model, width, height, params)
+
+
+def _binary_images(file: Path) -> dict[int, SparseImage]:
+    data = _Bytes(file)
+    images: dict[int, SparseImage] = {}
+    for _ in data.entries(73):
+        number, *pose, camera = data.take("i7di")
+        name = data.text()
+        (count,) = data.take("Q")
+        data.skip(24 * count)
+        _add_image(images, number, name, camera, pose)
+    return images
+
+
+def _text_images(file: Path) -> dict[int, SparseImage]:
+    images: dict[int, SparseImage] = {}
+    lines = _lines(file, blank=True)
+    for line, words in lines:
+        if not words:
+            continue
+        try:
+            number, pose, camera = int(words[0]), list(map(float, words[1:8])), int(words[8])
+            name = " ".join(words[9:])
+        except (ValueError, IndexError):
+            raise _Wrong(f"line {line} is no image") from None
+        _add_image(images, number, name, camera, pose)
+        next(lines, None)  # the points that the image shows, perhaps none
+    return images
+
+
+def _add_image(
+    images: dict[int, SparseImage], number: int, name: str, camera: int, pose: list[float]
+) -> None:
+    if number in images:
+        raise _Wrong(f"has two images {number}")
+    if not name:
+        raise _Wrong(f"image {number} has no name")
+    w, *xyz = pose[:4]
+    length = np.linalg.norm(pose[:4])
+    if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
+        raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
+    w, (x, y, z) = w / length, np.array(xyz) / length
+    w2c = np.eye(4)
+    w2c[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    w2c[:3, 3] = pose[4:]
+    images[number] = SparseImage(name, camera, w2c)
+
+
+def _binary_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    data = _Bytes(file)
+    # Id, position, colour, error, and how many images show it; then those. There may be millions,
+    # so that only the counts are looked at one by one.
+    starts, counts = [], []
+    for _ in data.entries(51):
+        starts.append(data.skip(43))
+        (count,) = data.take("Q")
+        data.skip(8 * count)
+        counts.append(count)
+    begin, many = np.array(starts, np.int64), np.array(counts, np.int64)
+    raw = np.frombuffer(data.data, np.uint8)
+    points = raw[begin[:, None] + 8 + np.arange(24)].view("<f8")
+    rows = np.repeat(np.arange(len(begin)), many)
+    nth = np.arange(len(rows)) - np.repeat(np.cumsum(many) - many, many)
+    images = raw[(begin[rows] + 51 + 8 * nth)[:, None] + np.arange(4)].view("<i4")
+    return points, np.stack([rows, images[:, 0].astype(np.int64)], 1)
+
+
+def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    points, seen = [], []
+    for line, words in _lines(file):
+        try:
+            points.append(tuple(map(float, words[1:4])))
+            track = list(map(int, words[8:]))
+        except ValueError:
+            track = [0]
+        if len(words) < 8 or len(track) % 2:
+            raise _Wrong(f"line {line} is no point")
+        seen += [(len(points) - 1, image) for image in track[::2]]
+    return np.array(points).reshape(-1, 3), np.array(seen, np.int64).reshape(-1, 2)
+
+
+def _lines(file: Path, blank: bool = False) -> Iterator[tuple[int, list[str]]]:
+    """The words of each line that is no comment, with its number; blank ones if wanted."""
+    try:
+        text = file.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise _Wrong("is not text") from None
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.startswith("#") and (blank or line.strip()):
+            yield number, line.split()
+
+
+_BINARY = {"cameras": _binary_cameras, "images": _binary_images, "points3D": _binary_points}
+_TEXT = {"cameras": _text_cameras, "images": _text_images, "points3D": _text_points}

@@ -1,0 +1,90 @@
+"""Which work made which artifact: small JSON files under ``keys/`` in a store.
+
+They are in the store itself, so that every process and machine that uses it finds what another has
+made. They are read as JSON and checked: nobody who may write to the store can have code run.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+from data_specs import spec_names
+from slgaussian.errors import SpecError
+from slgaussian.store import ArtifactRef, ArtifactStore, File, address
+
+FOLDER = "keys"
+_FILE = re.compile(r"keys/(?P<stage>[^/]+)/v(?P<version>\d+)/[0-9a-f]{2}/[0-9a-f]{64}\.json")
+
+
+@dataclass(frozen=True)
+class Record:
+    """A file under ``keys/``: the stage, its version, and the ref; None if it cannot be read."""
+
+    file: File
+    stage: str
+    version: int
+    ref: ArtifactRef | None
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Paths of the artifacts that it names: the one that was made, and the parts of that."""
+        return () if self.ref is None else (self.ref.uri, *self.ref.meta.get("parts", ()))
+
+
+class Records:
+    """The records of a store, by the keys of :func:`tasks.keys.cache_key`."""
+
+    def __init__(self, store: ArtifactStore) -> None:
+        self.store = store
+
+    def find(self, key: str) -> ArtifactRef | None:
+        """What the work of this key made, if that is still there (:meth:`ArtifactStore.check`).
+
+        A record or an artifact that is lost or damaged is none: the work is done again. InputError
+        if the store does not answer.
+        """
+        try:
+            ref = _parse(self.store.read(_place(key)))
+            if ref is not None:
+                self.store.check(ref)
+        except SpecError:
+            return None
+        return ref
+
+    def keep(self, key: str, ref: ArtifactRef) -> None:
+        """Note what the work of this key made; InputError if the store cannot be written to."""
+        self.store.write(_place(key), json.dumps(asdict(ref), sort_keys=True).encode())
+
+    def all(self) -> Iterator[list[Record]]:
+        """All records, those of a folder at a time."""
+        for files in self.store.walk([FOLDER]):
+            yield self.store.at_once(
+                self._read, [file for file in files if _FILE.fullmatch(file.uri)]
+            )
+
+    def _read(self, file: File) -> Record:
+        found = _FILE.fullmatch(file.uri)
+        try:
+            ref = _parse(self.store.read(file.uri))
+        except SpecError:
+            ref = None
+        return Record(file, found["stage"], int(found["version"]), ref)
+
+
+def _place(key: str) -> str:
+    stage, version, digest = key.split("/")
+    return f"{FOLDER}/{stage}/{version}/{digest[:2]}/{digest}.json"
+
+
+def _parse(data: bytes) -> ArtifactRef | None:
+    try:
+        ref = ArtifactRef(**json.loads(data))
+        parts = ref.meta.get("parts", [])
+        whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
+        whole = whole and all(isinstance(part, str) for part in parts)
+    except (ValueError, TypeError, AttributeError):
+        return None
+    return ref if whole else None

@@ -1,0 +1,161 @@
+"""The scores once more, written plainly from their definitions: sets, loops and SciPy.
+
+Nothing of the library is used here but a frame's arrays.
+"""
+
+import itertools
+import math
+
+import numpy as np
+from scipy import ndimage
+
+
+def iou(a, b):
+    union = np.logical_or(a, b).sum()
+    return np.logical_and(a, b).sum() / union if union else 1.0
+
+
+def boundary_iou(a, b):
+    """Cheng et al. 2021: eroded pixel by pixel, d times, with nothing beyond the image."""
+    height, width = a.shape
+    times = max(1, round(0.02 * math.sqrt(height**2 + width**2)))
+
+    def rim(mask):
+        square = np.ones((3, 3), bool)
+        return mask & ~ndimage.binary_erosion(mask, square, iterations=times, border_value=0)
+
+    return iou(rim(a), rim(b))
+
+
+def inside_boxes(points, boxes):
+    return any(x0 <= x <= x1 and y0 <= y <= y1 for x, y in points for x0, y0, x1, y1 in boxes)
+
+
+def cuts(relevancy):
+    """Every mask that some threshold gives, the smallest first."""
+    return [relevancy >= value for value in sorted(set(relevancy.ravel().tolist()), reverse=True)]
+
+
+def average_precision(relevancy, truth):
+    """Sum over thresholds of the precision times what recall has grown by."""
+    total, before = 0.0, 0.0
+    for mask in cuts(relevancy):
+        recall = (mask & truth).sum() / truth.sum()
+        total += (recall - before) * (mask & truth).sum() / mask.sum()
+        before = recall
+    return total
+
+
+def auc(relevancy, truth):
+    """Trapezoids under the curve of true over false positives."""
+    points = [(0.0, 0.0)]
+    for mask in cuts(relevancy):
+        points.append(((mask & ~truth).sum() / (~truth).sum(), (mask & truth).sum() / truth.sum()))
+    return sum((b[0] - a[0]) * (a[1] + b[1]) / 2 for a, b in itertools.pairwise(points))
+
+
+def calibration_error(relevancy, truth, bins=20):
+    relevancy = relevancy.astype(np.float64)
+    total = 0.0
+    for b in range(bins):
+        low, high = b / bins, (b + 1) / bins
+        here = (relevancy > low) & (relevancy <= high)
+        if b == 0:
+            here |= relevancy == 0
+        if here.any():
+            total += here.mean() * abs(relevancy[here].mean() - truth[here].mean())
+    return total
+
+
+def langsplat(relevancy, side):
+    """Mask, tied pixels (x, y) of the peak, and the one nearest their middle."""
+    raw = relevancy.astype(np.float64)
+    if not (raw > 0).any():
+        return np.zeros(raw.shape, bool), [], None
+    raw = np.where(raw > 0, raw, raw[raw > 0].min())
+    smooth = ndimage.uniform_filter(raw, side, mode="mirror")
+    blend = (smooth + raw) / 2
+    stretched = (blend - blend.min()) / (blend.max() - blend.min() + 1e-9) * 2 - 1
+    above = np.clip(stretched, 0, 1) > 0.4
+    votes, voters = np.zeros(raw.shape, int), np.zeros(raw.shape, int)
+    height, width = raw.shape
+    for dy in range(-3, 4):
+        for dx in range(-3, 4):
+            # Voters are all pixels but those of the last row and column.
+            y0, y1 = max(0, -dy), min(height, height - 1 - dy)
+            x0, x1 = max(0, -dx), min(width, width - 1 - dx)
+            if y0 < y1 and x0 < x1:
+                votes[y0:y1, x0:x1] += above[y0 + dy : y1 + dy, x0 + dx : x1 + dx]
+                voters[y0:y1, x0:x1] += 1
+    # SciPy's running sums are off by some 1e-15.
+    ys, xs = np.nonzero(smooth >= smooth.max() - 1e-9)
+    middle = xs.mean(), ys.mean()
+    near = min(range(len(xs)), key=lambda i: (xs[i] - middle[0]) ** 2 + (ys[i] - middle[1]) ** 2)
+    point = (int(xs[near]), int(ys[near]))
+    return 2 * votes > voters, list(zip(xs.tolist(), ys.tolist(), strict=True)), point
+
+
+def scores(protocol, frame, k):
+    """What ``protocol`` says of query ``k`` of a frame."""
+    answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
+    region = frame.labels == k + 1
+    if protocol == "slgaussian":
+        point = answer.point
+        return {
+            "iou": iou(answer.mask, truth),
+            "boundary_iou": boundary_iou(answer.mask, truth),
+            "class_iou": iou(region, truth),
+            "hit_mask": point is not None and bool(truth[point[1], point[0]]),
+            "hit_box": point is not None and inside_boxes([point], boxes),
+        }
+    if protocol.startswith("langsplat"):
+        width = truth.shape[1]
+        side = 30 if protocol == "langsplat" else round(30 * width / 988)
+        mask, peak, point = langsplat(answer.relevancy, side)
+        return {
+            "iou": iou(mask, truth),
+            "boundary_iou": boundary_iou(mask, truth),
+            "hit_peak": inside_boxes(peak, boxes),
+            "hit_box": point is not None and inside_boxes([point], boxes),
+        }
+    if protocol == "3d-ovs":
+        bits = np.stack(frame.masks)
+        told = np.stack([frame.labels == j + 1 for j in range(len(bits))])
+        right = (bits == told).all(0) & told.any(0)
+        return {
+            "class_iou": iou(region, truth),
+            "boundary_iou": boundary_iou(region, truth),
+            "accuracy": right.mean(),
+        }
+    relevancy = answer.relevancy
+    return {
+        "average_precision": average_precision(relevancy, truth),
+        "auc": None if truth.all() else auc(relevancy, truth),
+        "best_iou": max(iou(mask, truth) for mask in cuts(relevancy)),
+        "calibration_error": calibration_error(relevancy, truth),
+        "iou_curve": [iou(relevancy.astype(float) > k / 20, truth) for k in range(1, 20)],
+    }
+
+
+def filled(polygon, height, width):
+    """Even-odd: the pixels whose middle an odd number of edges lies to the left of."""
+    ys, xs = np.mgrid[:height, :width].astype(np.float64)
+    odd = np.zeros((height, width), bool)
+    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, 0), strict=True):
+        crosses = (ys >= min(y0, y1)) & (ys < max(y0, y1))
+        if y0 != y1:
+            odd ^= crosses & (xs > x0 + (ys - y0) * (x1 - x0) / (y1 - y0))
+    return odd
+
+
+def near_edges(polygon, height, width, distance):
+    """The pixels whose middle is within a distance of an edge."""
+    ys, xs = np.mgrid[:height, :width].astype(np.float64)
+    near = np.zeros((height, width), bool)
+    for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True):
+        along = np.asarray(b, float) - a
+        length = (along**2).sum()
+        t = ((xs - a[0]) * along[0] + (ys - a[1]) * along[1]) / length if length else 0.0
+        t = np.clip(t, 0, 1)
+        near |= np.hypot(xs - a[0] - t * along[0], ys - a[1] - t * along[1]) <= distance
+    return near

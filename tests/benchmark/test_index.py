@@ -1,0 +1,142 @@
+import json
+
+import pytest
+
+from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
+from slgaussian.errors import InputError
+
+
+def good_pairs():
+    entry = {"context": ["a", "c"], "target": ["b"], "categories": ["red crate", "sofa"]}
+    return {"hall": entry, "attic": {**entry, "target": ["b", "d"]}}
+
+
+def test_pairs_are_read_in_file_order(tmp_path):
+    path = tmp_path / "pairs.json"
+    path.write_text(json.dumps(good_pairs()))
+    assert read_index(path).pairs == (
+        ScenePair("hall", ("a", "c"), ("b",), ("red crate", "sofa")),
+        ScenePair("attic", ("a", "c"), ("b", "d"), ("red crate", "sofa")),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"target": ["a"]}, "'a' is both context and target"),
+        ({"context": ["a"]}, "'context' holds"),
+        ({"context": ["a", "a"]}, "'context' holds"),
+        ({"target": []}, "'target' holds"),
+        ({"categories": None}, "'categories' is missing"),
+        ({"categories": "sofa"}, "'categories' is a str"),
+        ({"target": [3]}, "expected a list of names"),
+    ],
+)
+def test_a_bad_pair_is_named_with_its_scene(tmp_path, change, message):
+    path = tmp_path / "pairs.json"
+    pairs = good_pairs()
+    pairs["attic"].update(change)
+    path.write_text(json.dumps(pairs))
+    with pytest.raises(InputError) as caught:
+        read_index(path)
+    assert f"{path}: scene 'attic'" in str(caught.value)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"hall": 3}', "nonsense"])
+def test_an_index_that_is_not_one_is_refused(tmp_path, text):
+    path = tmp_path / "pairs.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"pairs\.json"):
+        read_index(path)
+
+
+PAIR = ScenePair(
+    "ramen-frame_00024",
+    ("a.jpg", "c.jpg"),
+    ("b.jpg",),
+    ("egg", "nori"),
+    "label/ramen",
+    {"scene": "ramen"},
+    {"overlap": 0.8},
+)
+INDEX = Index(
+    (PAIR,), "lerf_ovs", {"name": "around", "version": 1, "max_aside": 0.3}, {"ramen-f": "no pair"}
+)
+
+
+def test_what_is_written_is_read(tmp_path):
+    path = tmp_path / "pairs.json"
+    write_index(path, INDEX)
+    assert read_index(path) == INDEX
+    first = path.read_bytes()
+    write_index(path, read_index(path))
+    assert path.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 3}, "is of version 3, this program reads up to 2"),
+        ({"format": None}, "'format' is missing, expected a str"),
+        ({"rule": []}, "'rule' is a list, expected a dict"),
+        ({"scenes": None}, "'scenes' is missing"),
+        ({"left_out": 3}, "'left_out' is a int"),
+    ],
+)
+def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
+    path = tmp_path / "pairs.json"
+    write_index(path, INDEX)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(InputError) as caught:
+        read_index(path)
+    assert f"{path}: {message}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"target": ["a.jpg"]}, "'a.jpg' is both context and target"),
+        ({"labels": "/etc"}, "'labels' is '/etc'"),
+        ({"options": 3}, "'options' is a int"),
+        ({"categories": []}, "'categories' holds"),
+    ],
+)
+def test_a_bad_pair_of_a_new_index_is_named(tmp_path, change, message):
+    path = tmp_path / "pairs.json"
+    write_index(path, INDEX)
+    content = json.loads(path.read_text())
+    content["scenes"][PAIR.scene].update(change)
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError) as caught:
+        read_index(path)
+    assert f"{path}: scene 'ramen-frame_00024': {message}" in str(caught.value)
+
+
+class TestPublished:
+    def read(self, tmp_path, **clips):
+        path = tmp_path / "evaluation_index.json"
+        path.write_text(json.dumps(clips))
+        return read_index(path)
+
+    def test_clips_are_pairs_without_categories(self, tmp_path):
+        index = self.read(tmp_path, ab={"context": [58, 133], "target": [84, 102]}, cd=None)
+        assert index.format == "re10k"
+        assert index.left_out == {}
+        assert index.pairs == (
+            ScenePair("ab", ("58", "133"), ("84", "102"), labels="ab", options={"key": "ab"}),
+        )
+
+    def test_targets_that_are_contexts_are_left_out_and_said(self, tmp_path):
+        clips = {
+            "ab": {"context": [34, 81], "target": [53, 81]},
+            "cd": {"context": [1, 9], "target": [9, 1]},
+        }
+        index = self.read(tmp_path, **clips)
+        assert [pair.targets for pair in index.pairs] == [("53",)]
+        assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
+
+    def test_the_whole_index_is_read(self, real_data):
+        index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
+        assert len(index.pairs) == 6474
+        assert len({name.split("/")[0] for name in index.left_out}) == 575

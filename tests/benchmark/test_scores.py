@@ -1,0 +1,245 @@
+"""What samples amount to: means as LangSplat and 3D-OVS take them, and how far to trust them."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_specs import load_spec
+from slgaussian.benchmark.protocols import PROTOCOLS, THRESHOLDS
+from slgaussian.benchmark.scores import (
+    FEW_SCENES,
+    METRICS,
+    ONE_SCENE,
+    SCORE_CALIBRATION,
+    differences,
+    reliability,
+    scene_means,
+    score_table,
+)
+from slgaussian.bootstrap import LEAST, LEVEL, compare
+from slgaussian.errors import InputError
+
+COLUMNS = dict.fromkeys(load_spec("samples").columns)
+GIVEN = {
+    "frame": "f",
+    "method": "m",
+    "protocol": "slgaussian@1",
+    "selection": "near-best",
+    "temperature": 10.0,
+    "share": 0.7,
+    "canonical": "encoder's",
+    "absent": "skip",
+    "note": "",
+}
+
+
+def sample(scene, query, **known):
+    return COLUMNS | GIVEN | {"scene": scene, "query": query} | known
+
+
+def ious(**by_scene):
+    return [
+        sample(scene, f"q{k}", iou=value)
+        for scene, values in by_scene.items()
+        for k, value in enumerate(values)
+    ]
+
+
+def score(table, metric, **known):
+    (row,) = (
+        row
+        for row in table.to_pylist()
+        if row["metric"] == metric and all(row[k] == v for k, v in known.items())
+    )
+    return row
+
+
+def test_every_scene_has_one_weight_whatever_its_samples():
+    row = score(score_table(ious(a=[1.0], b=[0.0, 0.5, 0.1])), "iou")
+    assert row["value"] == pytest.approx((1.0 + 0.2) / 2)
+    assert (row["scenes"], row["samples"]) == (2, 4)
+
+
+def test_langsplats_and_the_papers_overall_are_such_means():
+    """Printed: 51.2, 44.7, 65.1, 44.5 give 51.4; 43.05, 47.66, 8.70, 8.94 give 27.09."""
+    for values, overall in (
+        ((51.2, 44.7, 65.1, 44.5), 51.4),
+        ((43.05, 47.66, 8.70, 8.94), 27.09),
+        ((91.67, 80, 50, 61.54), 70.80),
+    ):
+        rows = ious(**{f"s{k}": [value / 100] for k, value in enumerate(values)})
+        mean = 100 * score(score_table(rows), "iou")["value"]
+        assert mean == pytest.approx(overall, abs=0.03)
+
+
+def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
+    rows = [
+        *(sample("a", q, class_iou=v, accuracy=0.5) for q, v in (("x", 0.2), ("y", 0.4))),
+        sample("a", "x", frame="g", class_iou=0.9, accuracy=0.8),
+        sample("a", "z", frame="g"),
+    ]
+    table = score_table(rows)
+    assert score(table, "miou")["value"] == pytest.approx((0.3 + 0.9) / 2)
+    assert score(table, "miou")["samples"] == 3
+    # One number a frame, however many rows it has.
+    assert score(table, "accuracy")["value"] == pytest.approx((0.5 + 0.8) / 2)
+    assert scene_means(rows) == {"miou": pytest.approx(0.6), "accuracy": pytest.approx(0.65)}
+
+
+def test_one_scene_has_no_interval_and_few_have_a_rough_one():
+    one = score(score_table(ious(a=[0.1, 0.9])), "iou")
+    assert one["low"] is one["high"] is None and one["note"] == ONE_SCENE
+    few = score(score_table(ious(a=[0.1], b=[0.9])), "iou")
+    assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_SCENES)
+    enough = ious(**{f"s{k}": [k / 10] for k in range(LEAST)})
+    row = score(score_table(enough), "iou")
+    assert row["note"] == "" and row["low"] < row["value"] < row["high"]
+    assert row["level"] == LEVEL
+
+
+def test_the_interval_is_that_of_the_scenes_and_always_the_same():
+    """For many scenes 1.96 standard errors; samples of one scene do not make it narrower."""
+    rng = np.random.default_rng(0)
+    values = rng.random(200)
+    rows = ious(**{f"s{k}": [v, v, v] for k, v in enumerate(values)})
+    row = score(score_table(rows), "iou")
+    error = values.std() / np.sqrt(200)
+    assert row["low"] == pytest.approx(values.mean() - 1.96 * error, abs=0.1 * error)
+    assert row["high"] == pytest.approx(values.mean() + 1.96 * error, abs=0.1 * error)
+    assert score_table(rows).equals(score_table(rows))
+    assert score(score_table(rows, seed=1), "iou")["low"] != row["low"]
+
+
+def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
+    table = score_table(result.rows)
+    load_spec("scores").check_table(table, "scores")
+    found = {}
+    for row in table.to_pylist():
+        found.setdefault(row["protocol"], []).append(row["metric"])
+        assert row["scenes"] == 1 and row["note"] == ONE_SCENE
+    assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
+    own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box", SCORE_CALIBRATION]
+    assert found["slgaussian@1"] == own
+    for name in ("langsplat@1", "langsplat-rescaled@1"):
+        assert found[name] == ["iou", "boundary_iou", "hit_box", "hit_peak"]
+    assert found["3d-ovs@1"] == ["boundary_iou", "miou", "accuracy"]
+    own = ["average_precision", "auc", "best_iou", "calibration_error"]
+    assert found["threshold-free@1"] == own + ["iou"] * len(THRESHOLDS)
+    assert score(table, "iou", protocol="langsplat@1")["filter"] == "30"
+    for row in table.to_pylist():
+        if row["protocol"] == "slgaussian@1" and row["metric"] in result.scene_metrics:
+            assert row["value"] == result.scene_metrics[row["metric"]]
+
+
+def test_a_threshold_sweep_is_a_row_a_threshold():
+    curve = [0.1] * 9 + [0.4] * 10
+    other = [0.3] * 19
+    own = {"protocol": "threshold-free@1", "selection": "none", "share": None}
+    rows = [sample("a", "x", iou_curve=curve, **own), sample("b", "x", iou_curve=other, **own)]
+    table = score_table(rows).to_pylist()
+    assert [row["threshold"] for row in table] == list(THRESHOLDS)
+    assert [row["value"] for row in table] == pytest.approx([0.2] * 9 + [0.35] * 10)
+
+
+def test_samples_of_several_settings_are_no_one_score():
+    rows = [sample("a", "x", iou=0.1), sample("b", "x", iou=0.2, temperature=1.0)]
+    message = "scores of m by slgaussian@1: samples were made with temperature 1.0, 10.0"
+    with pytest.raises(InputError, match=message):
+        score_table(rows)
+    # A filter that goes with the images' width is one setting.
+    rows = [sample("a", "x", iou=0.1, filter=17), sample("b", "x", iou=0.2, filter=9)]
+    assert score(score_table(rows), "iou")["filter"] == "9, 17"
+
+
+def test_samples_without_truth_do_not_count():
+    rows = [*ious(a=[0.5]), sample("b", "x"), sample("a", "y", note="not in this frame")]
+    row = score(score_table(rows), "iou")
+    assert (row["value"], row["scenes"], row["samples"]) == (0.5, 1, 1)
+    assert score_table([sample("b", "x")]).num_rows == 0
+    assert scene_means([]) == {}
+
+
+def told(scene, pairs):
+    return [sample(scene, f"q{k}", score=s, hit_mask=h) for k, (s, h) in enumerate(pairs)]
+
+
+def test_scores_are_compared_with_how_often_they_are_right():
+    """Three bins: 0.62 and 0.64 of which one is right, 0.9 right, 0.3 wrong."""
+    rows = [*told("a", [(0.62, True), (0.9, True)]), *told("b", [(0.64, False), (0.3, False)])]
+    expected = (abs(0.62 + 0.64 - 1) + 0.1 + 0.3) / 4
+    row = score(score_table(rows), SCORE_CALIBRATION)
+    assert row["value"] == pytest.approx(expected)
+    assert (row["scenes"], row["samples"]) == (2, 4)
+    binned = reliability(rows)
+    assert (binned.counts.sum(), binned.hits.sum()) == (4, 2)
+    assert binned.error() == pytest.approx(expected)
+    # Scene a twice is (.38 + .1) / 2, b twice (.64 + .3) / 2, and a with b less than either.
+    assert (row["low"], row["high"]) == pytest.approx((expected, 0.47))
+    # A text that is not understood has no score.
+    assert (
+        score(score_table([*rows, sample("a", "qqwx", hit_mask=False)]), SCORE_CALIBRATION) == row
+    )
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
+def test_reliability_is_that_of_a_plain_loop(pairs):
+    total = 0.0
+    for b in range(20):
+        own = [(s, h) for s, h in pairs if b / 20 < s <= (b + 1) / 20 or (b == 0 and s == 0)]
+        total += abs(sum(s for s, _ in own) - sum(h for _, h in own))
+    assert reliability(told("a", pairs)).error() == pytest.approx(total / len(pairs), abs=1e-12)
+
+
+def gain_of(found, metric="iou"):
+    (one,) = (difference for difference in found if difference.metric == metric)
+    return one
+
+
+def test_differences_are_of_what_both_were_asked():
+    mine = ious(a=[0.9, 0.5], b=[0.4], c=[0.8])
+    theirs = [*ious(a=[0.7], b=[0.1]), sample("d", "q0", iou=0.0)]
+    found = gain_of(differences(mine, theirs))
+    assert found.gain.difference == pytest.approx((0.2 + 0.3) / 2)
+    assert (found.gain.samples, found.samples) == (2, 2)
+    assert found.gain == compare([0.9, 0.4], [0.7, 0.1])
+    back = gain_of(differences(theirs, mine))
+    assert back.gain.low == pytest.approx(-found.gain.high)
+
+
+def test_a_sample_that_only_one_has_a_score_of_does_not_count():
+    mine = ious(a=[0.9, 0.5])
+    theirs = [sample("a", "q0", iou=0.7), sample("a", "q1")]
+    assert gain_of(differences(mine, theirs)).gain.difference == pytest.approx(0.2)
+    assert differences(mine, []) == []
+
+
+def test_versions_of_a_protocol_do_not_compare():
+    other = [row | {"protocol": "slgaussian@2"} for row in ious(a=[0.7])]
+    assert differences(ious(a=[0.9]), other) == []
+
+
+def test_settings_may_differ_since_they_may_be_what_is_compared():
+    other = [row | {"temperature": 1.0} for row in ious(a=[0.7])]
+    assert gain_of(differences(ious(a=[0.9]), other)).gain.difference == pytest.approx(0.2)
+
+
+def test_two_methods_at_once_are_refused():
+    rows = [*ious(a=[0.9]), sample("a", "q0", iou=0.1, method="n")]
+    with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@1"):
+        differences(rows, ious(a=[0.9]))
+
+
+def test_a_method_does_not_differ_from_itself(result):
+    found = differences(result.rows, result.rows)
+    assert {d.metric for d in found} == {m.name for m in METRICS}
+    assert all((d.gain.difference, d.gain.low, d.gain.high) == (0, 0, 0) for d in found)
+    assert {d.threshold for d in found} == {None, *THRESHOLDS}
+
+
+@given(st.lists(st.floats(0, 1), min_size=7, max_size=12), st.floats(-0.2, 0.2))
+def test_a_constant_gain_is_certain(values, step):
+    mine = ious(**{f"s{k}": [v + step] for k, v in enumerate(values)})
+    theirs = ious(**{f"s{k}": [v] for k, v in enumerate(values)})
+    gain = gain_of(differences(mine, theirs)).gain
+    assert (gain.difference, gain.low, gain.high) == pytest.approx((step, step, step), abs=1e-9)

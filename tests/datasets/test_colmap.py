@@ -1,0 +1,356 @@
+import pickle
+import shutil
+import struct
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from posed_folders import HEIGHT, PINHOLE, WIDTH, Shot, picture, write_model, write_pictures
+from scipy.ndimage import map_coordinates
+
+from slgaussian.datasets import colmap, files, load, nerfstudio
+from slgaussian.datasets.sparse import KINDS, MODELS, read_model
+from slgaussian.errors import InputError
+
+SHOTS = {
+    "b.png": Shot(3, place=(0.1, 0.2, -0.3), turn=20),
+    "a.png": Shot(11, place=(1, 0, 0), turn=-35),
+    "deep/a.png": Shot(2, camera=2, place=(0, 0.5, 0)),
+}
+CAMERAS = {1: PINHOLE, 2: ("SIMPLE_PINHOLE", (75.0, 40.0, 30.0))}
+POINTS = np.random.default_rng(0).uniform((-1, -1, 3), (1, 1, 6), (40, 3))
+
+LENSES = {
+    "SIMPLE_RADIAL": (150.0, 121.4, 104.7, -0.12),
+    "RADIAL": (150.0, 121.4, 104.7, -0.15, 0.03),
+    "OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006),
+    "FULL_OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0.02, 0.01, 0.0),
+    "OPENCV_FISHEYE": (160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.004, -0.001),
+    "FOV": (160.0, 163.0, 121.4, 104.7, 0.6),
+    "SIMPLE_FISHEYE": (150.0, 121.4, 104.7),
+    "FISHEYE": (150.0, 153.0, 121.4, 104.7),
+    "SIMPLE_RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04),
+    "RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04, -0.01),
+    "THIN_PRISM_FISHEYE": (
+        *(160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.002, -0.003, 0.001, 0.001, 0.004, -0.003),
+    ),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        *(160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.004, 0.0, 0.0, 0.0),
+        *(0.002, -0.003, 0.001, 0.0, 0.002, 0.0),
+    ),
+    "SIMPLE_DIVISION": (150.0, 121.4, 104.7, -0.1),
+    "DIVISION": (150.0, 153.0, 121.4, 104.7, -0.1),
+    "EUCM": (160.0, 163.0, 121.4, 104.7, 0.5, 1.1),
+}
+
+
+@pytest.fixture
+def scene(tmp_path):
+    write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS)
+    write_pictures(tmp_path / "images", list(SHOTS))
+    return tmp_path
+
+
+class TestPoses:
+    @pytest.mark.parametrize("text", [False, True])
+    def test_are_those_that_pycolmap_reads(self, tmp_path, text):
+        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS, text)
+        pycolmap = pytest.importorskip("pycolmap")
+        theirs = pycolmap.Reconstruction(tmp_path / "sparse/0")
+        cameras = colmap.read(tmp_path).cameras
+        assert list(cameras) == ["a.png", "b.png", "deep/a.png"]  # whatever the ids
+        for image in theirs.images.values():
+            own = cameras[image.name]
+            # 17 digits in text and 8 bytes in binary files leave no more than this.
+            assert own.w2c[:3] == pytest.approx(image.cam_from_world().matrix(), abs=1e-14)
+            assert pytest.approx(image.camera.calibration_matrix()) == own.K
+            seen, depth = own.project(POINTS)
+            expected = [image.project_point(point) for point in POINTS]
+            for pixel, z, there in zip(seen, depth, expected, strict=True):
+                assert (there is None) == (z <= 0)
+                assert there is None or pixel == pytest.approx(there, abs=1e-9)
+
+    def test_model_numbers_are_those_of_pycolmap(self):
+        pycolmap = pytest.importorskip("pycolmap")
+        for number, (name, count) in MODELS.items():
+            camera = pycolmap.Camera.create_from_model_name(1, name, 1.0, 2, 1)
+            assert int(camera.model) == number
+            assert len(camera.params) == count
+
+    def test_text_and_binary_files_say_the_same(self, tmp_path):
+        write_model(tmp_path / "b", SHOTS, CAMERAS, POINTS)
+        write_model(tmp_path / "t", SHOTS, CAMERAS, POINTS, text=True)
+        binary, text = read_model(tmp_path / "b"), read_model(tmp_path / "t")
+        assert binary.cameras == text.cameras
+        assert {n: (i.name, i.camera) for n, i in binary.images.items()} == {
+            n: (i.name, i.camera) for n, i in text.images.items()
+        }
+        assert np.array_equal(binary.points, text.points)
+        assert np.array_equal(binary.seen, text.seen)
+        assert len(binary.seen) == len(POINTS) * len(SHOTS)
+
+    @pytest.mark.parametrize("place", ["sparse/0", "sparse", "colmap/sparse/0", "."])
+    def test_the_model_may_lie_in_several_places(self, tmp_path, place):
+        write_model(tmp_path / place, SHOTS, CAMERAS)
+        assert len(colmap.read(tmp_path).cameras) == 3
+
+
+class TestDepthRange:
+    def test_is_a_little_wider_than_the_points(self, scene):
+        cameras = colmap.read(scene).cameras
+        model = read_model(scene / "sparse/0")
+        for name, shot in SHOTS.items():
+            w2c = shot.w2c()
+            depths = np.sort(model.points @ w2c[2, :3] + w2c[2, 3])
+            assert cameras[name].near == pytest.approx(0.8 * depths[2])
+            assert cameras[name].far == pytest.approx(2 * np.percentile(depths, 98))
+
+    def test_is_not_made_of_few_points_or_those_of_two_views(self, tmp_path):
+        write_model(tmp_path / "few/sparse", SHOTS, CAMERAS, POINTS[:11])
+        two = dict(list(SHOTS.items())[:2])
+        write_model(tmp_path / "two/sparse", two, CAMERAS, POINTS)
+        write_model(tmp_path / "none/sparse", SHOTS, CAMERAS)
+        for name in ("few", "two", "none"):
+            assert all(
+                c.near is c.far is None for c in colmap.read(tmp_path / name).cameras.values()
+            )
+
+    def test_points_may_be_missing(self, scene):
+        (scene / "sparse/0/points3D.bin").unlink()
+        assert colmap.read(scene).cameras["a.png"].near is None
+
+
+class TestLenses:
+    @pytest.mark.parametrize("model", LENSES)
+    def test_every_pixel_comes_from_where_pycolmap_puts_it(self, tmp_path, model):
+        width, height = 250, 200
+        own = {1: (model, LENSES[model])}
+        made = write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, own, size=(width, height))
+        # Pixels that hold their own column and row: interpolation of a ramp is exact.
+        rows, cols = np.indices((height, width))
+        (tmp_path / "images").mkdir()
+        Image.fromarray(np.dstack([cols, rows, np.full_like(rows, 9)]).astype(np.uint8)).save(
+            tmp_path / "images/a.png"
+        )
+        read = load("colmap", tmp_path)
+        view = read.read("a.png")
+        stored = np.stack([cols + 0.5, rows + 0.5], -1).reshape(-1, 2)
+        rays = made.cameras[1].cam_from_img(stored)
+        straight = rays @ view.camera.K[:2, :2].T + view.camera.K[:2, 2] - 0.5
+        inside = (straight >= 1).all(1) & (straight <= (width - 2, height - 2)).all(1)
+        places = straight[inside].T[::-1]
+        channels = view.image.astype(np.float64).transpose(2, 0, 1)
+        shown = np.stack([map_coordinates(channel, places, order=1) for channel in channels], 1)
+        error = shown[:, :2] - (stored[inside] - 0.5)
+        seen = np.abs(shown[:, 2] - 9) < 1e-3  # nothing black was mixed in
+        assert inside.mean() > 0.6
+        assert seen.mean() > 0.97
+        # 8 bits round by 0.5; the bend between four pixels adds a little.
+        assert np.abs(error[seen]).max() < 0.56
+        # The reader's own maps, finer than 8 bits: back through pycolmap's lens.
+        maps = read.read.__self__.lenses["a.png"].maps()
+        there = np.stack(maps, -1).reshape(-1, 2) + 0.5
+        known = ((there >= 0) & (there <= (width, height))).all(1)
+        back = made.cameras[1].cam_from_img(there[known].astype(np.float64))
+        found = back @ view.camera.K[:2, :2].T + view.camera.K[:2, 2]
+        assert np.abs(found - stored[known]).max() < 5e-5  # measured 1.6e-5: the maps are float32
+
+    def test_agree_with_those_of_nerfstudio_files(self, tmp_path):
+        fx, fy, cx, cy, k1, k2, p1, p2 = LENSES["OPENCV"]
+        write_model(
+            tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: ("OPENCV", LENSES["OPENCV"])},
+            size=(250, 200),
+        )  # fmt: skip
+        write_pictures(tmp_path / "images", ["a.png"], 250, 200)
+        (tmp_path / "transforms.json").write_text(
+            f'{{"fl_x": {fx}, "fl_y": {fy}, "cx": {cx}, "cy": {cy}, "k1": {k1}, "k2": {k2}, '
+            f'"p1": {p1}, "p2": {p2}, "frames": [{{"file_path": "images/a.png", '
+            '"transform_matrix": [[1,0,0,0],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]}]}'
+        )
+        a = colmap.read(tmp_path).read("a.png")
+        b = nerfstudio.read(tmp_path).read("images/a.png")
+        assert np.array_equal(a.camera.K, b.camera.K)
+        # Noise, in which a 32nd of a pixel, OpenCV's step, is up to 8 levels.
+        differs = np.abs(a.image.astype(int) - b.image)
+        assert differs.max() <= 8
+        assert differs.mean() < 0.1
+
+    def test_beyond_the_fold_of_a_polynomial_there_is_nothing(self, tmp_path):
+        # Beyond r = 1 / sqrt(3 * 0.9) of the image plane this lens turns back towards the middle.
+        lens = {1: ("SIMPLE_RADIAL", (60.0, 48.0, 32.0, -0.9))}
+        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, lens)
+        (tmp_path / "images").mkdir()
+        Image.new("RGB", (WIDTH, HEIGHT), "white").save(tmp_path / "images/a.png")
+        image = colmap.read(tmp_path).read("a.png").image
+        rows, cols = np.indices((HEIGHT, WIDTH)) + 0.5
+        radius = np.hypot(cols - 48, rows - 32) / 60
+        fold = 1 / np.sqrt(2.7)
+        assert (image[radius < fold - 0.03] == 255).all()
+        assert (image[radius > fold + 0.03] == 0).all()
+
+    def test_without_a_focal_length_are_refused(self, tmp_path):
+        cameras = {1: ("EQUIRECTANGULAR", (WIDTH, HEIGHT))}
+        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, cameras)
+        with pytest.raises(InputError, match="camera 1: its model EQUIRECTANGULAR has no focal"):
+            colmap.read(tmp_path)
+
+    def test_need_pycolmap_only_if_they_bend(self, scene, monkeypatch):
+        write_model(scene / "bent/sparse", {"a.png": Shot(1)}, {1: ("RADIAL", LENSES["RADIAL"])})
+        monkeypatch.setitem(sys.modules, "pycolmap", None)
+        assert (colmap.read(scene).read("b.png").image == picture(0)).all()
+        with pytest.raises(InputError, match=r"RADIAL is distorted.*pip install 'slgaussian\[colm"):
+            colmap.read(scene / "bent")
+
+
+class TestPhotographs:
+    def test_are_found_below_folders_and_by_their_own_names(self, scene):
+        read = colmap.read(scene)
+        assert (read.read("deep/a.png").image == picture(2)).all()
+        assert read.find("b") == "b.png"
+        with pytest.raises(InputError, match="is ambiguous"):
+            read.find("a")
+
+    def test_of_two_extensions_are_two(self, tmp_path):
+        shots = {"a.png": Shot(1), "a.jpg": Shot(2)}
+        write_model(tmp_path / "sparse/0", shots)
+        write_pictures(tmp_path / "images", ["a.png"])
+        Image.fromarray(np.full((HEIGHT, WIDTH, 3), 77, np.uint8)).save(tmp_path / "images/a.jpg")
+        read = colmap.read(tmp_path)
+        assert (read.read("a.png").image == picture(0)).all()
+        assert (read.read("a.jpg").image == 77).all()
+
+    def test_that_are_missing_leave_the_others_usable(self, scene):
+        (scene / "images/b.png").unlink()
+        (scene / "images/deep/a.png").unlink()
+        read = colmap.read(scene)
+        assert (read.read("a.png").image == picture(1)).all()
+        with pytest.raises(InputError) as caught:
+            read.read("b.png")
+        assert str(scene / "images/b.png") in str(caught.value)
+        assert "1 more of its 3 photographs missing: deep/a.png" in str(caught.value)
+
+    def test_that_were_shrunk_get_shrunk_cameras(self, scene):
+        shutil.rmtree(scene / "images")
+        write_pictures(scene / "images_4", list(SHOTS), WIDTH // 4, HEIGHT // 4)
+        write_pictures(scene / "images_2", list(SHOTS), WIDTH // 2, HEIGHT // 2)
+        half, quarter = colmap.read(scene), colmap.read(scene, images="images_4")
+        for read, factor in ((half, 2), (quarter, 4)):
+            camera = read.read("a.png").camera
+            assert (camera.width, camera.height) == (WIDTH // factor, HEIGHT // factor)
+            assert np.allclose(camera.K[:2] * factor, [[80, 0, 47.3], [0, 82, 33.1]])
+
+    def test_that_were_shrunk_by_an_uneven_factor_and_saved_anew(self, tmp_path):
+        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, size=(97, 63))
+        write_pictures(tmp_path / "images_2", ["a.jpg"], 48, 31)
+        camera = colmap.read(tmp_path).read("a.png").camera
+        assert (camera.width, camera.height) == (48, 31)
+        assert camera.K[0, 0] == pytest.approx(80 * 48 / 97)
+        assert camera.K[1, 1] == pytest.approx(82 * 31 / 63)
+
+    def test_in_portrait_are_read_and_turned_ones_refused(self, tmp_path):
+        portrait = {1: ("PINHOLE", (80.0, 80.0, 31.0, 50.0))}
+        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, portrait, size=(HEIGHT, WIDTH))
+        write_pictures(tmp_path / "images", ["a.png"], HEIGHT, WIDTH)
+        view = colmap.read(tmp_path).read("a.png")
+        assert view.image.shape == (WIDTH, HEIGHT, 3)
+        write_pictures(tmp_path / "images", ["a.png"], WIDTH, HEIGHT)
+        with pytest.raises(InputError, match=r"a\.png: is 96x64, but by its pose file 64x96"):
+            colmap.read(tmp_path).read("a.png")
+
+    def test_of_one_camera_have_one_size(self, scene):
+        write_pictures(scene / "images", ["b.png"], WIDTH // 2, HEIGHT // 2)
+        with pytest.raises(InputError, match=r"b\.png: is 48x32, but by its pose file 96x64"):
+            colmap.read(scene).read("b.png")
+
+    def test_files_of_views_are_the_model_and_their_photographs(self, scene):
+        names = {p.relative_to(scene).as_posix() for p in files("colmap", scene, ["b", "x/a.png"])}
+        model = {f"sparse/0/{kind}.bin" for kind in KINDS}
+        assert names == model | {"images/b.png", "images/a.png", "images/deep/a.png"}
+
+
+class TestDamage:
+    def test_a_binary_file_that_is_cut_anywhere_is_named(self, scene):
+        for kind in KINDS:
+            file = scene / f"sparse/0/{kind}.bin"
+            data = file.read_bytes()
+            for end in range(0, len(data), max(1, len(data) // 60)):
+                file.write_bytes(data[:end])
+                with pytest.raises(InputError, match=rf"{kind}\.bin: .*damaged or cut short"):
+                    colmap.read(scene)
+            file.write_bytes(data + b"\0")
+            with pytest.raises(InputError, match="goes on for 1 bytes"):
+                colmap.read(scene)
+            file.write_bytes(data)
+        colmap.read(scene)
+
+    def test_a_text_file_that_is_cut_anywhere_is_named_or_read(self, tmp_path):
+        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS[:3], text=True)
+        for kind in KINDS:
+            file = tmp_path / f"sparse/0/{kind}.txt"
+            text = file.read_text()
+            refused = 0
+            for end in range(0, len(text), 7):
+                file.write_text(text[:end])
+                try:
+                    colmap.read(tmp_path)
+                except InputError as bad:
+                    assert str(tmp_path) in str(bad)
+                    refused += 1
+            assert refused > 10
+            file.write_text(text)
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_a_count_that_no_file_can_hold_takes_no_memory(self, scene, kind):
+        (scene / f"sparse/0/{kind}.bin").write_bytes(struct.pack("<Q", 2**61) + bytes(100))
+        with pytest.raises(InputError, match="says that it has 2305843009213693952 entries"):
+            colmap.read(scene)
+
+    @pytest.mark.parametrize(
+        ("kind", "old", "new", "sentence"),
+        [
+            ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model 'MAGIC', which is not known"),
+            ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "OPENCV has 8 parameters, found 3"),
+            ("cameras", "2 SIMPLE_PINHOLE", "1 SIMPLE_PINHOLE", "two cameras 1"),
+            ("cameras", "2 SIMPLE_PINHOLE 96", "2 SIMPLE_PINHOLE 0", "camera 2 is 0x64 pixels"),
+            ("cameras", "75", "-75", "focal lengths -75, -75 must be positive"),
+            ("cameras", "75", "nan", "with parameters (nan"),
+            (
+                "cameras",
+                "2 SIMPLE_PINHOLE",
+                "7 SIMPLE_PINHOLE",
+                "taken with camera 2, which cameras",
+            ),
+            ("images", " deep/a.png", " b.png", "two images are called 'b.png'"),
+            ("images", " deep/a.png", "", "image 2 has no name"),
+            ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
+            ("images", "2 1 0 -0 0", "3 1 0 0 0", "two images 3"),
+        ],
+    )
+    def test_what_cannot_be_is_said(self, tmp_path, kind, old, new, sentence):
+        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, text=True)
+        file = tmp_path / f"sparse/0/{kind}.txt"
+        text = file.read_text()
+        assert old in text
+        file.write_text(text.replace(old, new))
+        with pytest.raises(InputError) as caught:
+            colmap.read(tmp_path)
+        assert sentence in str(caught.value)
+        assert str(tmp_path / "sparse/0") in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_no_model_and_no_pose_are_said(self, tmp_path):
+        with pytest.raises(InputError, match="has no COLMAP model; expected cameras and images"):
+            load("colmap", tmp_path)
+        write_model(tmp_path / "sparse/0", {}, CAMERAS)
+        with pytest.raises(InputError, match="has no posed image"):
+            load("colmap", tmp_path)
+
+
+def test_a_scene_can_be_sent_to_another_process(tmp_path):
+    write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: ("OPENCV", LENSES["OPENCV"])})
+    write_pictures(tmp_path / "images", ["a.png"])
+    scene = colmap.read(tmp_path)
+    again = pickle.loads(pickle.dumps(scene))
+    assert again.name == tmp_path.name
+    assert (again.read("a.png").image == scene.read("a.png").image).all()

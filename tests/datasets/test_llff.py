@@ -1,0 +1,146 @@
+import pickle
+
+import numpy as np
+import pytest
+from PIL import Image
+from posed_folders import FOCAL, HEIGHT, WIDTH, llff_row
+
+from slgaussian.datasets import files, llff, load
+from slgaussian.errors import InputError
+
+
+def write(root, rows, names, folder="images", size=(WIDTH, HEIGHT)):
+    (root / folder).mkdir(parents=True, exist_ok=True)
+    for i, name in enumerate(names):
+        Image.new("RGB", size, (i + 1, 0, 0)).save(root / folder / name)
+    np.save(root / "poses_bounds.npy", np.array(rows))
+    return root
+
+
+class TestCameras:
+    def test_axes_turn_from_down_right_back_to_opencv(self, tmp_path):
+        scene = llff.read(write(tmp_path, [llff_row((1, -2, 0.5), 30)], ["a.png"]))
+        camera = scene.cameras["a.png"]
+        a = np.radians(30)
+        ahead, right = np.array([np.sin(a), 0, np.cos(a)]), np.array([np.cos(a), 0, -np.sin(a)])
+        point = camera.center + 4 * ahead + right + 0.5 * np.array([0, 1.0, 0])
+        pixel, depth = camera.project(point)
+        assert camera.center.tolist() == [1, -2, 0.5]
+        assert depth == pytest.approx(4)
+        assert pixel == pytest.approx((WIDTH / 2 + FOCAL / 4, HEIGHT / 2 + FOCAL / 8))
+        assert (camera.near, camera.far) == (2, 9)
+
+    def test_rows_follow_the_names_of_the_photographs(self, tmp_path):
+        names = ["c.jpg", "a.JPG", "b.png"]
+        scene = llff.read(write(tmp_path, [llff_row((i, 0, 0)) for i in range(3)], names))
+        assert list(scene.cameras) == sorted(names)
+        assert [c.center[0] for c in scene.cameras.values()] == [0, 1, 2]
+        assert (scene.read("b.png").image[..., 0] == 3).all()
+
+    def test_the_focal_length_follows_the_size_of_the_photographs(self, tmp_path):
+        rows = [llff_row(size=(3024, 4032))]
+        write(tmp_path, rows, ["a.png"], "images_4", (1008, 756))
+        write(tmp_path, rows, ["a.png"], "images_8", (504, 378))
+        for settings, factor in (({}, 4), ({"images": "images_8"}, 8)):
+            camera = load("llff", tmp_path, **settings).read("a.png").camera
+            assert (camera.width, camera.height) == (4032 // factor, 3024 // factor)
+            assert np.allclose(camera.K[[0, 1], [0, 1]], FOCAL / factor)
+            assert np.allclose(camera.K[:2, 2] * factor, (2016, 1512))
+
+    def test_photographs_may_be_portraits_and_differ_in_size(self, tmp_path):
+        write(tmp_path, [llff_row(), llff_row()], ["a.png"])
+        Image.new("RGB", (HEIGHT, WIDTH)).save(tmp_path / "images/b.png")
+        np.save(tmp_path / "poses_bounds.npy", [llff_row(), llff_row(size=(WIDTH, HEIGHT))])
+        scene = llff.read(tmp_path)
+        assert scene.read("b.png").image.shape == (WIDTH, HEIGHT, 3)
+        assert scene.cameras["b.png"].K[0, 2] == HEIGHT / 2
+
+
+class TestDamage:
+    @pytest.mark.parametrize(
+        ("rows", "sentence"),
+        [
+            (np.zeros((2, 16)), r"found float64 (2, 16), expected a row of 17 numbers"),
+            (np.zeros(17), r"found float64 (17,)"),
+            (np.zeros((0, 17)), r"found float64 (0, 17)"),
+            (np.zeros((2, 17), "U3"), r"found <U3 (2, 17)"),
+            ([llff_row()], "has 1 rows, but"),
+            ([llff_row()] * 3, "has 3 rows, but"),
+            ([llff_row(), [*llff_row()[:15], 3, np.nan]], "row of 'b.png': holds NaN"),
+            ([llff_row(), llff_row(near=3, far=2)], "row of 'b.png': camera far: found 2.0"),
+            (
+                [llff_row(), llff_row(size=(WIDTH, HEIGHT))],
+                "'b.png': says 64x96 pixels, but the photograph",
+            ),
+            ([llff_row(), llff_row(size=(0, WIDTH))], "'b.png': says 96x0 pixels"),
+            ([llff_row(), [0.0] * 17], "'b.png': says 0x0 pixels"),
+            (
+                [llff_row(), [2 * v for v in llff_row()]],
+                "'b.png': camera c2w: its 3x3 part is not a rot",
+            ),
+        ],
+    )
+    def test_ends_in_one_sentence_that_names_the_file(self, tmp_path, rows, sentence):
+        write(tmp_path, rows, ["a.png", "b.png"])
+        with pytest.raises(InputError) as caught:
+            llff.read(tmp_path)
+        assert str(caught.value).startswith(f"{tmp_path / 'poses_bounds.npy'}: ")
+        assert sentence in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_a_pickle_is_not_opened(self, tmp_path):
+        write(tmp_path, [llff_row()], ["a.png"])
+        for content in (pickle.dumps(np.zeros((1, 17))), b"", b"\x93NUMPY junk"):
+            (tmp_path / "poses_bounds.npy").write_bytes(content)
+            with pytest.raises(InputError, match=r"poses_bounds\.npy: is no array of numbers"):
+                llff.read(tmp_path)
+        np.save(tmp_path / "poses_bounds.npy", np.array([{}]), allow_pickle=True)
+        with pytest.raises(InputError, match=r"poses_bounds\.npy: is no array of numbers"):
+            llff.read(tmp_path)
+
+    def test_a_file_that_is_cut_anywhere_is_named(self, tmp_path):
+        file = write(tmp_path, [llff_row()], ["a.png"]) / "poses_bounds.npy"
+        data = file.read_bytes()
+        for end in range(len(data)):
+            file.write_bytes(data[:end])
+            with pytest.raises(InputError, match=r"poses_bounds\.npy"):
+                llff.read(tmp_path)
+
+    def test_nothing_there_is_said(self, tmp_path):
+        with pytest.raises(InputError, match=r"poses_bounds\.npy: cannot be read \(No such file"):
+            load("llff", tmp_path)
+
+    def test_a_damaged_photograph_is_an_error_of_its_view(self, tmp_path):
+        write(tmp_path, [llff_row(), llff_row()], ["a.png", "b.png"])
+        (tmp_path / "images/b.png").write_text("hello")
+        scene = llff.read(tmp_path)
+        scene.read("a.png")
+        with pytest.raises(InputError, match=r"b\.png: cannot be read"):
+            scene.read("b.png")
+
+
+def test_files_of_views_are_the_poses_and_their_photographs(tmp_path):
+    write(tmp_path, [llff_row()] * 3, ["a.png", "b.png", "c.png"])
+    found = [p.relative_to(tmp_path).as_posix() for p in files("llff", tmp_path, ["c", "x/a.png"])]
+    assert found == ["poses_bounds.npy", "images/a.png", "images/c.png"]
+
+
+def test_a_scene_can_be_sent_to_another_process(tmp_path):
+    scene = pickle.loads(pickle.dumps(llff.read(write(tmp_path, [llff_row()], ["a.png"]))))
+    assert (scene.read("a.png").image[..., 0] == 1).all()
+
+
+def test_matches_of_a_real_scene_lie_on_its_epipolar_lines(real_data):
+    from slgaussian.predict.pose import Relative, sift_matches
+
+    scene = llff.read(real_data / "fern")
+    assert len(scene.cameras) == 20
+    a, b = (scene.read(name) for name in ("image000.png", "image003.png"))
+    here, there = sift_matches(a.image.mean(2).astype(np.uint8), b.image.mean(2).astype(np.uint8))
+    relative = Relative.between(a.camera, b.camera)
+    distance = np.abs(relative.epipolar_distance(here, there))
+    assert len(here) > 100
+    assert np.median(distance) < 0.6
+    # The file's depths are percentiles of COLMAP's points: nearly all matches lie between them.
+    depth = 1 / relative.triangulate(here[distance < 1], there[distance < 1])
+    assert ((depth > 0.8 * a.camera.near) & (depth < 2 * a.camera.far)).mean() > 0.95

@@ -1,0 +1,287 @@
+"""From a folder of labelled photographs to an index, and from an index to what is scored."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import skimage.data
+from command import run, said
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from flows import pipeline
+from flows.labelled import labelled_scenes
+from flows.settings import SceneSettings, make_settings
+from slgaussian import datasets
+from slgaussian.benchmark.index import read_index
+from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+from slgaussian.store import ArtifactStore
+from tasks import ingest, truth
+from tasks.artifacts import sample_from_arrays, truth_from_arrays
+from tasks.stage import StageCall
+
+SIZE = (240, 160)
+FRAMES = [f"frame_{i:05d}.jpg" for i in range(1, 10)]
+BOX = (60, 50, 140, 110)
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    """A photograph as a wall 3 m away, seen from nine places along it."""
+    wall = skimage.data.coffee()
+    K = np.array([[200.0, 0, 120], [0, 200, 80], [0, 0, 1]])
+    cameras = {}
+    for i in range(9):
+        c2w = np.eye(4)
+        c2w[:3, :3] = Rotation.from_euler("y", 4 - i, degrees=True).as_matrix()
+        c2w[:3, 3] = (0.15 * i - 0.6, 0.02 * (i % 2), 0)
+        cameras[str(i)] = Camera(K, c2w, *SIZE)
+
+    def view(name: str) -> View:
+        camera = cameras[name]
+        scale = wall.shape[1] / 6  # the wall is 6 m wide
+        to_wall = np.array([[1 / scale, 0, -3], [0, 1 / scale, -2], [0, 0, 3]])
+        there = camera.w2c[:3, :3] @ to_wall
+        there[:, 2] += camera.w2c[:3, 3]
+        image = cv2.warpPerspective(wall, K @ there, SIZE, borderMode=cv2.BORDER_REFLECT)
+        return View(name, camera, image)
+
+    return Scene("wall", cameras, view)
+
+
+@pytest.fixture(scope="module")
+def photographs(room) -> list[np.ndarray]:
+    return [room.read(name).image for name in room.cameras]
+
+
+@pytest.fixture
+def lerf(tmp_path, room, photographs) -> Path:
+    """It as the scenes ramen and teatime of a LERF-OVS folder, with some labels."""
+    lines = []
+    for i, camera in reversed(list(enumerate(room.cameras.values()))):
+        x, y, z, w = Rotation.from_matrix(camera.w2c[:3, :3]).as_quat()
+        pose = " ".join(map(repr, map(float, (w, x, y, z, *camera.w2c[:3, 3]))))
+        lines += [f"{20 - i} {pose} 1 {FRAMES[i]}", ""]
+    K = next(iter(room.cameras.values())).K
+    params = " ".join(map(repr, map(float, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))))
+    for scene in ("ramen", "teatime"):
+        model = tmp_path / scene / "sparse/0"
+        model.mkdir(parents=True)
+        (model / "cameras.txt").write_text(f"1 PINHOLE {SIZE[0]} {SIZE[1]} {params}\n")
+        (model / "images.txt").write_text("\n".join(lines) + "\n")
+        (tmp_path / scene / "images").mkdir()
+        for name, image in zip(FRAMES, photographs, strict=True):
+            Image.fromarray(image).save(tmp_path / scene / "images" / name, quality=95)
+    label(tmp_path / "label/teatime", FRAMES[4])
+    label(tmp_path / "label/teatime", FRAMES[0])  # the end of the path: nothing beyond it
+    label(tmp_path / "label/ramen", FRAMES[3], "bowl", "nori")
+    return tmp_path
+
+
+def label(folder: Path, name: str, *categories: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    x0, y0, x1, y1 = BOX
+    polygon = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+    things = [
+        {"category": category, "segmentation": polygon, "bbox": BOX}
+        for category in categories or ("sheep",)
+    ]
+    info = {"name": name, "width": SIZE[0], "height": SIZE[1]}
+    file = folder / f"{Path(name).stem}.json"
+    file.write_text(json.dumps({"info": info, "objects": things}))
+
+
+class TestIndex:
+    def test_every_labelled_frame_has_a_pair_or_a_reason(self, lerf, monkeypatch, capsys):
+        file = lerf / "pairs.json"
+        assert run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file) == 0
+        index = read_index(file)
+        assert index.format == "lerf_ovs"
+        assert index.rule["name"] == "around"
+        ramen, teatime = index.pairs
+        assert (ramen.scene, teatime.scene) == ("ramen-frame_00004", "teatime-frame_00005")
+        assert ramen.targets == (FRAMES[3],)
+        assert ramen.categories == ("bowl", "nori")
+        assert (ramen.labels, ramen.options) == ("label/ramen", {"scene": "ramen"})
+        before, after = (FRAMES.index(name) for name in teatime.context)
+        assert 0 < before < 4 < after
+        assert 0.6 <= teatime.measured["overlap"] <= 1
+        # Published as labelled: never a context view, and its missing labels are said.
+        assert FRAMES[5] not in ramen.context
+        assert "its labels are missing" in index.left_out["ramen-frame_00006"]
+        assert "have it between them" in index.left_out["teatime-frame_00001"]
+        assert "no view 'frame_00025'" in index.left_out["teatime-frame_00025"]
+        spoken = capsys.readouterr()
+        assert "2 pairs" in spoken.out
+        assert spoken.err.count("left out: ") == len(index.left_out)
+
+    def test_is_the_same_bytes_again(self, lerf, monkeypatch):
+        files = [lerf / "one.json", lerf / "two.json"]
+        for file in files:
+            assert run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file) == 0
+        assert files[0].read_bytes() == files[1].read_bytes()
+
+    def test_its_settings_are_in_it_and_have_an_effect(self, lerf, monkeypatch):
+        file = lerf / "pairs.json"
+        words = ("pairs", lerf, "--format", "lerf_ovs", "-o", file, "--max-aside", "0.4")
+        assert run(monkeypatch, *words, "--min-baseline", "0.2") == 0
+        index = read_index(file)
+        assert (index.rule["max_aside"], index.rule["min_baseline"]) == (0.4, 0.2)
+        assert all(pair.measured["baseline"] >= 0.2 for pair in index.pairs)
+
+    def test_labels_of_ones_own_lie_beside_any_format(self, lerf, monkeypatch):
+        own = lerf / "own"
+        label(own, FRAMES[4], "red ball")
+        file = lerf / "pairs.json"
+        words = ("pairs", lerf / "teatime", "--format", "colmap", "--labels", own, "-o", file)
+        assert run(monkeypatch, *words) == 0
+        index = read_index(file)
+        assert index.format == "colmap"
+        (pair,) = index.pairs
+        assert (pair.scene, pair.labels, pair.options) == ("teatime-frame_00005", "", {})
+        settings = make_settings({"data": lerf / "teatime", "pairs": file, "labels": own}, "test")
+        ((scene,), _) = labelled_scenes(settings)
+        assert (scene.labels, scene.categories) == (own, ["red ball"])
+
+    def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf, monkeypatch):
+        first, second = lerf / "one.json", lerf / "two.json"
+        run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", first)
+        pair = read_index(first).pairs[1]
+        (lerf / "teatime/images" / pair.context[0]).write_text("hello")
+        (lerf / "teatime/images" / pair.context[1]).unlink()
+        (lerf / "ramen/images" / FRAMES[3]).unlink()
+        run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", second)
+        index = read_index(second)
+        assert "no such photograph" in index.left_out["ramen-frame_00004"]
+        assert not any(set(pair.context) & set(other.context) for other in index.pairs)
+
+    def test_what_cannot_be_is_said_in_one_sentence(self, lerf, monkeypatch, capsys):
+        file = lerf / "pairs.json"
+        for words, sentence in (
+            ((lerf,), "data format 'nerfstudio' has no labels of its own; give their folder"),
+            ((lerf, "--format", "stereo", "--labels", lerf), "'stereo' reads no folder"),
+            ((lerf, "--format", "magic", "--labels", lerf), "unknown data format 'magic'"),
+            ((lerf / "label", "--format", "lerf_ovs"), "no labelled frame has a pair (no labels)"),
+            ((lerf, "--format", "lerf_ovs", "--max-aside", "0.7"), "max_aside"),
+            ((lerf, "--format", "lerf_ovs", "--min-overlap", "0.9", "--max-overlap", "0.8"),
+             "min_overlap 0.9 is above max_overlap 0.8"),
+            ((lerf, "--format", "lerf_ovs", "--min-baseline", "0.4"), "have it between them"),
+        ):  # fmt: skip
+            assert run(monkeypatch, "pairs", *words, "-o", file) == 2
+            assert sentence in said(capsys)
+            assert not file.exists()
+
+
+class TestScored:
+    def scenes(self, lerf, monkeypatch, **more):
+        file = lerf / "pairs.json"
+        if not file.exists():
+            run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file)
+        return labelled_scenes(make_settings({"data": lerf, "pairs": file, **more}, "test"))
+
+    def test_the_stages_read_what_the_index_says(self, lerf, monkeypatch, tmp_path):
+        scenes, notes = self.scenes(lerf, monkeypatch)
+        assert "left out by the index" in notes[0]
+        scene = scenes[1]
+        settings = make_settings({"size": (80, 120)}, "test")
+        steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+        store = ArtifactStore(str(tmp_path / "store"))
+        taken = steps["ingest"]
+        call = StageCall("tasks.ingest", taken.settings, where=taken.where)
+        made = ingest.run(store, call)
+        sample = sample_from_arrays(store.get(made))
+        assert [view.name for view in sample.targets] == [FRAMES[4]]
+        assert sample.context[0].image.shape == (80, 120, 3)
+        asked = steps["truth"]
+        call = StageCall("tasks.truth", asked.settings, {"sample": made}, asked.where)
+        found = truth_from_arrays(store.get(truth.run(store, call)))
+        mask = found.masks[FRAMES[4]]["sheep"]
+        assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
+        assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
+
+    def test_another_format_than_that_of_the_index_is_refused(self, lerf, monkeypatch):
+        with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):
+            self.scenes(lerf, monkeypatch, format="ovs3d")
+        assert len(self.scenes(lerf, monkeypatch, format="lerf_ovs")[0]) == 2
+
+    def test_an_old_index_needs_labels_and_may_be_of_any_format(self, lerf, monkeypatch):
+        file = lerf / "pairs.json"
+        entry = {"context": FRAMES[:2], "target": [FRAMES[4]], "categories": ["sheep"]}
+        file.write_text(json.dumps({"hall": entry}))
+        with pytest.raises(InputError, match="does not say where its labels are"):
+            self.scenes(lerf, monkeypatch)
+        labels = lerf / "label/teatime"
+        (scene,), notes = self.scenes(lerf, monkeypatch, labels=labels, format="colmap")
+        assert (scene.format, scene.labels, notes) == ("colmap", labels, [])
+        (scene,), _ = self.scenes(lerf, monkeypatch, labels=labels)
+        assert scene.format == "nerfstudio"
+
+    def test_published_clips_are_scored_where_they_are_there(self, tmp_path, room, monkeypatch):
+        data = tmp_path / "re10k"
+        clip = re10k.clip_of(room)
+        re10k.write(data, [clip])
+        file = tmp_path / "index.json"
+        there = {"context": [0, 8], "target": [2, 4, 8]}
+        file.write_text(json.dumps({clip.key: there, "other": {"context": [0, 5], "target": [3]}}))
+        settings = {"data": data, "pairs": file}
+        (scene,), notes = labelled_scenes(make_settings(settings, "test"))
+        assert scene.targets == ["2", "4"]
+        assert (scene.labels, scene.categories) == (None, [])
+        assert scene.options == {"key": clip.key}
+        assert any("1 of the 2 clips" in note for note in notes)
+        assert any("is both context and target" in note for note in notes)
+        # With labels, in the frames that have them.
+        label(tmp_path / "labels" / clip.key, "4.png", "red ball")
+        settings["labels"] = tmp_path / "labels"
+        (scene,), _ = labelled_scenes(make_settings(settings, "test"))
+        assert (scene.targets, scene.categories) == (["4"], ["red ball"])
+        shutil.rmtree(tmp_path / "labels" / clip.key)
+        with pytest.raises(InputError, match="nothing of it can be scored"):
+            labelled_scenes(make_settings(settings, "test"))
+
+
+class TestHeldOut:
+    def ingested(self, folder, tmp_path, context, targets):
+        scene = SceneSettings(
+            name="hall", format="colmap", path=folder, context=context, targets=targets
+        )
+        step = pipeline.plan(make_settings({}, "test"), scene)[0]
+        call = StageCall("tasks.ingest", step.settings, where=step.where)
+        return ingest.run(ArtifactStore(str(tmp_path / "store")), call)
+
+    def test_a_target_that_is_a_context_view_is_refused_however_it_is_called(self, lerf, tmp_path):
+        folder = lerf / "ramen"
+        with pytest.raises(InputError, match=r"the target 'frame_00004\.jpg' is the context view"):
+            self.ingested(folder, tmp_path, FRAMES[1:4:2], ["frame_00004"])
+
+    def test_so_is_a_copy_of_its_picture(self, lerf, tmp_path):
+        folder = lerf / "ramen"
+        shutil.copy(folder / "images" / FRAMES[1], folder / "images" / FRAMES[2])
+        with pytest.raises(InputError, match="is the same picture as the context view"):
+            self.ingested(folder, tmp_path, FRAMES[1:4:2], [FRAMES[2]])
+
+
+class TestFileHashes:
+    def test_change_with_every_file_that_is_read_and_with_no_other(self, lerf):
+        folder = lerf / "ramen"
+
+        def hashes():
+            return ingest.file_hashes("lerf_ovs", lerf, ["frame_00002", "4"], {"scene": "ramen"})
+
+        before = hashes()
+        assert set(before) == {
+            "ramen/sparse/0/cameras.txt", "ramen/sparse/0/images.txt", f"ramen/images/{FRAMES[1]}",
+        }  # fmt: skip
+        shutil.copy(folder / "images" / FRAMES[5], folder / "images" / FRAMES[6])
+        assert hashes() == before
+        shutil.copy(folder / "images" / FRAMES[5], folder / "images" / FRAMES[1])
+        assert hashes() != before
+
+    def test_of_what_cannot_be_read_are_left_out(self, tmp_path):
+        for name in (*datasets.FILES, "procedural", "stereo"):
+            assert ingest.file_hashes(name, tmp_path, ["a"], {}) == {}

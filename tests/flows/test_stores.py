@@ -1,0 +1,180 @@
+"""Flows on a store that several machines share, and the commands that look after one."""
+
+import base64
+import json
+import os
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import run, said
+from tiny_run import chain_plan, run_tiny
+
+from flows.settings import make_settings
+from slgaussian.errors import InputError
+from slgaussian.records import Records
+from slgaussian.store import ArtifactRef, ArtifactStore
+
+HERE = Path(__file__).parent
+ALL = ["a add", "a halve", "a make"]
+
+
+@pytest.fixture
+def store(bucket):
+    return ArtifactStore(f"{bucket}/slg")
+
+
+def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[str]:
+    """What a run had to compute."""
+    log.write_text("")
+    outcome = run_tiny(store, {"a": lambda: chain_plan(value, more, log)})
+    assert outcome.failures == []
+    return sorted(log.read_text().splitlines())
+
+
+@pytest.mark.usefixtures("server")
+def test_what_one_machine_made_another_finds(bucket, tmp_path):
+    """Two programs with nothing in common but the bucket and the account."""
+    plans = {f"scene_{i}": lambda i=i: chain_plan(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
+    run_tiny(ArtifactStore(f"{bucket}/slg"), plans)
+    assert len((tmp_path / "a").read_text().splitlines()) == 9
+    home = tmp_path / "home"
+    own = {"HOME": home, "XDG_CACHE_HOME": home / "caches", "PREFECT_HOME": home / "prefect"}
+    own |= {
+        "SLGAUSSIAN_CACHE": home / "copies",
+        "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}",
+    }
+    command = [sys.executable, HERE / "tiny_run.py", f"{bucket}/slg", tmp_path / "b", "0"]
+    other = subprocess.run(
+        list(map(str, command)),
+        env={**os.environ, **{name: str(value) for name, value in own.items()}},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert other.returncode == 0, other.stderr
+    assert not (tmp_path / "b").exists(), "something was computed anew"
+    assert "make         3 cached" in other.stderr
+
+
+@pytest.mark.usefixtures("server")
+def test_what_is_lost_or_damaged_is_made_again_and_nothing_else(store, tmp_path, monkeypatch):
+    assert ran(store, tmp_path / "log") == ALL
+    assert ran(store, tmp_path / "log") == []
+    outcome = run_tiny(store, {"a": lambda: chain_plan(6, 1, tmp_path / "log")})
+    uri = outcome.refs["a"]["halve"].uri
+    whole = store.read(uri)
+    store.remove([uri])
+    assert ran(store, tmp_path / "log") == ["a halve"]
+
+    # Damage shows only to who reads it; then the run goes back to who made it.
+    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "another machine"))
+    store.fs.pipe_file(f"{store.path}/{uri}", whole[:100] + b"?" + whole[101:])
+    assert ran(ArtifactStore(store.root), tmp_path / "log", more=2) == [
+        "a add", "a add", "a halve",
+    ]  # fmt: skip
+    assert store.read(uri) == whole
+
+
+class Trap:
+    def __reduce__(self):
+        return (Path.touch, (Path(os.environ["TRAP"]),))
+
+
+@pytest.mark.usefixtures("server")
+@pytest.mark.parametrize("kind", ["pickle", "record that asks for it"])
+def test_no_record_can_have_code_run(kind, tmp_path, monkeypatch):
+    monkeypatch.setenv("TRAP", str(tmp_path / "sprung"))
+    store = ArtifactStore(tmp_path / "store")
+    ran(store, tmp_path / "log")
+    trap = pickle.dumps(Trap())
+    if kind != "pickle":
+        # As Prefect writes its own, which name the reader of their content.
+        inner = base64.encodebytes(trap).decode()
+        meta = {"serializer": {"type": "pickle"}, "prefect_version": "3.8.8"}
+        trap = json.dumps({"metadata": meta, "result": inner}).encode()
+    for records in Records(store).all():
+        for record in records:
+            store.write(record.file.uri, trap)
+    assert ran(store, tmp_path / "log") == ALL
+    assert not (tmp_path / "sprung").exists()
+
+
+def kept(store: ArtifactStore) -> int:
+    return sum(len(files) for files in store.walk())
+
+
+@pytest.mark.usefixtures("server")
+def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
+    ran(store, tmp_path / "log")
+    whole = kept(store)
+    loose = store.put("labels", {**store.get(any_ref(store)), "margin": quarters()})
+    assert run(monkeypatch, "store", "gc", "--store", store.root) == 0
+    out = capsys.readouterr().out
+    assert "would be removed: nothing" in out
+    assert "stays: 3 artifacts that are referred to, 1 others younger than 1 days" in out
+    time.sleep(1.1)  # S3 says seconds
+    assert run(monkeypatch, "store", "gc", "--store", store.root, "--age", "0", "--yes") == 0
+    assert "removed: 1 artifacts that nothing refers to; " in capsys.readouterr().out
+    assert kept(store) == whole
+
+    assert run(monkeypatch, "store", "verify", "--store", store.root) == 0
+    assert "3 artifacts are whole, 0 files are damaged" in capsys.readouterr().out
+    store.fs.pipe_file(f"{store.path}/{loose.uri}", b"damaged")
+    assert run(monkeypatch, "store", "verify", "--store", store.root) == 1
+    assert f"damaged: {store.root}/{loose.uri}: file: found 7 bytes" in capsys.readouterr().out
+    assert run(monkeypatch, "store", "verify", "--store", store.root, "--remove") == 0
+    assert kept(store) == whole
+
+    assert run(monkeypatch, "store", "du", "--store", store.root) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["keys", "-", "3"] in [line[:3] for line in lines]
+    assert ["labels", "make", "v1", "1"] in [line[:4] for line in lines]
+    assert ["all", "-", "6"] in [line[:3] for line in lines]
+    assert ran(store, tmp_path / "log") == []
+
+
+def any_ref(store: ArtifactStore) -> ArtifactRef:
+    return next(record.ref for records in Records(store).all() for record in records)
+
+
+def quarters() -> np.ndarray:
+    return np.full((1, 4, 5), 0.25, np.float32)
+
+
+def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypatch, capsys):
+    from tasks import geometry
+
+    store = ArtifactStore(tmp_path / "store")
+    for value, version in ((1, geometry.VERSION), (2, geometry.VERSION + 1)):
+        made = store.put("weights", {"safetensors": quarters().view("u1").ravel() + value})
+        Records(store).keep(f"geometry/v{version}/{value:064x}", made)
+    words = ("store", "gc", "--store", store.root, "--age", "0", "--yes")
+    assert run(monkeypatch, *words) == 0
+    assert "removed: nothing" in capsys.readouterr().out
+    assert run(monkeypatch, *words, "--superseded") == 0
+    told = capsys.readouterr().out
+    assert "removed: 1 artifacts that nothing refers to, 1 records that are superseded" in told
+    assert Records(store).find(f"geometry/v{geometry.VERSION}/{1:064x}") is not None
+
+
+def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch, capsys):
+    for command in ("gc", "verify", "du"):
+        assert run(monkeypatch, "store", command, "--store", tmp_path / "typo") == 2
+        assert "typo: found no folder, expected a store" in said(capsys)
+    assert not (tmp_path / "typo").exists()
+
+
+@pytest.mark.parametrize("key", ["store", "chunks"])
+def test_settings_with_credentials_are_refused_before_they_are_said(key, monkeypatch, capsys):
+    place = "s3://AKIA123:hidden@bucket/x"
+    words = {"store": ("demo", "--store", place), "chunks": ("ingest", place, "-o", "out")}[key]
+    assert run(monkeypatch, *words) == 2
+    message = said(capsys)
+    assert f"{key} s3://***@bucket/x: found credentials in the URL" in message
+    assert "hidden" not in message and "AKIA123" not in message
+    with pytest.raises(InputError, match="found credentials"):
+        make_settings({"store": place}, "test")

@@ -1,0 +1,63 @@
+"""What is printed of scores says what they mean and how sure they are."""
+
+from dataclasses import replace
+
+from data_specs import load_spec
+from flows.tables import scores_tables
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.scores import scene_means
+
+SETTINGS = {
+    "frame": "f",
+    "method": "m",
+    "protocol": "slgaussian@1",
+    "selection": "near-best",
+    "temperature": 10.0,
+    "share": 0.7,
+    "canonical": "lerf",
+    "absent": "skip",
+    "note": "",
+}
+
+
+def result_of(scene, *ious):
+    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | {"scene": scene}
+    rows = [empty | {"query": f"q{k}", "iou": iou} for k, iou in enumerate(ious)]
+    other = [row | {"protocol": "langsplat@1", "iou": 0.0} for row in rows]
+    return SceneResult(scene, rows + other, scene_means(rows) | {"psnr": 20.0}, {}, {}, {})
+
+
+def test_the_mean_has_an_interval_and_says_by_what():
+    lines = scores_tables([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
+    assert [line.split() for line in lines[:-1]] == [
+        ["scene", "IoU", "PSNR"],
+        ["a", "0.300", "20.0"],
+        ["b", "0.900", "20.0"],
+        ["mean", "0.600", "20.0"],
+        ["95", "%", "0.300-0.900", "-"],
+    ]
+    assert lines[-1] == (
+        "by slgaussian@1 (near-best, share 0.7, temperature 10.0, phrases: lerf); 3 samples of "
+        "2 scenes; fewer than 6 scenes: a rough interval"
+    )
+
+
+def test_one_scene_has_no_interval_and_no_scene_no_numbers():
+    *_, interval, by = scores_tables([result_of("a", 0.5)]).splitlines()
+    assert interval.split() == ["95", "%", "-", "-"]
+    assert by.endswith("1 sample of 1 scene; one scene: no interval")
+    unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {}, {})
+    assert len(scores_tables([unasked]).splitlines()) == 3
+    assert scores_tables([]) == ""
+
+
+def test_data_sets_and_methods_are_kept_apart():
+    ours = [replace(result_of("a", 0.5), dataset="x"), replace(result_of("b", 0.1), dataset="y")]
+    other = replace(result_of("a", 0.25), dataset="x", method="other")
+    other.rows[:] = [row | {"method": "other"} for row in other.rows]
+    first, methods, second = scores_tables([*ours, other]).split("\n\n")
+    assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
+    assert [line.split() for line in methods.splitlines()] == [
+        ["x", "IoU", "scenes"], ["m", "0.500", "1"], ["other", "0.250", "1"]
+    ]  # fmt: skip
+    assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]

@@ -1,0 +1,92 @@
+"""Groups of objects: which belong together, and what a level must be whatever they look like."""
+
+import numpy as np
+import pytest
+from drawn_views import SIZE, canvas, paste, view
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from slgaussian.labels import LabelMaps
+from slgaussian.masks.levels import CUTS, group_objects
+
+
+def maps_of(*labels):
+    labels = np.stack(labels).astype(np.int32)
+    return LabelMaps(labels, np.ones(labels.shape, np.float32))
+
+
+@pytest.fixture(scope="module")
+def halves():
+    """A red thing in two pieces (7 and 9) on a wall (3), the second view without piece 9."""
+    pictures, labels = [], []
+    for shift, cut in ((0, 80), (6, 101)):
+        picture = canvas((120, 120, 120), seed=1, contrast=3.0)
+        paste(picture, (40, 80, 60 + shift, 100 + shift), (190, 40, 40))
+        label = np.full(SIZE, 3)
+        label[40:80, 60 + shift : min(cut, 100) + shift] = 7
+        label[40:80, min(cut, 100) + shift : 100 + shift] = 9
+        pictures.append(view(picture))
+        labels.append(label)
+    return pictures, maps_of(*labels)
+
+
+def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
+    views, maps = halves
+    assert (maps.areas() > 0).tolist() == [[1, 1], [1, 1], [1, 0]]
+    flat = np.full(SIZE, 2.0, np.float32)
+    for depths in ([None, None], [flat, flat], [np.zeros_like(flat), None]):
+        levels = group_objects(views, maps, depths)
+        assert levels.dtype == np.int32 and levels.shape == (len(CUTS), 3)
+        wall, left, right = levels.T
+        np.testing.assert_array_equal(left, right)
+        assert (wall != left).all()
+        np.testing.assert_array_equal(group_objects(views, maps, depths), levels)
+
+
+def test_one_object_is_its_own_group_and_none_has_none(halves):
+    views, _ = halves
+    levels = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2), [None, None])
+    np.testing.assert_array_equal(levels, np.zeros((len(CUTS), 1)))
+    assert group_objects(views, maps_of(*[np.zeros(SIZE)] * 2), [None, None]).shape[1] == 0
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.booleans())
+def test_groups_are_connected_partitions_whatever_they_show(seed, most, blank):
+    rng = np.random.default_rng(seed)
+    picture = np.full((*SIZE, 3), 90.0) if blank else rng.uniform(0, 255, (*SIZE, 3))
+    coarse = rng.integers(0, most + 1, (2, 6, 8)) * 10
+    labels = np.kron(coarse, np.ones((1, 20, 20), int))
+    maps = maps_of(*labels)
+    if len(maps.ids) == 0:
+        return
+    depth = rng.uniform(1, 3, SIZE).astype(np.float32)
+    levels = group_objects([view(picture)] * 2, maps, [depth, None])
+    for numbers in levels:
+        assert set(numbers) == set(range(numbers.max() + 1))
+        for number in set(numbers):
+            held = maps.ids[numbers == number]
+            # Objects that some view shows in one patch are linked; links must join them all.
+            link = np.eye(len(held), dtype=bool)
+            for label in maps.labels:
+                patches, count = ndimage.label(np.isin(label, held))
+                for patch in range(1, count + 1):
+                    inside = np.isin(held, label[patches == patch])
+                    link |= np.outer(inside, inside)
+                for k, name in enumerate(held):  # an object may lie in several patches
+                    inside = np.isin(held, label[np.isin(patches, patches[label == name])])
+                    link[k] |= inside & (label == name).any()
+            reach = np.linalg.matrix_power(link.astype(float), len(held)) > 0
+            assert reach.all()
+
+
+def test_ten_thousand_objects_are_grouped():
+    labels = np.arange(10_000).reshape(100, 100).repeat(2, 0).repeat(2, 1) + 1
+    picture = np.zeros((200, 200, 3))
+    picture[:, 100:] = 255
+    levels = group_objects([view(picture)], maps_of(labels), [None])
+    assert levels.shape == (len(CUTS), 10_000)
+    for numbers in levels:
+        assert set(numbers) == set(range(numbers.max() + 1))
+        assert numbers.max() < 1000
