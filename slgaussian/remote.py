@@ -96,7 +96,7 @@ def explained(error: Exception, path: str = "") -> str:
     said = masked(" ".join(str(error).split())) or kind
     if kind in _NO_CREDENTIALS or kind == "ProfileNotFound":
         return f"no credentials: {said}; set {_LOGINS}"
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, FileNotFoundError) and "bucket" in said:
         return f"no bucket {path.split('/')[0]!r}: {said}; make it first, or correct its name"
     if isinstance(error, PermissionError):
         return f"no permission: {said}" + (

@@ -11,7 +11,8 @@ from typing import Any
 import fsspec
 
 from slgaussian.datasets import re10k
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, SpecError
+from slgaussian.remote import explained, troubles
 from slgaussian.store import ArtifactStore
 from tasks.stage import CHANGED, StageCall
 
@@ -51,8 +52,8 @@ def digest_of(store: ArtifactStore, file: str) -> str:
             return remembered["sha256"]
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror or error})") from error
+    except troubles() as error:
+        raise InputError(f"{file}: cannot be read ({explained(error, path)})") from error
     if "mtime" not in info or time.time() - info["mtime"] > SETTLED:
         store.write(uri, json.dumps({**known, "sha256": digest}).encode())
     return digest
@@ -60,8 +61,8 @@ def digest_of(store: ArtifactStore, file: str) -> str:
 
 def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:
     try:
-        found = json.loads(store.fs.cat_file(f"{store.path}/{uri}"))
-    except (OSError, ValueError):
+        found = json.loads(store.read(uri))
+    except (SpecError, ValueError):
         return {}
     return found if isinstance(found, dict) and "sha256" in found else {}
 

@@ -29,6 +29,7 @@ from PIL import Image
 
 from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
+from slgaussian.remote import explained, open_place, troubles
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.store import write_atomic
 
@@ -165,12 +166,12 @@ def read_index(path: str | Path) -> dict[str, str]:
 
 def chunk_names(path: str | Path) -> list[str]:
     """File names of the chunks of a split, in order, whether its index knows them or not."""
-    fs, folder = fsspec.core.url_to_fs(os.fspath(path))
+    fs, folder = open_place(path, "chunks")
     try:
         found = fs.ls(folder, detail=False)
-    except OSError as error:
+    except troubles() as error:
         raise InputError(
-            f"{path}: cannot be listed ({error}); expected a folder of chunks"
+            f"{path}: cannot be listed ({explained(error, folder)}); expected a folder of chunks"
         ) from None
     return sorted(os.path.basename(file) for file in found if file.endswith(".torch"))
 
