@@ -9,7 +9,6 @@ process of its own for each method.
 """
 
 import argparse
-import resource
 import subprocess
 import sys
 import time
@@ -56,8 +55,8 @@ COSTS = Table(
     "Costs",
     "Processor seconds, medians over the scenes. *Prepare* is what a method does beyond the field; "
     "*first query* is rendering a new view and one text; *further* is each text after that, asked "
-    "alone. *Memory* is the most that a process held more than one without any method, MB, over "
-    "preparing and answering one office scene.",
+    "alone. *Memory* is what a process comes to hold beyond the field at most, MB, while it "
+    "prepares and answers one office scene.",
     {
         "method": ("method", str),
         "prepare": ("prepare, s", thousandths),
@@ -182,7 +181,7 @@ def summary(name: str, results: Sequence[tuple[str, dict]]) -> dict:
 
 
 def memory_of(name: str, data: Path) -> float:
-    """Most memory of a process that runs one method on one office scene, MB; "" runs none."""
+    """What a fresh process comes to hold beyond the field of one office scene at most, MB."""
     words = [sys.executable, __file__, str(data), "--alone", name]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     return float(done.stdout)
@@ -190,10 +189,16 @@ def memory_of(name: str, data: Path) -> float:
 
 def run_alone(name: str, data: Path) -> None:
     case = next(office(data, 1))
-    fresh = prepare(case)
-    if name:
-        measure(name, case, fresh())
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    inputs = prepare(case)()
+    before = kilobytes("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+    measure(name, case, inputs)
+    print((kilobytes("VmHWM") - before) / 1024)
+
+
+def kilobytes(name: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(name))
 
 
 def main() -> None:
@@ -207,15 +212,14 @@ def main() -> None:
     parser.add_argument("--alone", help=argparse.SUPPRESS)
     given = parser.parse_args()
     threads.share(1)
-    if given.alone is not None:
+    if given.alone:
         run_alone(given.alone, given.data)
         return
     cases = [*office(given.data, given.scenes), *rooms(given.rooms)]
     rows = compare(cases, given.only)
     if not given.no_memory:
-        without = memory_of("", given.data)
         for row in rows:
-            row["memory"] = max(memory_of(row["method"], given.data) - without, 0)
+            row["memory"] = memory_of(row["method"], given.data)
     asked = {kind: sum(c.kind == kind for c in cases) for kind in ("office", "room")}
     lines = [
         "# Methods, measured",
@@ -228,7 +232,7 @@ def main() -> None:
     page = "\n\n".join(lines)
     print(page)
     if given.out:
-        (given.out / "methods_measured.md").write_text(page)
+        (given.out / "methods_measured.md").write_text(page + "\n")
 
 
 if __name__ == "__main__":

@@ -81,11 +81,6 @@ ROWS = {
     "slgaussian, filled": Row(
         "slgaussian", "unlabelled Gaussians take the other view's object", {"lifting": "filled"}
     ),
-    "slgaussian, branch": Row(
-        "slgaussian",
-        "features by the trained branch; needs its weights",
-        {"lifting": "branch", "codes": "separated"},
-    ),
     "query-2d": Row(
         "query-2d", "the paper's 2D query: render, propose, encode, score; the image alone"
     ),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from slgaussian.benchmark.methods.autoencoder import Autoencoder, train_autoencoder
@@ -77,12 +78,12 @@ class _Codes:
         small = reduced(camera, self.inputs.bank.features.shape[2])
         drawn = np.empty((small.height, small.width, 4), np.float32)
         draw_vectors(gaussians, small, self._at, drawn)
-        weight = drawn[..., 3:]
-        codes = np.divide(
-            drawn[..., :3], weight, out=np.zeros_like(drawn[..., :3]), where=weight > 0
-        )
-        vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *weight.shape[:2], -1)
-        seen = picture.alpha >= VISIBLE
+        codes, weight = drawn[..., :3], drawn[..., 3:]
+        codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
+        vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)
+        # Where most is without a mask, no code says anything.
+        whole = camera.width, camera.height
+        seen = cv2.resize(drawn[..., 3], whole, interpolation=cv2.INTER_LINEAR) >= VISIBLE
         return DenseView(picture.rgb, picture.depth, self.inputs.reader, seen, vectors)
 
     def _at(self, pixels: np.ndarray, start: int, stop: int) -> np.ndarray:

@@ -19,11 +19,9 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.masks import load_proposer
 from slgaussian.parts import described, places
 from slgaussian.predict import load_predictor
-from slgaussian.semantic.branch import WITH_PACKAGE
 
 DOCS = Path(__file__).parents[3] / "docs" / "methods.md"
 
-RUNNABLE = [name for name in ROWS if name != "slgaussian, branch" or WITH_PACKAGE.is_file()]
 
 PLAIN = "yellow wall"
 """The largest plainly coloured thing of the room, a third of the picture."""
@@ -75,7 +73,7 @@ def view_of(answering, room):
     return get
 
 
-@pytest.mark.parametrize("name", RUNNABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_every_row_answers_through_the_interface(name, answering, view_of):
     assert isinstance(answering(name), Answering)
     view = view_of(name)
@@ -102,7 +100,7 @@ def test_every_row_answers_through_the_interface(name, answering, view_of):
     assert labels.dtype == np.int32 and set(np.unique(labels)) <= {0, 1, 2}
 
 
-@pytest.mark.parametrize("name", RUNNABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_every_row_refuses_what_it_cannot_answer(name, view_of):
     view = view_of(name)
     for texts in ([], "yellow wall", ["qqwx"]):
@@ -114,7 +112,7 @@ def test_every_row_refuses_what_it_cannot_answer(name, view_of):
         view.query_all([PLAIN], temperature=0.0)
 
 
-@pytest.mark.parametrize("name", RUNNABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
     # The nearest view answers in its own picture, in which the wall is a little elsewhere.
     (hit,) = view_of(name).query_all([PLAIN])
@@ -125,7 +123,7 @@ def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
     assert hit.mask.mean() < 0.75
 
 
-@pytest.mark.parametrize("name", RUNNABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_a_threshold_takes_what_is_above_it(name, view_of):
     view = view_of(name)
     (hit,) = view.query_all([PLAIN], threshold=0.52)
@@ -133,7 +131,7 @@ def test_a_threshold_takes_what_is_above_it(name, view_of):
     assert np.array_equal(hit.mask[sure], hit.relevancy[sure] > 0.52)
 
 
-@pytest.mark.parametrize("name", RUNNABLE)
+@pytest.mark.parametrize("name", ROWS)
 def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
     again = load_quick(name)(fresh).render(room.sample.targets[0].camera)
     once = view_of(name)
@@ -157,7 +155,7 @@ def test_methods_are_evaluated_as_the_field_is(name, answering, room):
 
 
 def test_every_row_loads_with_its_settings():
-    for name in RUNNABLE:
+    for name in ROWS:
         assert ROWS[name].load() == load_method(ROWS[name].method, **ROWS[name].settings)
 
 
@@ -293,6 +291,20 @@ def test_association_alone_changes_the_masks_of_the_codes(view_of, room):
     assert scores[1] > scores[0]
 
 
+def test_codes_say_nothing_where_there_was_no_mask(fresh, room):
+    labels = room.label_maps.labels.copy()
+    labels[labels == labels[0, 0, 0]] = 0
+    maps = replace(room.label_maps, labels=labels)
+    method = load_method("langsplat-like", association=True, steps=20)
+    view = method(replace(fresh, label_maps=maps)).render(room.sample.context[0].camera)
+    missing = labels[0] == 0
+    assert 0.05 < missing.mean() < 0.9
+    # But for borders, where Gaussians reach over.
+    assert (view.seen != missing).mean() > 0.95
+    (hit,) = view.query_all(["red carpet"])
+    assert not hit.relevancy[~view.seen].any()
+
+
 def test_a_closed_list_is_needed_only_to_compete_with(fresh, room):
     camera = room.sample.targets[0].camera
     method = load_method("3d-ovs-like", parts=(5,))
@@ -322,7 +334,7 @@ def test_every_row_works_with_another_encoder(room, tmp_path_factory):
     about = {"encoder": "clip", **described(settings)}
     field = lift_field(sample, gaussians, label_maps, bank, "hard", about, places(settings["clip"]))
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"))
-    for name in RUNNABLE:
+    for name in ROWS:
         made = load_quick(name)(inputs)
         (hit,) = made.render(sample.targets[0].camera).query_all(["red ball"])
         assert hit.relevancy.shape == (64, 64) and hit.point is not None
