@@ -129,11 +129,12 @@ def _took(seconds: float, cached: bool) -> str:
 def _rate(progress: Progress, now: float) -> str:
     """How fast, and for how long: the stages still to come take as long as their like so far.
 
-    So where those of a kind were in the store, the next are taken to be, too.
+    So where those of a kind were in the store, the next are taken to be, too. Of a single scene
+    nothing is known before, as no stage of it is like another.
     """
     totals = progress.totals
     worked = {stage: sum(s for s, cached in runs if not cached) for stage, runs in totals.items()}
-    if not any(worked.values()):
+    if progress.scenes == 1 or not any(worked.values()):
         return ""
     elapsed = now - progress.start
     scenes = progress.scenes - progress.lost
