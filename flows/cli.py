@@ -15,20 +15,20 @@ from slgaussian.errors import InputError, SLGaussianError
 METHOD = (
     "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
     "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent", "seed",
-    "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip", "named", "grid",
-    "separated", "branch",
+    "planesweep", "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip", "named",
+    "grid", "separated", "branch",
 )  # fmt: skip
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
-BUILD = tuple(name for name in METHOD if name not in RULES)
-RUN = (*METHOD, "store", "workers", "method")
+BUILD = ("preset", *(name for name in METHOD if name not in RULES))
+RUN = ("preset", *METHOD, "store", "workers", "method")
 INGEST = (
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
     "most", "store", "workers",
 )  # fmt: skip
 SUPERVISE = (
     "size", "near", "far", "predictor", "proposer", "tracker", "replicas",
-    "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
+    "planesweep", "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
 )  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
@@ -85,9 +85,9 @@ def benchmark(
 ) -> None:
     """Score a labelled set: a field from each scene's context frames, asked in its target frames.
 
-    Leaves samples.parquet and .csv (a row a scene, frame, query and protocol), scores.parquet and
-    .csv, report.html, every predicted mask under predictions/, and failures.parquet with the scenes
-    that could not be done.
+    Leaves samples.parquet and .csv (a row a scene, frame, query, method and protocol),
+    scores.parquet and .csv, report.html and report.md, manifest.json, times.json, every predicted
+    mask under predictions/, and failures.parquet with the scenes that could not be done.
     The published index of RealEstate10K is scored in the clips that are there; with labels, a
     folder of each clip's name, in those that are labelled.
 
@@ -101,6 +101,29 @@ def benchmark(
 
     given = {**settings, "against": against or [], "out": out}
     _run(make_settings(given, "benchmark"), verbose)
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Folder that a run wrote.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
+    ] = None,
+) -> None:
+    """Compare two reports: what differs in how they were made, and by how much in the scores.
+
+    Differences are B minus A, on the queries that both were asked, with bootstrap intervals over
+    scenes; each method with itself.
+
+    \b
+    slgaussian benchmark --rooms 0-9 -o before
+    slgaussian benchmark --rooms 0-9 --replicas 1 -o after
+    slgaussian compare before after -o changes
+    """
+    from flows.comparing import compare as compared
+
+    typer.echo(compared(first, second, out))
 
 
 @app.command()

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from data_specs import load_spec
 from flows import rivals
 from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
 from flows.labelled import labelled_scenes
+from flows.manifest import manifest
 from flows.progress import Progress
 from flows.rooms import room_scene, seeds
-from flows.settings import TABLES, Method, SceneSettings, Settings
-from slgaussian import __version__
+from flows.settings import Method, SceneSettings, Settings
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import label_files
-from slgaussian.benchmark.report import with_times, write_predictions, write_samples
+from slgaussian.benchmark.outputs import write_predictions, write_samples, write_table
+from slgaussian.benchmark.report import Report, with_times
+from slgaussian.benchmark.timings import Times
 from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
@@ -31,12 +36,16 @@ from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.ingest import file_hashes
 from tasks.stage import stage_task, using
 
-STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark")
+STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark", "blame")
+
+LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
+"""Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run leaves: results in the order of the scenes, and who was left out."""
+    """What a run leaves: results in the order of the scenes, ours first in each, and who was left
+    out."""
 
     results: list[SceneResult]
     failures: list[Failure]
@@ -64,23 +73,15 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     for text in (f"with {', '.join(parts.values())}", *said):
         progress.line(text)
     made = _pipeline(settings, scenes, store, progress)
-    page = None
-    if made.report is not None:
-        page = with_times(
-            store.get(made.report)["html"].tobytes().decode(),
-            made.seconds,
-            {name: ref.meta["times"] for name, ref in made.answers.items()},
-            {"python": platform.python_version(), "machine": platform.platform()},
-        )
     try:
-        results = _write(settings.out, store, made, page)
+        results = _write(settings, store, made)
     except OSError as error:
         raise InputError(
             f"{settings.out}: cannot write the results ({error.strerror}); they are kept in the "
             "store, so make room there, or choose another folder with -o, and run again"
         ) from error
     progress.summary()
-    written = None if page is None else settings.out / "report.html"
+    written = None if made.report is None else settings.out / "report.html"
     return Finished(results, made.failures, written)
 
 
@@ -145,12 +146,10 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     }
     base = {"sample": "ingest", "gaussians": "geometry"}
     known = {"sample": "ingest", "labels": "masks"}
-    asked = {
-        "method": name,
-        "dataset": scene.dataset,
-        "queries": scene.queries,
-        "rules": method.rules(),
-    }
+    asked = {"method": name, "dataset": scene.dataset, "rules": method.rules()}
+    answered = {**known, "truth": "truth", "field": "field"}
+    of_proposer = where.get(method.proposer, {}).items()
+    of_blame = {f"{method.proposer}.{key}": place for key, place in of_proposer}
     return [
         ingest,
         truth,
@@ -178,7 +177,8 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             {**base, **known, "bank": "supervision"},
             where=where.get(method.lifting, {}),
         ),
-        Step("benchmark", asked, {**known, "truth": "truth", "field": "field"}, where=of_encoder),
+        Step("benchmark", {**asked, "queries": scene.queries}, answered, where=of_encoder),
+        Step("blame", asked, answered, where={**of_encoder, **of_blame}),
     ]
 
 
@@ -194,36 +194,72 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def _write(out: Path, store: ArtifactStore, made: _Made, page: str | None) -> list[SceneResult]:
+def _write(settings: Settings, store: ArtifactStore, made: _Made) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
+    out = settings.out
     write_atomic(out / "failures.parquet", encode_table(failures_table(made.failures)))
-    results = []
-    for ref in made.answers.values():
+    results, times = [], []
+    for scene, ref in made.results():
         arrays = store.get(ref)
-        results.append(result_from_arrays(arrays, ref.meta["times"], with_images=False))
-        write_predictions(results[-1].rows, predictions_of(arrays), out / "predictions")
-    write_samples(results, out)
-    if page is None:
-        # That of an earlier run is not about these scenes.
-        (out / "report.html").unlink(missing_ok=True)
-    else:
-        write_atomic(out / "report.html", page.encode())
+        result = result_from_arrays(arrays, ref.meta["times"], with_images=False)
+        write_predictions(result.rows, predictions_of(arrays), out / "predictions")
+        results.append(result)
+        times.append((result.method, scene, result.times))
+    write_samples([row for result in results for row in result.rows], out)
+    lost = [load_spec("blame").schema.empty_table(), *map(store.get, made.blames.values())]
+    write_table("blame", pa.concat_tables(lost), out)
+    files = {"manifest.json": _json(made.manifest)}
+    if settings.pairs is not None:
+        files["pairs.json"] = settings.pairs.read_bytes()
+    if made.report is not None:
+        host = {
+            "machine": platform.platform(),
+            "processors": str(os.cpu_count()),
+            "workers": str(settings.workers),
+        }
+        took = Times(made.seconds, times, host)
+        stored = store.get(made.report)
+        forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
+        report = with_times(Report(*forms), took)
+        files["report.html"], files["report.md"] = report.html.encode(), report.markdown.encode()
+        files["times.json"] = _json(took.as_json())
+    for name in LEFT:
+        if name in files:
+            write_atomic(out / name, files[name])
+        else:
+            # That of an earlier run is not about these scenes.
+            (out / name).unlink(missing_ok=True)
     return results
+
+
+def _json(content: dict[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 @dataclass
 class _Made:
     """What the flow made.
 
-    ``answers`` are the results of each scene, ours by its name and then those of other methods;
-    ``seconds`` those that the results took by stage when they were made, which for cached ones is
-    long ago.
+    By scene: ``answers`` are our results, ``others`` by method those of other methods, ``truths``
+    what they were scored against, and ``blames`` what lost ours. ``seconds`` are those that all
+    took by stage when they were made, which for cached ones is long ago.
     """
 
     answers: dict[str, ArtifactRef]
+    others: dict[str, dict[str, ArtifactRef]]
+    truths: dict[str, ArtifactRef]
+    blames: dict[str, ArtifactRef]
     failures: list[Failure]
     seconds: dict[str, float]
+    manifest: dict[str, Any]
     report: ArtifactRef | None = None
+
+    def results(self) -> Iterator[tuple[str, ArtifactRef]]:
+        """All results with their scene, ours first in each."""
+        for scene, ref in self.answers.items():
+            yield scene, ref
+            for other in self.others[scene].values():
+                yield scene, other
 
 
 def _pipeline(
@@ -249,9 +285,9 @@ def _pipeline(
                 course = Progress(len(others), 1, verbose=progress.verbose)
                 more = run_chains(task, others, settings.workers, course)
                 course.summary()
-            made = _gathered(scenes, outcome, more)
+            made = _gathered(settings, scenes, outcome, more)
             if made.answers:
-                page = run_chains(task, [_report_chain(settings, made)], 1, progress)
+                page = run_chains(task, [_report_chain(made)], 1, progress)
                 made.failures += page.failures
                 made.report = page.refs.get("all scenes", {}).get("report")
             return made
@@ -259,39 +295,59 @@ def _pipeline(
     return pipeline()
 
 
-def _gathered(scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome) -> _Made:
-    answers = {}
-    for scene in scenes:
-        if scene.name in outcome.refs:
-            answers[scene.name] = outcome.refs[scene.name]["benchmark"]
-        for name, refs in more.refs.items():
-            if name.startswith(f"{scene.name}: "):
-                answers[name] = refs[rivals.STAGE]
+def _gathered(
+    settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome
+) -> _Made:
+    through = [scene.name for scene in scenes if scene.name in outcome.refs]
+    rows = rivals.chosen(settings.against)
+    others = {
+        scene: {
+            method: more.refs[chain][rivals.STAGE]
+            for method in rows
+            if (chain := rivals.chain_name(scene, method)) in more.refs
+        }
+        for scene in through
+    }
     seconds = {
         stage: sum(refs[stage].meta["seconds"] for refs in outcome.refs.values())
         for stage in STAGES
     }
-    if more.refs:
-        seconds[rivals.STAGE] = sum(r[rivals.STAGE].meta["seconds"] for r in more.refs.values())
-    return _Made(answers, [*outcome.failures, *more.failures], seconds)
+    stages = [*STAGES, "report"]
+    if rows:
+        own = (ref.meta["seconds"] for by_method in others.values() for ref in by_method.values())
+        seconds[rivals.STAGE] = sum(own)
+        stages.append(rivals.STAGE)
+    return _Made(
+        {scene: outcome.refs[scene]["benchmark"] for scene in through},
+        others,
+        {scene: outcome.refs[scene]["truth"] for scene in through},
+        {scene: outcome.refs[scene]["blame"] for scene in through},
+        [*outcome.failures, *more.failures],
+        seconds,
+        manifest(settings, scenes, stages, outcome.refs, rows),
+    )
 
 
-def _report_chain(settings: Settings, made: _Made) -> Chain:
-    shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
-    manifest = {
-        "versions": {name: _version(name) for name in ("slgaussian", "torch", "numpy", "numba")},
-        "settings": {name: shown[name] for name in shown if name not in TABLES} | settings.identity,
-    }
+def _report_chain(made: _Made) -> Chain:
+    inputs: dict[str, ArtifactRef] = {}
+    entries = []
+    for k, (scene, answer) in enumerate(made.answers.items()):
+        names = {method: f"{k} {method}" for method in made.others[scene]}
+        own = {"answer": answer, "truth": made.truths[scene], "blame": made.blames[scene]}
+        entry = {role: f"{k} {role}" for role in own}
+        entries.append({"scene": scene, **entry, "others": names})
+        inputs |= {entry[role]: ref for role, ref in own.items()}
+        inputs |= {names[method]: ref for method, ref in made.others[scene].items()}
     step = Step(
         "report",
         {
-            "answers": list(made.answers),
-            "manifest": manifest,
+            "scenes": entries,
+            "manifest": made.manifest,
             "failures": [asdict(failure) for failure in made.failures],
         },
-        {name: name for name in made.answers},
+        {name: name for name in inputs},
     )
-    return Chain("all scenes", lambda: [step], dict(made.answers), first="report")
+    return Chain("all scenes", lambda: [step], inputs, first="report")
 
 
 def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
@@ -305,7 +361,3 @@ def _only(settings: dict[str, Any], *names: str) -> dict[str, Any]:
     """The named settings, and the tables of those parts that they name."""
     tables = [settings[name] for name in names if settings[name] in settings]
     return {name: settings[name] for name in (*names, *tables)}
-
-
-def _version(package: str) -> str:
-    return __version__ if package == "slgaussian" else version(package)

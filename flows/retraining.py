@@ -50,7 +50,7 @@ def learn(
 ) -> Learnt:
     """Train from the weights in use on lessons, and keep what is better.
 
-    Candidate and incumbent, or no branch while there is none, are judged on the same held-out
+    Candidate and incumbent, or no network while there is none, are judged on the same held-out
     lessons; the candidate is put to use if its gain is beyond noise
     (:func:`slgaussian.semantic.verdict.verdict`), and kept in any case. Without anything new, in
     the lessons or the settings, nothing is trained.
@@ -100,7 +100,8 @@ def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
 
 def _verdict(trained: Trained, incumbent: Version | None) -> Verdict:
     if incumbent is None:
-        return verdict(trained.judgements, "hard", "no branch (hard)")
+        # The best that there is without weights, and never below ``hard``.
+        return verdict(trained.judgements, "filled", "no network (filled)")
     return verdict(trained.judgements, "before", f"version {incumbent.number}")
 
 

@@ -63,5 +63,11 @@ def chains(
                 where,
             )
             own = dict(refs[scene.name])
-            made.append(Chain(f"{scene.name}: {name}", lambda step=step: [step], own, STAGE))
+            chain = chain_name(scene.name, name)
+            made.append(Chain(chain, lambda step=step: [step], own, STAGE))
     return made
+
+
+def chain_name(scene: str, method: str) -> str:
+    """What the chain of a method and scene is called, in failures too."""
+    return f"{scene}: {method}"

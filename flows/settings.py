@@ -37,21 +37,25 @@ def sides(value: Any) -> tuple[int, int] | None:
     return (height, width) if height in SIDES and width in SIDES else None
 
 
+AT_MOST = "at most "
+
+
 def _parse_size(value: Any) -> Any:
-    """Height and width, or a word."""
+    """Height and width, or words."""
     if value in ("auto", "original"):
         return value
-    found = sides(value)
+    bound = isinstance(value, str) and value.startswith(AT_MOST)
+    found = sides(value.removeprefix(AT_MOST) if bound else value)
     if found is None:
         raise PydanticCustomError(
             "size",
-            f"expected height and width as in 416x576, each from {SIDES[0]} to {SIDES[-1]}, or "
-            "'auto' or 'original'",
+            f"expected height and width as in 416x576, each from {SIDES[0]} to {SIDES[-1]}, 'at "
+            "most 416x576', 'auto' or 'original'",
         )
-    return found
+    return "{}{}x{}".format(AT_MOST, *found) if bound else found
 
 
-Size = Annotated[tuple[int, int] | Literal["auto", "original"], BeforeValidator(_parse_size)]
+Size = Annotated[tuple[int, int] | str, BeforeValidator(_parse_size)]
 Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 
@@ -79,6 +83,16 @@ class PartTable(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PlaneSweepTable(PartTable):
+    """Those of the predictor ``planesweep``."""
+
+    depth_candidates: int = Field(
+        144,
+        description="Most depths that planesweep compares, 8 to 512; a pair gets no more than it "
+        "needs.",
+    )
 
 
 class MVSplatTable(PartTable):
@@ -199,6 +213,9 @@ class BranchTable(PartTable):
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
+PRESETS = ("fast", "balanced", "accurate")
+"""Named settings, each a file beside this module; `docs/tradeoffs.md` says what they are worth."""
+
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
 """The settings that name a part of the method."""
 
@@ -213,8 +230,8 @@ class Method(BaseModel):
 
     size: Size = Field(
         "auto",
-        description="Height and width, as 416x576; 'original'; or 'auto': shrunk to as many pixels "
-        "as that if larger.",
+        description="Height and width, as 416x576; 'original'; 'at most 312x432': shrunk to as "
+        "many pixels if larger; or 'auto': at most 416x576.",
     )
     near: float | None = Field(
         None,
@@ -260,6 +277,7 @@ class Method(BaseModel):
         "skip", description="What a view says of an object it does not hold: skip, or zero."
     )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
+    planesweep: PlaneSweepTable = PlaneSweepTable()
     mvsplat: MVSplatTable = MVSplatTable()
     sam: SamTable = SamTable()
     sam2: Sam2Table = Sam2Table()
@@ -341,6 +359,11 @@ class SceneSettings(BaseModel):
 class Settings(Method):
     """A whole run."""
 
+    preset: str | None = Field(
+        None,
+        description="Settings to begin from, over which those that are given win: "
+        f"{', '.join(PRESETS)}.",
+    )
     store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
     out: Path = Field(Path("out"), description="Folder for the report and the tables.")
     workers: int = Field(
@@ -394,6 +417,8 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
 
 
 def _validated(values: dict[str, Any], source: str) -> Settings:
+    if values.get("preset") is not None:
+        values = over_preset(values["preset"], values, source)
     settings = checked(Settings, values, source)
     names = [scene.name for scene in settings.scenes]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -434,12 +459,32 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
     values = anchored(values, path.resolve().parent)
+    return _layered(values, overrides)
+
+
+def over_preset(preset: Any, values: dict[str, Any], source: str) -> dict[str, Any]:
+    """Those of the named preset, and over them, key by key of a part's table, ``values``.
+
+    Raises
+    ------
+    InputError
+        If there is no such preset.
+    """
+    if preset not in PRESETS:
+        raise InputError(
+            f"{source}: preset: found {preset!r}, expected one of {', '.join(PRESETS)}"
+        )
+    file = Path(__file__).parent / "presets" / f"{preset}.toml"
+    return _layered(tomllib.loads(file.read_text("utf-8")), values)
+
+
+def _layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     tables = {
-        name: {**values[name], **overrides.get(name, {})}
+        name: {**under[name], **over[name]}
         for name in TABLES
-        if isinstance(values.get(name), dict)
+        if isinstance(under.get(name), dict) and isinstance(over.get(name), dict)
     }
-    return {**values, **overrides, **tables}
+    return {**under, **over, **tables}
 
 
 def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -9,8 +9,9 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.report import METRICS
+from slgaussian.benchmark.score_tables import Table
 from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.summary import METRICS
 from slgaussian.bootstrap import LEVEL
 from slgaussian.semantic.verdict import clip_scores, verdict
 from slgaussian.versions import Version
@@ -88,6 +89,22 @@ def _interval(score: Mapping[str, Any] | None, digits: int) -> str:
     return f"{score['low']:.{digits}f}-{score['high']:.{digits}f}"
 
 
+SHOWN_GAINS = ("IoU", "mIoU", "Point in mask", "AP")
+"""Scores that a terminal has room for."""
+
+
+def gains_table(table: Table) -> str:
+    """One line a pair of methods or runs: some differences, each with its interval."""
+    shown = [k for k, column in enumerate(table.columns) if column.title in SHOWN_GAINS]
+    shown = [k for k in shown if table.columns[k].protocol in ("slgaussian", "threshold-free")]
+    rows = [[table.dataset, *(table.columns[k].title for k in shown)]]
+    for line in table.lines:
+        cells = (line.cells[k] for k in shown)
+        told = (f"{c.value} ({c.interval})" if c.interval else c.value for c in cells)
+        rows.append([line.method, *told])
+    return _aligned(rows)
+
+
 def judgements_table(judgements: pa.Table) -> str:
     """Mean IoU of each lifting, and whether the branch is better than none, and than before."""
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
@@ -95,7 +112,7 @@ def judgements_table(judgements: pa.Table) -> str:
     rows = [["lifting", *(f"IoU, labels {kind}" for kind in kinds)]]
     for name in dict.fromkeys(judgements["lifting"].to_pylist()):
         rows.append([name, *(f"{np.mean(scores[kind][name]):.4f}" for kind in kinds)])
-    others = [name for name, *_ in rows[1:] if name in ("hard", "before")]
+    others = [name for name, *_ in rows[1:] if name in ("hard", "filled", "before")]
     lines = [verdict(judgements, other, other).why for other in others]
     return "\n".join([_aligned(rows), *lines])
 

@@ -6,18 +6,18 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import torch
 
 from data_specs import load_spec
-from slgaussian import harmonics
+from slgaussian import harmonics, jsontext
 from slgaussian.errors import InputError, SpecError
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import Encoder, load_encoder
@@ -38,6 +38,8 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
 from slgaussian.store import decode, encode_arrays, encode_table
+
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +272,7 @@ class SemanticField:
                 "SemanticField.save wrote"
             )
         try:
-            about = json.loads(about_file.read_text())
+            about = jsontext.parse(about_file.read_bytes())
             cameras = {
                 name: Camera(np.array(c.pop("K")), np.array(c.pop("c2w")), **c)
                 for name, c in about["cameras"].items()
@@ -278,11 +280,13 @@ class SemanticField:
             settings = dict(about["settings"])
             own = places(settings.get(settings["encoder"], {}))
             given = {key: str(place) for key, place in (encoder or {}).items()}
+            if not all(isinstance(place, str) for place in about.get("places", {}).values()):
+                raise ValueError("a place is no text")
             where = {**about.get("places", {}), **given}
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, OSError) as error:
             raise SpecError(f"{about_file}: damaged ({error}); build the field again") from error
-        gaussians = Gaussians.from_arrays(_read(path / "gaussians.npz"))
-        bank = MemoryBank.from_arrays(_read(path / "bank.npz"))
+        gaussians = _made(Gaussians.from_arrays, path / "gaussians.npz")
+        bank = _made(MemoryBank.from_arrays, path / "bank.npz")
         _check_features(path / "gaussians.npz", gaussians, bank)
         loaded = SemanticField(gaussians, bank, cameras, settings, where)
         if not own:
@@ -360,6 +364,14 @@ def _unwritable(path: Path, error: OSError) -> InputError:
         f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, on "
         "a disk with room"
     )
+
+
+def _made(make: Callable[[dict[str, np.ndarray]], Part], file: Path) -> Part:
+    """What ``make`` makes of the arrays in a file; SpecError, which names it, if it cannot."""
+    try:
+        return make(_read(file))
+    except InputError as error:
+        raise SpecError(f"{file}: {error}; build the field again") from error
 
 
 def _read(file: Path) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError
@@ -219,17 +219,32 @@ class _Columns:
 
 def _vertices(path: str | Path) -> np.ndarray:
     try:
+        _check_counts(Path(path))
         data = PlyData.read(str(path))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a .ply file") from error
-    except (PlyParseError, ValueError, MemoryError) as error:
+        why = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({why}); give a .ply file") from error
+    except Exception as error:  # a damaged file raises almost anything
+        said = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
-            f"{path}: is not a whole .ply file ({error}); copy or write it again"
+            f"{path}: is not a whole .ply file ({said}); copy or write it again"
         ) from error
     if "vertex" not in data:
         found = _some([element.name for element in data])
         raise InputError(f"{path}: has no element vertex, only {found}; give a .ply of Gaussians")
     return data["vertex"].data
+
+
+def _check_counts(path: Path) -> None:
+    """ValueError if a header tells of more rows than the file has bytes: all would be allocated."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == [b"end_header"]:
+                return
+            if words[:1] == [b"element"] and len(words) == 3 and int(words[2]) > size:
+                raise ValueError(f"it tells of {int(words[2])} rows, and has {size} bytes")
 
 
 def _numbered(names: Sequence[str], prefix: str) -> list[str]:

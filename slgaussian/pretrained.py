@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +19,7 @@ from typing import Any
 
 import torch
 
+from slgaussian import jsontext
 from slgaussian.errors import InputError
 from slgaussian.store import sha256_of
 
@@ -359,7 +359,7 @@ def _check_type(folder: Path, family: Family) -> None:
 def read_json(file: Path) -> dict[str, Any]:
     """The object in a JSON file; InputError if it cannot be read."""
     try:
-        content = json.loads(file.read_text("utf-8"))
+        content = jsontext.parse(file.read_bytes())
     except (OSError, ValueError) as problem:
         raise InputError(f"{file}: cannot be read as JSON ({problem}); get it again") from None
     return content if isinstance(content, dict) else {}

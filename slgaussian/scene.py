@@ -7,14 +7,15 @@ covers [0, 1] x [0, 1] and its centre is (0.5, 0.5).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.images import MOST_PIXELS
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
@@ -22,7 +23,9 @@ ROTATION_TOLERANCE = 1e-3
 PAPER_PIXELS = 416 * 576
 """Pixels of the images that the paper runs on."""
 
-Size = tuple[int, int] | Literal["auto", "original"]
+Size = tuple[int, int] | str
+"""Height and width, ``"auto"``, ``"original"`` or ``"at most 312x432"``; see :meth:`Scene.sample`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,8 @@ class Camera:
     ------
     InputError
         If a number is not finite, the pose is not a rotation and a translation, the focal length
-        or size is not positive, or near and far are out of order.
+        or size is not positive, there are more than
+        :data:`slgaussian.images.MOST_PIXELS` pixels, or near and far are out of order.
     """
 
     K: np.ndarray
@@ -77,6 +81,11 @@ class Camera:
             raise InputError(f"camera c2w: last row is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera size {self.width}x{self.height} must be at least 1x1")
+        if not self.width * self.height <= MOST_PIXELS:
+            raise InputError(
+                f"camera size {self.width:g}x{self.height:g}: expected at most {MOST_PIXELS:,} "
+                "pixels; shrink the photographs"
+            )
         if self.near is not None and not 0 < self.near < np.inf:
             raise InputError(f"camera near: found {self.near}, expected a positive number")
         if self.far is not None and not (self.near or 0) < self.far < np.inf:
@@ -310,9 +319,9 @@ class Scene:
         ----------
         context, targets : sequence of str
             View names, as :meth:`find` knows them.
-        size : (height, width), "auto" or "original"
-            A pair scales and centre-crops. "auto" shrinks views of more than
-            :data:`PAPER_PIXELS` pixels to that many, their shape kept: a Gaussian a pixel of a
+        size : (height, width), "at most 312x432", "auto" or "original"
+            A pair scales and centre-crops. "at most" shrinks views of more pixels than that to as
+            many, their shape kept; "auto" is at most :data:`PAPER_PIXELS`: a Gaussian a pixel of a
             camera's full resolution would be millions.
         near, far : float, optional
             Depth range along z in scene units, for all views; without it each keeps what its
@@ -380,12 +389,25 @@ def _check_pair(scene: str, a: View, b: View) -> None:
         )
 
 
-def _fit(view: View, size: tuple[int, int] | Literal["auto"]) -> tuple[int, int]:
-    height, width = view.image.shape[:2]
-    if size != "auto":
+def _fit(view: View, size: Size) -> tuple[int, int]:
+    """Height and width of a view that is brought to a size other than "original"."""
+    if not isinstance(size, str):
         return size
-    scale = min(1.0, (PAPER_PIXELS / (height * width)) ** 0.5)
+    height, width = view.image.shape[:2]
+    scale = min(1.0, (_most_pixels(size) / (height * width)) ** 0.5)
     return max(1, round(height * scale)), max(1, round(width * scale))
+
+
+def _most_pixels(size: str) -> int:
+    if size == "auto":
+        return PAPER_PIXELS
+    found = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
+    if found is None:
+        raise InputError(
+            f"size: found {size!r}, expected (height, width), 'at most 312x432', 'auto' or "
+            "'original'"
+        )
+    return int(found[1]) * int(found[2])
 
 
 def _answers_to(full: str, name: str) -> bool:

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from data_specs import load_spec
+from slgaussian import jsontext
 from slgaussian.errors import InputError, SpecError
-from slgaussian.store import encode_table, sha256_of, write_atomic
+from slgaussian.store import decode, encode_table, sha256_of, write_atomic
 
 POINTER = "current.json"
 
@@ -87,12 +87,13 @@ class Versions:
         if not file.exists():
             return None
         try:
-            number = json.loads(file.read_text("utf-8"))["version"]
-            return _read(self._file(number))
+            number = jsontext.parse(file.read_bytes())["version"]
+            path = self._file(number)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise SpecError(
-                f'{file}: cannot be read ({error!r}); write {{"version": NUMBER}} into it'
+                f'{file}: cannot be read ({error!r:.200}); write {{"version": NUMBER}} into it'
             ) from error
+        return _read(path)
 
     def weights(self, version: Version) -> Path:
         """The weights file of a version.
@@ -210,10 +211,13 @@ def _table(version: Version) -> pa.Table:
 
 
 def _read(file: Path) -> Version:
+    spec, otherwise = load_spec("versions"), "use another version"
     try:
-        table = pq.read_table(file)
-        load_spec("versions").check_table(table, str(file))
+        table = decode(file.read_bytes(), spec, str(file), otherwise)
+        spec.check_table(table, str(file))
         (row,) = table.to_pylist()
-        return Version(**{**row, "facts": json.loads(row["facts"])})
-    except (OSError, ValueError, SpecError) as error:
-        raise SpecError(f"{file}: damaged or missing ({error}); use another version") from error
+        return Version(**{**row, "facts": jsontext.parse(row["facts"])})
+    except OSError as error:
+        raise SpecError(f"{file}: cannot be read ({error.strerror}); {otherwise}") from error
+    except ValueError as error:
+        raise SpecError(f"{file}: damaged ({error}); {otherwise}") from error

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -160,9 +161,7 @@ def result_from_arrays(
     """Inverse of :func:`result_to_arrays`; pictures and masks, slow to decode, only if wanted."""
     masks, pictures = {}, {}
     if with_images:
-        masks = {key: _pixels(png) for key, png in predictions_of(arrays).items()}
-        blobs = _unpack(arrays["picture_ends"], arrays["picture_png"])
-        pictures = dict(zip(arrays["picture_names"].tolist(), map(_pixels, blobs), strict=True))
+        masks, pictures = dict(Decoded(predictions_of(arrays))), dict(Decoded(pictures_of(arrays)))
     return SceneResult(
         **{name: str(arrays[name]) for name in ("scene", "dataset", "method")},
         rows=json.loads(str(arrays["rows"])),
@@ -178,6 +177,28 @@ def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], bytes]:
     keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
     blobs = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
     return dict(zip(keys, blobs, strict=True))
+
+
+def pictures_of(arrays: Arrays) -> dict[str, bytes]:
+    """The pictures of spec ``scene_result`` as PNG files, by name."""
+    blobs = _unpack(arrays["picture_ends"], arrays["picture_png"])
+    return dict(zip(arrays["picture_names"].tolist(), blobs, strict=True))
+
+
+class Decoded(Mapping[Any, np.ndarray]):
+    """PNG files by any key, as pixels: each is decoded when it is looked up, and not kept."""
+
+    def __init__(self, files: Mapping[Any, bytes]) -> None:
+        self.files = files
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        return _pixels(self.files[key])
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
 
 
 def _png(image: np.ndarray) -> bytes:

@@ -15,7 +15,7 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "benchmark"
-VERSION = 5
+VERSION = 6
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

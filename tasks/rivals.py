@@ -21,15 +21,15 @@ from tasks.artifacts import (
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "rivals"
-VERSION = 1
+VERSION = 2
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``scene_result``, without pictures. Inputs: sample, truth, labels, field.
 
     Settings: method (its name in tables), of (its name in the registry), own (its settings),
-    queries, rules. ``where[key]`` is the file of the encoder that the field's settings hold the
-    digest of, ``where["part.key"]`` that of another part.
+    dataset, queries, rules. ``where[key]`` is the file of the encoder that the field's settings
+    hold the digest of, ``where["part.key"]`` that of another part.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     of_encoder = {key: place for key, place in call.where.items() if "." not in key}
@@ -67,6 +67,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         boxes=truth.boxes or None,
         queries=queries,
         method=call.settings["method"],
+        dataset=call.settings["dataset"],
         rules=Rules(**call.settings["rules"]),
         drawn=False,
     )

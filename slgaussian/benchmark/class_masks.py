@@ -10,10 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from slgaussian.benchmark.placement import Placement
 from slgaussian.errors import InputError
+from slgaussian.images import opened
 
 FILE = "classes.txt"
 INSIDE = 255
@@ -35,6 +35,9 @@ def classes(folder: str | Path) -> tuple[str, ...]:
     names = sorted(line.strip() for line in lines if line.strip())
     if not names or len(set(names)) < len(names):
         raise InputError(f"{file}: found {names}, expected different classes, one a line")
+    # Nothing outside the folder is a mask, and no name of more than 255 bytes a file's.
+    if bad := [n for n in names if "/" in n or "\0" in n or len(f"{n}.png".encode()) > 255]:
+        raise InputError(f"{file}: the class {bad[0]!r:.80} can be no file's name; rename it")
     return tuple(names)
 
 
@@ -63,20 +66,23 @@ def read(folder: str | Path, view_name: str, width: int, height: int) -> dict[st
     found = {}
     for name, file in zip(names, files(folder, view_name)[1:], strict=True):
         try:
-            with Image.open(file) as image:
+            with opened(file) as image:
                 grey = np.asarray(image.convert("L"))
         except FileNotFoundError:
             raise InputError(
                 f"{file}: no such mask; every labelled frame needs one for each class of {FILE}, "
                 "black where it does not show it"
             ) from None
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
+        except (OSError, ValueError) as bad:
             raise InputError(f"{file}: cannot be read as an image ({bad})") from None
         inside = grey == INSIDE
         if grey.any() and not inside.any():
             raise InputError(
                 f"{file}: its brightest pixel is {grey.max()}, expected {INSIDE} where the class is"
             )
-        at = Placement.of(grey.shape[1], grey.shape[0], width, height)
+        try:
+            at = Placement.of(grey.shape[1], grey.shape[0], width, height)
+        except InputError as bad:
+            raise InputError(f"{file}: {bad}") from None
         found[name] = at.fit(inside.astype(np.uint8)) > 0
     return found

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from slgaussian import jsontext
 from slgaussian.datasets.re10k import read_evaluation
 from slgaussian.errors import InputError
 from slgaussian.store import write_atomic
@@ -97,7 +98,7 @@ def read_index(path: str | Path) -> Index:
     """
     path = Path(path)
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = jsontext.parse(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot read the pair index ({error.strerror})") from error
     except ValueError as error:
@@ -185,7 +186,8 @@ def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
         )
     labels, options = entry.get("labels", ""), entry.get("options", {})
     measured = entry.get("measured", {})
-    if not isinstance(labels, str) or PurePosixPath(labels).is_absolute():
+    below = isinstance(labels, str) and PurePosixPath(labels)
+    if not isinstance(labels, str) or below.is_absolute() or ".." in below.parts:
         raise InputError(f"{where}: 'labels' is {labels!r}, expected a folder below the labels")
     for key, value in (("options", options), ("measured", measured)):
         if not isinstance(value, dict):

@@ -17,7 +17,6 @@ A folder with ``classes.txt`` holds class masks instead (:mod:`slgaussian.benchm
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +25,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from slgaussian import jsontext
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.placement import Placement
 from slgaussian.errors import InputError
+from slgaussian.images import TooLargeError, check_size
 from slgaussian.scene import View
 
 
@@ -137,23 +138,28 @@ def _read_frame(
     if Path(name).stem != Path(view_name).stem:
         # A labels folder shifted by one frame still scores, only wrongly.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
-    masks: dict[str, np.ndarray] = {}
+    drawings: dict[str, list[list[np.ndarray]]] = {}
     boxes: dict[str, list[np.ndarray]] = {}
     for number, entry in enumerate(objects):
         category, polygons, box = _read_object(entry, f"{path}: objects[{number}]")
-        drawn = masks.setdefault(category, np.zeros((full_h, full_w), np.uint8))
-        # Pixels within an even number of the polygons are left as they are.
-        cv2.fillPoly(drawn, [polygon.astype(np.int32) for polygon in polygons], 1)
+        drawings.setdefault(category, []).append([p.astype(np.int32) for p in polygons])
         boxes.setdefault(category, []).append(box)
-    at = Placement.of(full_w, full_h, width, height)
+    try:
+        at = Placement.of(full_w, full_h, width, height)
+    except InputError as bad:
+        raise InputError(f"{path}: {bad}") from None
     stretch = np.array([at.wide / full_w, at.high / full_h] * 2)
-    return (
-        {name: at.fit(drawn) > 0 for name, drawn in masks.items()},
-        {
-            name: np.stack(rows) * stretch - [at.left, at.top, at.left, at.top]
-            for name, rows in boxes.items()
-        },
-    )
+    masks = {}
+    for category, outlines in drawings.items():  # one whole frame in memory at a time
+        drawn = np.zeros((full_h, full_w), np.uint8)
+        for polygons in outlines:
+            # Pixels within an even number of the polygons are left as they are.
+            cv2.fillPoly(drawn, polygons, 1)
+        masks[category] = at.fit(drawn) > 0
+    return masks, {
+        name: np.stack(rows) * stretch - [at.left, at.top, at.left, at.top]
+        for name, rows in boxes.items()
+    }
 
 
 def _read_record(path: Path) -> tuple[str, int, int, list[Any]]:
@@ -168,6 +174,10 @@ def _read_record(path: Path) -> tuple[str, int, int, list[Any]]:
         ) from error
     if full_w < 1 or full_h < 1:
         raise InputError(f"{path}: info has size {full_w}x{full_h}, expected at least 1x1")
+    try:
+        check_size(full_w, full_h)
+    except TooLargeError as bad:
+        raise InputError(f"{path}: info: {bad}, and draw the labels anew") from None
     return name, full_w, full_h, objects
 
 
@@ -179,7 +189,7 @@ def _read_object(entry: Any, where: str) -> tuple[str, list[np.ndarray], np.ndar
             np.array(p, np.float64) for p in (entry["segmentation"], *entry.get("holes", ()))
         ]
         box = np.array(entry["bbox"], np.float64).reshape(2, 2)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             f"{where}: expected category, segmentation [[x, y], ...] and bbox [x0, y0, x1, y1], "
             f"but {_reason(error)}"
@@ -202,7 +212,7 @@ def _read_object(entry: Any, where: str) -> tuple[str, list[np.ndarray], np.ndar
 
 def _read_json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text("utf-8"))
+        return jsontext.parse(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot read the label file ({error.strerror})") from error
     except ValueError as error:

@@ -30,13 +30,18 @@ def write_samples(rows: Sequence[Row], out: str | Path) -> None:
     ``scores.csv``, what the samples amount to, of the spec ``scores``.
     """
     samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
-    for name, table in (("samples", samples), ("scores", score_table(rows))):
-        write_file(Path(out) / f"{name}.parquet", encode_table(table))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table.to_pylist())
-        write_file(Path(out) / f"{name}.csv", text.getvalue().encode())
+    write_table("samples", samples, out)
+    write_table("scores", score_table(rows), out)
+
+
+def write_table(name: str, table: pa.Table, out: str | Path) -> None:
+    """Write a table as ``<name>.parquet`` and ``<name>.csv`` into folder ``out``."""
+    write_file(Path(out) / f"{name}.parquet", encode_table(table))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table.to_pylist())
+    write_file(Path(out) / f"{name}.csv", text.getvalue().encode())
 
 
 def write_predictions(
@@ -73,7 +78,7 @@ def file_name(text: str) -> str:
     safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
     if safe and safe == text:
         return safe
-    return f"{safe}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return f"{safe}-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
 
 
 def write_file(path: Path, data: bytes) -> None:

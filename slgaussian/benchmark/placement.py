@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slgaussian.errors import InputError
+from slgaussian.images import MOST_PIXELS
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -31,9 +34,17 @@ class Placement:
 
     @classmethod
     def of(cls, full_w: int, full_h: int, width: int, height: int) -> Placement:
-        """That of an image of ``full_w`` x ``full_h`` pixels."""
+        """That of an image of ``full_w`` x ``full_h`` pixels.
+
+        InputError if the shapes differ by so much that it would be scaled to too many pixels.
+        """
         scale = max(height / full_h, width / full_w)
         wide, high = max(width, round(full_w * scale)), max(height, round(full_h * scale))
+        if wide * high > MOST_PIXELS:
+            raise InputError(
+                f"labels of {full_w}x{full_h} pixels are of another shape than the view of "
+                f"{width}x{height}; draw them on its photograph"
+            )
         return cls(width, height, wide, high, (wide - width) // 2, (high - height) // 2)
 
     def fit(self, mask: np.ndarray) -> np.ndarray:

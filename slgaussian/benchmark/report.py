@@ -1,290 +1,417 @@
-"""What a benchmark leaves behind: one HTML page to look at, tables and masks to score again.
+"""What a benchmark leaves to look at: one HTML page, and the same numbers as Markdown.
 
-Everything written here depends on its arguments alone: same results, same bytes.
+Everything but the last section, the times, depends on the arguments alone: same results, same
+bytes. Left-out scenes come first, then the worst answers.
 """
 
 from __future__ import annotations
 
-import base64
-import csv
-import hashlib
-import io
-import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-import pyarrow as pa
 
 from data_specs import load_spec
-from slgaussian.benchmark.evaluate import (
-    ALONG_THE_WAY,
-    ERROR_TOP,
-    NOT_UNDERSTOOD,
-    SceneResult,
+from slgaussian.benchmark import plots, showcase
+from slgaussian.benchmark.evaluate import ALONG_THE_WAY, ERROR_TOP, NOT_UNDERSTOOD
+from slgaussian.benchmark.outputs import mask_place
+from slgaussian.benchmark.paper_tables import paper_tables
+from slgaussian.benchmark.rendering import data_uri, flatten, template
+from slgaussian.benchmark.score_tables import (
+    MAIN,
+    MORE,
+    about,
+    conditions,
+    difference_tables,
+    method_tables,
 )
-from slgaussian.benchmark.pictures import encode_jpeg
-from slgaussian.benchmark.scores import score_table
-from slgaussian.errors import InputError
-from slgaussian.store import encode_table, write_atomic
+from slgaussian.benchmark.scores import reliability, score_table
+from slgaussian.benchmark.showcase import Key, key_of
+from slgaussian.benchmark.summary import Summary, summarize
+from slgaussian.benchmark.timings import Times
+from slgaussian.bootstrap import LEAST, LEVEL
 
-PICTURE_WIDTH = 520
-"""Pictures in the report are at most this wide, pixels."""
+Row = Mapping[str, Any]
+Images = Mapping[str, np.ndarray]
 
-SHOWN_QUERIES = 6
-"""Queries of a scene that get pictures: half of them the best answered, half the worst."""
+FEW = 6
+"""Scenes up to which all are shown at once, with large pictures."""
 
-LARGEST_THING = 0.2
-"""Share of an image above which what was found is no picture to open the page with."""
+MOST = 30
+"""Scenes that get pictures: of more, those answered worst. All are in the tables."""
 
+WIDE, NARROW, TILE = 520, 300, 220
+"""Width of pictures of few scenes, of many, and of an answer among those of all methods, pixels."""
 
-@dataclass(frozen=True)
-class Metric:
-    """A column of the summary: how a scene metric is called and printed."""
+SHOWN_QUERIES = 6, 4
+"""Queries of a scene that get pictures, of few scenes and of many: the worst and the best."""
 
-    key: str
-    title: str
-    digits: int
-    help: str
-
-
-METRICS = (
-    Metric("iou", "IoU", 3, "mean over queries of one mask each against the labelled mask"),
-    Metric("hit_mask", "Point in mask", 2, "share of queries whose point lies on the object"),
-    Metric("hit_box", "Point in box", 2, "the same against the object's box, as LERF counts"),
-    Metric("hit_peak", "Peak in box", 2, "any of the most relevant pixels, as LangSplat counts"),
-    Metric("miou", "mIoU", 3, "all queries compete for each pixel; mean class IoU, whole image"),
-    Metric("psnr", "PSNR", 1, "dB, rendered novel view against the photograph"),
-    Metric("ssim", "SSIM", 3, "rendered novel view against the photograph"),
-    Metric(
-        "abs_rel", "Depth abs-rel", 3, "context views, all pixels with true depth; less is better"
-    ),
-    Metric("delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
-    Metric("bad2", "bad-2.0", 3, "rectified pairs: share of pixels over 2 px off; less is better"),
-    Metric(
-        "target_abs_rel", "Novel abs-rel", 3, "depth rendered at the novel view; less is better"
-    ),
-)
-
+SHOWN_TARGETS = 2
+"""Target views of a scene that are shown."""
 
 TIMES_HERE = "<!-- how long it took -->"
 """Where :func:`with_times` puts what differs from run to run."""
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One scene of a report. Images are read when they are wanted, a scene at a time.
+
+    Attributes
+    ----------
+    name, dataset : str
+    rows : sequence
+        Of the spec ``samples``: of our method, then of each of the others.
+    metrics : {name: float}
+        The ``scene_metrics`` of our result.
+    pictures : function giving {name: uint8 [H, W, 3]}
+        The pictures of our result.
+    truth : function giving {frame: {query: bool [H, W]}}
+    masks : function (method) giving {(protocol, frame, query): bool [H, W]}
+        What a method found.
+    """
+
+    name: str
+    dataset: str
+    rows: Sequence[Row]
+    metrics: Mapping[str, float]
+    pictures: Callable[[], Images]
+    truth: Callable[[], Mapping[str, Images]]
+    masks: Callable[[str], Mapping[tuple[str, str, str], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report in both forms, as text."""
+
+    html: str
+    markdown: str
+
+
 def render_report(
-    results: Sequence[SceneResult],
+    scenes: Sequence[Scene],
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
-) -> str:
-    """One self-contained HTML page: no network, no script, the same bytes from run to run.
+    blame: Sequence[Row] = (),
+) -> Report:
+    """The report of a run: no network, no script, the same bytes from run to run.
 
     Parameters
     ----------
-    results : sequence of SceneResult
-        Their times are not shown.
+    scenes : sequence of Scene
     manifest : mapping
-        Versions and settings, nested mappings allowed.
+        Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``format`` and
+        ``scene`` say which scene of which data set it is.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
+    blame : sequence of mapping
+        Rows of the spec ``blame``: what lost each miss of our method.
     """
-    shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
-    scenes = [_scene(result, f"scene-{i}") for i, result in enumerate(results)]
-    return template("report.html.j2").render(
-        metrics=shown,
-        scenes=scenes,
-        hero=_hero(results, scenes),
-        means={m.key: _macro_mean(results, m.key) for m in shown},
-        protocol=_protocol(results),
-        failures=failures,
-        manifest=flatten(manifest),
+    by_method: dict[str, list[Row]] = {}
+    for scene in scenes:
+        for row in scene.rows:
+            by_method.setdefault(row["method"], []).append(row)
+    ours, own = next(iter(by_method.items()), ("", []))
+    own = showcase.leading(own)
+    others = {
+        method: [row for row in rows if row["protocol"] == own[0]["protocol"]]
+        for method, rows in by_method.items()
+        if method != ours
+    }
+    scores = [score for rows in by_method.values() for score in score_table(rows).to_pylist()]
+    ranked = showcase.ranked(own)
+    worst = showcase.few_a_scene(ranked, showcase.WORST)
+    shown_worst = set(map(key_of, worst))
+    best = [row for row in reversed(ranked) if key_of(row) not in shown_worst]
+    best = showcase.few_a_scene(best, showcase.BEST)
+    told = showcase.telling(own, others, showcase.ALL_METHODS)
+    lost_by = {key_of(row): row["lost"] or "" for row in blame}
+    drawn = _Drawn(scenes, own, others, {*shown_worst, *map(key_of, best)}, told)
+    common = {
+        "ours": ours,
+        "scenes": [scene.name for scene in scenes],
+        "failures": _grouped(failures),
+        "left_out": len(failures),
+        "counts": _counts(own),
+        "by": conditions(own[0]) if own else "",
+        "protocol": own[0]["protocol"] if own else "",
+        "miss": showcase.MISS,
+        "worst": [_card(row, lost_by) for row in worst],
+        "best": [_card(row, lost_by) for row in best],
+        "blame": _blame_table(blame),
+        "tables": method_tables(scores, MAIN),
+        "more": method_tables(scores, MORE),
+        "differences": difference_tables(
+            {
+                method: (by_method[ours], rows)
+                for method, rows in by_method.items()
+                if method != ours
+            }
+        ),
+        "told": [_answers(key, own, others) for key in told],
+        "summaries": _summaries(scenes),
+        "paper": paper_tables(
+            [row for rows in by_method.values() for row in rows], _places(manifest), ours
+        ),
+        "level": LEVEL,
+        "least": LEAST,
+        "manifest": flatten({k: v for k, v in manifest.items() if k != "data"}),
+        "data": [(name, flatten(entry)) for name, entry in manifest.get("data", {}).items()],
+        "times_here": TIMES_HERE,
+    }
+    html = template("report.html.j2").render(
+        **common,
+        pictures=drawn.cards,
+        tiles=drawn.tiles,
+        parts=drawn.parts,
+        few=len(scenes) <= FEW,
+        anchors={scene.name: f"scene-{k}" for k, scene in enumerate(scenes)},
+        asked=Counter(row["scene"] for row in own),
+        plots=_plots(scores, by_method, ours),
         error_top=ERROR_TOP,
-        times_here=TIMES_HERE,
     )
+    return Report(html, template("report.md.j2").render(**common))
 
 
-def with_times(
-    page: str,
-    times: Mapping[str, float],
-    scene_times: Mapping[str, Mapping[str, float]],
-    host: Mapping[str, str],
-) -> str:
-    """The page of :func:`render_report` with what is true of one run on one machine only.
-
-    ``times`` are seconds by stage, ``scene_times`` those of the evaluation by scene, and ``host``
-    says where it ran.
-    """
-    section = template("times.html.j2").render(
-        times=times, scene_times=scene_times, host=flatten(host)
+def with_times(report: Report, times: Times) -> Report:
+    """The report of :func:`render_report` with what is true of one run on one machine only."""
+    shown = {
+        "times": times,
+        "speeds": times.speeds(),
+        "host": flatten(times.host),
+        "paper_seconds": any(speed.paper is not None for speed in times.speeds()),
+    }
+    forms = (
+        page.replace(TIMES_HERE, template(f"times.{kind}.j2").render(**shown))
+        for kind, page in (("html", report.html), ("md", report.markdown))
     )
-    return page.replace(TIMES_HERE, section)
+    return Report(*forms)
 
 
-def write_samples(results: Sequence[SceneResult], out: str | Path) -> None:
-    """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: a row a sample.
+class _Drawn:
+    """The pictures of a page, as addresses of themselves; of all scenes, one in memory at a time.
 
-    Columns are those of the data spec ``samples``. Beside them ``scores.parquet`` and
-    ``scores.csv``, what the samples amount to, of the spec ``scores``.
+    ``cards`` are those of the chosen answers, ``tiles`` what each method found, ``parts`` what the
+    template needs of each scene.
     """
-    rows = [row for result in results for row in result.rows]
-    samples = pa.Table.from_pylist(rows, schema=load_spec("samples").schema)
-    for name, table in (("samples", samples), ("scores", score_table(rows))):
-        _write(Path(out) / f"{name}.parquet", encode_table(table))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table.to_pylist())
-        _write(Path(out) / f"{name}.csv", text.getvalue().encode())
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        own: Sequence[Row],
+        others: Mapping[str, Sequence[Row]],
+        chosen: set[Key],
+        told: Sequence[Key],
+    ) -> None:
+        self.cards: dict[Key, dict[str, str]] = {}
+        self.tiles: dict[Key, dict[str, str]] = {}
+        self.parts: list[dict[str, Any]] = []
+        few = len(scenes) <= FEW
+        self.width = WIDE if few else NARROW
+        self.queries = SHOWN_QUERIES[not few]
+        by_scene: dict[str, list[Row]] = {}
+        for row in own:
+            by_scene.setdefault(row["scene"], []).append(row)
+        pictured = {key[0] for key in (*chosen, *told)}
+        worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
+        with_parts = {scene.name for scene in worst_first[:MOST]}
+        for scene in scenes:
+            rows = by_scene.get(scene.name, [])
+            asked = {key_of(row): row for row in rows}
+            images: Images = {}
+            if scene.name in pictured | with_parts:
+                images = scene.pictures()
+            carded, keys = chosen & asked.keys(), [key for key in told if key in asked]
+            truth = scene.truth() if carded or keys else {}
+            for key in carded:
+                self.cards[key] = self._card(images, truth, key)
+            if keys:
+                self._compare(images, truth, scene, keys, asked[keys[0]], others)
+            self.parts.append(self._part(scene, rows, images if scene.name in with_parts else {}))
+
+    def _card(self, images: Images, truth: Mapping[str, Images], key: Key) -> dict[str, str]:
+        _, frame, query = key
+        photo = showcase.outlined(images[f"photo/{frame}"], truth[frame][query])
+        found = {"photo": photo} | {
+            kind: images[f"{kind}/{frame}/{query}"] for kind in ("relevancy", "mask")
+        }
+        return {kind: data_uri(picture, NARROW) for kind, picture in found.items()}
+
+    def _compare(
+        self,
+        images: Images,
+        truth: Mapping[str, Images],
+        scene: Scene,
+        keys: Sequence[Key],
+        row: Row,
+        others: Mapping[str, Sequence[Row]],
+    ) -> None:
+        for method in (row["method"], *others):
+            if not any(other["method"] == method for other in scene.rows):
+                continue
+            masks = scene.masks(method)
+            for key in keys:
+                _, frame, query = key
+                photo, mask = images[f"photo/{frame}"], truth[frame][query]
+                tiles = self.tiles.setdefault(
+                    key, {"": data_uri(showcase.outlined(photo, mask), TILE)}
+                )
+                found = masks.get((row["protocol"], frame, query))
+                if found is not None:
+                    tiles[method] = data_uri(showcase.answered(photo, mask, found), TILE)
+
+    def _part(self, scene: Scene, rows: Sequence[Row], images: Images) -> dict[str, Any]:
+        """What the template needs of one scene, pictures encoded."""
+
+        def frames(kind: str) -> list[str]:
+            return [name.split("/", 1)[1] for name in images if name.startswith(f"{kind}/")]
+
+        targets = frames("photo")[:SHOWN_TARGETS]
+        drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
+        queries = self._choose(drawn)
+        wanted = {f"{kind}/{frame}" for kind in ("photo", "render", "ids") for frame in targets}
+        wanted |= {f"{kind}/{frame}" for kind in ("render", "ids") for frame in ALONG_THE_WAY}
+        wanted |= {
+            f"{kind}/{row['frame']}/{row['query']}"
+            for kind in ("relevancy", "mask")
+            for row in queries
+        }
+        always = "input", "labels", "depth", "true_depth", "depth_error", "objects"
+        uris = {
+            name: data_uri(images[name], WIDE if name == "objects/all" else self.width)
+            for name in images
+            if name in wanted or name.split("/", 1)[0] in always
+        }
+        return {
+            "name": scene.name,
+            "metrics": scene.metrics,
+            "images": uris,
+            "inputs": frames("input"),
+            "targets": targets,
+            "more_targets": len(frames("photo")) - len(targets),
+            "path": [frame for frame in ALONG_THE_WAY if f"render/{frame}" in images],
+            "queries": queries,
+            "rows": rows,
+        }
+
+    def _choose(self, rows: Sequence[Row]) -> list[Row]:
+        """The worst answered queries and the best, worst first; the first if none is scored."""
+        scored = showcase.ranked(rows)
+        if not scored:
+            return list(rows[: self.queries])
+        if len(scored) <= self.queries:
+            return scored
+        half = self.queries // 2
+        return [*scored[:half], *scored[half - self.queries :]]
 
 
-def write_predictions(
-    rows: Sequence[Mapping[str, Any]],
-    predictions: Mapping[tuple[str, str, str], bytes],
-    out: str | Path,
-) -> None:
-    """Write every mask to ``out/<method>/<protocol>/<scene>/<frame>/<query>.png``, white = found.
-
-    ``predictions`` are PNG files by protocol, frame and query, as ``rows`` have them. The protocol
-    goes without its version, and the frame is named as its label file is, without folder and
-    ending; all names are made safe for any file system by :func:`file_name`. A protocol without
-    masks has no folder.
-    """
-    for row in rows:
-        png = predictions.get(_key(row))
-        if png is not None:
-            protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
-            folder = map(file_name, (row["method"], protocol, row["scene"], frame))
-            _write(Path(out, *folder, f"{file_name(row['query'])}.png"), png)
+def _grouped(failures: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
+    """Scenes, stage and reason, those of one reason in one line."""
+    scenes: dict[tuple[str, str], list[str]] = {}
+    for failure in failures:
+        scenes.setdefault((failure["stage"], failure["reason"]), []).append(failure["scene"])
+    return [(_some(names), *why) for why, names in scenes.items()]
 
 
-def file_name(text: str) -> str:
-    """A file name for any text: ASCII letters, digits, space, ``.``, ``-`` and ``_``.
-
-    A text that has nothing else keeps its looks, as the class masks of 3D-OVS do; any other gets a
-    hash of itself at the end, so that different texts keep different names.
-    """
-    safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
-    if safe and safe == text:
-        return safe
-    return f"{safe}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+def _some(names: Sequence[str], count: int = 3) -> str:
+    more = len(names) - count
+    return "; ".join(names[:count]) + (f"; and {more} more" if more > 0 else "")
 
 
-def template(name: str) -> jinja2.Template:
-    """The template of that file name beside this module."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slgaussian.benchmark", "."),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    return environment.get_template(name)
-
-
-def _scene(result: SceneResult, anchor: str) -> dict[str, Any]:
-    """What the template needs of one scene, pictures encoded."""
-    images = {name: _data_uri(picture) for name, picture in result.pictures.items()}
-
-    def frames(kind: str) -> list[str]:
-        return [name.split("/", 1)[1] for name in images if name.startswith(f"{kind}/")]
-
+def _card(row: Row, lost_by: Mapping[Key, str]) -> dict[str, Any]:
     return {
-        "name": result.scene,
-        "anchor": anchor,
-        "metrics": result.scene_metrics,
-        "images": images,
-        "inputs": frames("input"),
-        "targets": frames("photo"),
-        "path": [frame for frame in ALONG_THE_WAY if f"render/{frame}" in images],
-        "queries": _choose(_leading(result)),
-        "rows": _leading(result),
+        "key": key_of(row),
+        "row": row,
+        "lost_by": lost_by.get(key_of(row), ""),
+        "file": f"predictions/{mask_place(row).as_posix()}",
     }
 
 
-def _leading(result: SceneResult) -> list[dict[str, Any]]:
-    """The rows of the first protocol, which the page shows."""
-    return [row for row in result.rows if row["protocol"] == result.rows[0]["protocol"]]
-
-
-def _key(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Of the row's mask among the predictions."""
-    return row["protocol"], row["frame"], row["query"]
-
-
-def _choose(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The best and the worst answered queries, best first, each in the first frame that has it.
-
-    Queries without truth come after those with, in their order; those that are not understood
-    have nothing to show.
-    """
-    answered = [row for row in rows if row["score"] is not None]
-    truthful = [row for row in answered if row["iou"] is not None]
-    first = {row["query"]: row for row in reversed(truthful)}
-    scored = sorted(first.values(), key=lambda row: (-row["iou"], row["query"]))
-    unscored = [row for row in answered if row["iou"] is None and row["query"] not in first]
-    if len(scored) > SHOWN_QUERIES:
-        half = SHOWN_QUERIES // 2
-        scored = scored[:half] + scored[-half:]
-    return scored + unscored[: SHOWN_QUERIES - len(scored)]
-
-
-def _hero(
-    results: Sequence[SceneResult], scenes: Sequence[Mapping[str, Any]]
-) -> Mapping[str, Any] | None:
-    """The scene and row whose pictures open the page: the best found thing, not a wall or floor."""
-    best, chosen = -1.0, None
-    for result, scene in zip(results, scenes, strict=True):
-        for row in scene["queries"]:
-            share = result.predictions[_key(row)].mean()
-            value = (row["iou"] or 0.0) + (0 < share < LARGEST_THING)
-            if value > best:
-                best, chosen = value, {"scene": scene, "row": row}
-    return chosen
-
-
-def _macro_mean(results: Sequence[SceneResult], key: str) -> float:
-    """Unweighted mean over the scenes that have the metric, as LangSplat averages its scenes."""
-    return float(np.mean([r.scene_metrics[key] for r in results if key in r.scene_metrics]))
-
-
-def _protocol(results: Sequence[SceneResult]) -> dict[str, Any]:
-    """What was asked and how, in a few words each."""
-    rows = [row for result in results for row in _leading(result)]
-    said = "method", "protocol", "selection", "threshold", "share", "filter", "temperature"
-    asked = {
-        key: ", ".join(sorted({"none" if row[key] is None else str(row[key]) for row in rows}))
-        for key in (*said, "canonical")
+def _answers(key: Key, own: Sequence[Row], others: Mapping[str, Sequence[Row]]) -> dict[str, Any]:
+    """The IoU of every method that answered a query, ours first."""
+    ious = {
+        row["method"]: row["iou"]
+        for rows in (own, *others.values())
+        for row in rows
+        if key_of(row) == key and row["iou"] is not None
     }
-    return asked | {
-        "scored": sum(row["iou"] is not None for row in rows),
-        "unscored": sum(row["iou"] is None for row in rows),
-        "unknown": sum(row["note"].startswith(NOT_UNDERSTOOD) for row in rows),
+    return {"key": key, "ious": ious, "about": {method: about(method) for method in ious}}
+
+
+def _counts(own: Sequence[Row]) -> dict[str, int]:
+    scored = [row["iou"] for row in own if row["iou"] is not None]
+    return {
+        "scored": len(scored),
+        "unscored": len(own) - len(scored),
+        "unknown": sum(row["note"].startswith(NOT_UNDERSTOOD) for row in own),
+        "missed": sum(iou < showcase.MISS for iou in scored),
+        "pointed": sum(bool(row["hit_mask"]) for row in own),
     }
 
 
-def flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """The leaves of nested mappings as text, keys joined by dots."""
-    flat: list[tuple[str, str]] = []
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat += flatten(value, f"{prefix}{key}.")
-        else:
-            flat.append((f"{prefix}{key}", str(value)))
-    return flat
+def _blame_table(blame: Sequence[Row]) -> list[tuple[str, int, dict[str, float | None]]]:
+    """By what lost queries: how many, and their mean IoU with each stage replaced."""
+    groups: dict[str, list[Row]] = {}
+    for row in blame:
+        groups.setdefault(row["lost"] or "", []).append(row)
+    ordered = sorted(groups.items(), key=lambda item: (item[0] == "", -len(item[1])))
+    return [(name, len(rows), _mean_ious(rows)) for name, rows in ordered]
 
 
-def _data_uri(picture: np.ndarray) -> str:
-    data = encode_jpeg(picture, PICTURE_WIDTH)
-    return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+def _mean_ious(rows: Sequence[Row]) -> dict[str, float | None]:
+    names = [name for name in load_spec("blame").columns if name.endswith("iou")]
+    known = {name: [row[name] for row in rows if row[name] is not None] for name in names}
+    return {name: float(np.mean(ious)) if ious else None for name, ious in known.items()}
 
 
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, data)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"
-        ) from error
+def _summaries(scenes: Sequence[Scene]) -> list[tuple[str, list[str], Summary]]:
+    """Of each data set its name, its scenes, and what is said of them."""
+    found = []
+    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
+        own = [scene for scene in scenes if scene.dataset == dataset]
+        names = [scene.name for scene in own]
+        found.append((dataset, names, summarize([scene.metrics for scene in own])))
+    return found
+
+
+def _places(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Format and name in the data set of each scene."""
+    entries = manifest.get("data", {}).items()
+    return {name: (of.get("format", ""), of.get("scene", "")) for name, of in entries}
+
+
+def _plots(
+    scores: Sequence[Row], by_method: Mapping[str, Sequence[Row]], ours: str
+) -> dict[str, dict[str, str]]:
+    """Plots by data set, each with its caption."""
+    found: dict[str, dict[str, str]] = {}
+    for dataset in dict.fromkeys(score["dataset"] for score in scores):
+        own = [score for score in scores if score["dataset"] == dataset]
+        ious = [s for s in own if s["metric"] == "iou" and s["protocol"].startswith("slgaussian@")]
+        curves: dict[str, dict[float, float]] = {}
+        for score in own:
+            if score["protocol"].startswith("threshold-free") and score["threshold"] is not None:
+                curves.setdefault(score["method"], {})[score["threshold"]] = score["value"]
+        sure = {}
+        for method, rows in by_method.items():
+            mine = [
+                row
+                for row in rows
+                if row["dataset"] == dataset and row["protocol"].startswith("slgaussian@")
+            ]
+            if (one := reliability(mine)).counts.any():
+                sure[method] = one
+        drawn = {}
+        if len(ious) > 1:
+            caption = f"IoU by {ious[0]['protocol']}, with its interval over scenes"
+            drawn[caption] = plots.plot_scores(ious, ours)
+        if curves:
+            drawn["IoU with each threshold of the relevancy"] = plots.plot_curves(curves, ours)
+        if sure:
+            drawn["Calibration: how often the point is right, by how sure"] = (
+                plots.plot_reliability(sure, ours)
+            )
+        found[dataset] = drawn
+    return found

@@ -159,37 +159,38 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
 
 
 def difference_tables(
-    rows_by_method: Mapping[str, Sequence[Row]], columns: Sequence[Column] = MAIN
+    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], columns: Sequence[Column] = MAIN
 ) -> list[Table]:
-    """A table a data set: the first method minus each of the others, on what both were asked."""
-    (first, own), *others = rows_by_method.items()
+    """A table a data set: a line a pair of samples, the one minus the other, on what both have."""
     known: dict[str, dict[str, dict[tuple[str, str], Difference]]] = {}
-    for method, rows in others:
-        for gain in differences(own, rows):
+    labels: dict[str, str] = {}
+    for name, (rows, others) in pairs.items():
+        for gain in differences(rows, others):
+            protocol = gain.protocol.partition("@")[0]
             if gain.threshold is None:
-                key = gain.protocol.partition("@")[0], gain.metric
-                known.setdefault(gain.dataset, {}).setdefault(method, {})[key] = gain
-    labels = {row["protocol"].partition("@")[0]: row["protocol"] for row in own}
+                labels[protocol] = gain.protocol
+                of = known.setdefault(gain.dataset, {}).setdefault(name, {})
+                of[protocol, gain.metric] = gain
     tables = []
-    for dataset, by_method in known.items():
+    for dataset, by_name in known.items():
         shown = [
             column
             for column in columns
-            if any((column.protocol, column.metric) in of for of in by_method.values())
+            if any((column.protocol, column.metric) in of for of in by_name.values())
         ]
         groups = []
         for protocol in dict.fromkeys(column.protocol for column in shown):
             group = tuple(column for column in shown if column.protocol == protocol)
             groups.append(Group(labels[protocol], "", group, ("",) * len(group)))
         lines = []
-        for method, of in by_method.items():
+        for name, of in by_name.items():
             found = (of.get((column.protocol, column.metric)) for column in shown)
             cells = tuple(
                 NOTHING if gain is None else gain_cell(gain, column.digits, column.sign)
                 for gain, column in zip(found, shown, strict=True)
             )
-            lines.append(Line(f"{first} − {method}", about(method), cells))
-        scenes = max(gain.gain.samples for of in by_method.values() for gain in of.values())
+            lines.append(Line(name, "", cells))
+        scenes = max(gain.gain.samples for of in by_name.values() for gain in of.values())
         tables.append(Table(dataset, scenes, tuple(groups), tuple(lines)))
     return tables
 
@@ -197,7 +198,10 @@ def difference_tables(
 def gain_cell(found: Difference, digits: int, sign: int = 1) -> Cell:
     """A difference as it is printed; ``sign`` is -1 where less is better."""
     gain = found.gain
-    value = f"{gain.difference:+.{digits}f}"
+    value, start, end = (
+        f"{round(number, digits) + 0.0:+.{digits}f}"  # and not -0.000
+        for number in (gain.difference, gain.low, gain.high)
+    )
     counts = f"{found.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
     if gain.samples < 2:
         return Cell(value, "", "few", counts)
@@ -205,7 +209,7 @@ def gain_cell(found: Difference, digits: int, sign: int = 1) -> Cell:
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
     if gain.samples < LEAST and mark != "noise":
         mark = "few"
-    return Cell(value, f"{gain.low:+.{digits}f} to {gain.high:+.{digits}f}", mark, counts)
+    return Cell(value, f"{start} to {end}", mark, counts)
 
 
 def about(method: str) -> str:
@@ -218,8 +222,9 @@ def conditions(score: Row) -> str:
     names = "threshold", "share", "filter", "temperature"
     said = [f"{name} {score[name]:g}" if isinstance(score[name], float) else f"{name} {score[name]}"
             for name in names if score[name] is not None]  # fmt: skip
+    selection = "no mask" if score["selection"] == "none" else score["selection"]
     return ", ".join(
-        [score["selection"], *said, f"phrases: {score['canonical']}", f"absent: {score['absent']}"]
+        [selection, *said, f"phrases: {score['canonical']}", f"absent: {score['absent']}"]
     )
 
 
@@ -243,7 +248,8 @@ def _cell(score: Row | None, column: Column, best: float, said: str, count: str)
     if f"n {score['samples']}" != count:
         notes.append(f"n {score['samples']}")
     mark = "best" if _printed(score, column) * column.sign == best else ""
-    return Cell(f"{score['value']:.{column.digits}f}", interval, mark, "; ".join(filter(None, notes)))
+    value = f"{score['value']:.{column.digits}f}"
+    return Cell(value, interval, mark, "; ".join(filter(None, notes)))
 
 
 def _most(texts: Iterable[str]) -> str:

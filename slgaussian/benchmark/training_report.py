@@ -6,18 +6,17 @@ It depends on its arguments alone: same training, same bytes.
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
 from slgaussian.benchmark.pictures import encode_png, paint_labels
-from slgaussian.benchmark.report import flatten, template
+from slgaussian.benchmark.plots import as_svg
+from slgaussian.benchmark.rendering import flatten, template
 from slgaussian.bootstrap import LEAST, LEVEL
 from slgaussian.semantic.verdict import clip_scores, gain
 
@@ -32,9 +31,6 @@ ABOUT = {
 
 SMOOTH = 0.02
 """Share of the steps over which the curve of the loss is averaged."""
-
-NOTES = ("Date", "Creator", "Format", "Type")
-"""What Matplotlib would write about itself into a picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +76,8 @@ def render_training_report(
         gains={other: {kind: gain(judgements, other, kind) for kind in kinds} for other in others},
         level=LEVEL,
         least=LEAST,
-        loss=_svg(_loss_curve(metrics)),
-        gain_by_clip=_svg(_gain_by_clip(judgements, kinds)),
+        loss=as_svg(lambda: _loss_curve(metrics)),
+        gain_by_clip=as_svg(lambda: _gain_by_clip(judgements, kinds)),
         examples=[_pictures(example) for example in examples],
         manifest=flatten(manifest),
     )
@@ -137,10 +133,3 @@ def _pictures(example: Example) -> dict[str, Any]:
         "sample": example.sample,
         "tiles": {caption: picture(ids) for caption, ids in tiles.items()},
     }
-
-
-def _svg(figure: Figure) -> str:
-    out = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "slgaussian", "svg.fonttype": "path"}):
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(NOTES))
-    return out.getvalue()[out.getvalue().index("<svg") :]

@@ -19,6 +19,7 @@ from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
     image_folder,
+    is_there,
     posed_view,
     stored_size,
 )
@@ -34,6 +35,9 @@ TRACK = 3
 
 POINTS = 12
 """Fewest such points that an image's depth range is taken from."""
+
+ROWS = 64
+"""Rows of a lens that are computed at a time, in float64."""
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
@@ -113,8 +117,9 @@ def _place(path: Path) -> Path:
 def _file(scene: Path, folder: Path, name: str) -> Path | None:
     # Some tools write shrunk photographs with another extension.
     for start in (folder / name, scene / name):
-        for file in (start, *(start.with_suffix(end) for end in EXTENSIONS)):
-            if file.is_file():
+        others = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
+        for file in (start, *others):
+            if is_there(file):
                 return file
     return None
 
@@ -133,13 +138,17 @@ class _Lens:
         if self.straight:
             return None
         width, height = self.size
-        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(self.K).T
-        there = _pycolmap_camera(self.stored).img_from_cam(rays)
-        there *= (width / self.stored.width, height / self.stored.height)
-        there = np.where(np.isfinite(there), there - 0.5, OUTSIDE)  # OpenCV's pixel centres
-        columns, rows = there.astype(np.float32).reshape(height, width, 2).transpose(2, 0, 1)
-        return np.ascontiguousarray(columns), np.ascontiguousarray(rows)
+        lens, inverse = _pycolmap_camera(self.stored), np.linalg.inv(self.K).T
+        maps = np.empty((2, height, width), np.float32)
+        for top in range(0, height, ROWS):
+            own = np.arange(top, min(top + ROWS, height))
+            u, v = np.meshgrid(np.arange(width) + 0.5, own + 0.5)
+            rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ inverse
+            there = lens.img_from_cam(rays)
+            there *= (width / self.stored.width, height / self.stored.height)
+            there = np.where(np.isfinite(there), there - 0.5, OUTSIDE)  # OpenCV's pixel centres
+            maps[:, own] = there.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
+        return maps[0], maps[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +167,7 @@ class _Reader:
         if file is None:
             gone = (o for o, found in self.files.items() if found is None and o != name)
             raise absent(self.folder / name, str(self.source), gone, len(self.files))
-        return posed_view(file, name, self.cameras[name], self.lenses[name].maps())
+        return posed_view(file, name, self.cameras[name], self.lenses[name].maps)
 
 
 def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path | None]) -> dict[int, _Lens]:
@@ -207,6 +216,11 @@ def _pinhole(camera: SparseCamera, where: str) -> tuple[np.ndarray, bool]:
             "sees what it saw; cut its images into pinhole ones and reconstruct again"
         )
     K = lens.calibration_matrix()
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and abs(np.linalg.det(K)) > 0 and np.isfinite(K).all()):
+        raise InputError(
+            f"{where}: its focal lengths are {K[0, 0]:g} and {K[1, 1]:g}, expected positive "
+            "numbers; reconstruct again"
+        )
     corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
     rays = corners @ np.linalg.inv(K).T
     # pycolmap calls a fisheye without parameters undistorted, which it is not of a pinhole.

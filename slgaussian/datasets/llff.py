@@ -17,6 +17,7 @@ import numpy as np
 
 from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, stored_size
 from slgaussian.errors import InputError
+from slgaussian.images import read_npy
 from slgaussian.scene import Camera, Scene, View
 
 FILE = "poses_bounds.npy"
@@ -85,10 +86,10 @@ class _Reader:
 
 def _rows(file: Path) -> np.ndarray:
     try:
-        rows = np.load(file, allow_pickle=False)
+        rows = read_npy(file)
     except OSError as bad:
         raise InputError(f"{file}: cannot be read ({bad.strerror or bad})") from None
-    except (ValueError, EOFError) as bad:
+    except ValueError as bad:
         raise InputError(f"{file}: is no array of numbers ({bad}); write it again") from None
     if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind not in "fiu" or not len(rows):
         raise InputError(

@@ -7,7 +7,6 @@ the image, with pixel centres at +0.5, as here.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,17 +16,18 @@ from typing import Any
 
 import cv2
 import numpy as np
-from PIL import Image
 
+from slgaussian import jsontext
 from slgaussian.datasets.lens import Maps, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
+    is_there,
     open_rgb,
     stored_size,
-    unreadable,
 )
 from slgaussian.errors import InputError
+from slgaussian.images import opened, read_npy, unreadable
 from slgaussian.scene import Camera, Scene, View
 
 FILE = "transforms.json"
@@ -153,7 +153,7 @@ class _Frame:
     def image_path(self) -> Path | None:
         stem = self.file.parent / self.name
         tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
-        return next((p for p in tries if p.is_file()), None)
+        return next((p for p in tries if is_there(p)), None)
 
     def stored_size(self) -> tuple[int, int] | None:
         """Width and height of the stored photograph, None if it cannot be opened."""
@@ -233,15 +233,15 @@ class _Frame:
         if name is None:
             return None
         path = self.file.parent / str(name)
-        if not path.is_file():
+        if not is_there(path):
             return None
         try:
             if path.suffix == ".npy":
-                raw = np.load(path, allow_pickle=False)
+                raw = read_npy(path)
             else:
-                with Image.open(path) as image:
+                with opened(path) as image:
                     raw = np.asarray(image)
-        except (OSError, SyntaxError, ValueError, EOFError) as bad:
+        except (OSError, ValueError) as bad:
             raise unreadable(path, bad) from None
         raw = raw.squeeze()
         if raw.ndim != 2 or raw.dtype.kind not in "uif":
@@ -259,7 +259,7 @@ class _Frame:
 
 def _load(file: Path) -> dict[str, Any]:
     try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
+        meta = jsontext.parse(file.read_bytes())
     except OSError as bad:
         raise InputError(
             f"{file}: cannot be read ({bad.strerror}); give a {FILE} or the folder that holds one"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,13 @@ from PIL import Image
 
 from slgaussian.datasets.lens import Maps, straightened
 from slgaussian.errors import InputError
+from slgaussian.images import opened, unreadable
 from slgaussian.scene import Camera, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 """Of photographs, in the order in which they are tried where a name leaves its extension out."""
+
+_ROWS = 256  # turned into numbers of 8 bytes at a time, of which a whole image has too many
 
 
 def rgb(image: Image.Image) -> np.ndarray:
@@ -22,14 +25,23 @@ def rgb(image: Image.Image) -> np.ndarray:
     Grey is repeated, 16 bits are scaled. ValueError for floating-point pixels.
     """
     if image.mode.startswith("I"):  # 16 bits of grey
-        grey = np.clip(np.asarray(image, np.float64) / 257, 0, 255)
-        return np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=-1)
+        return _by_rows(np.asarray(image), lambda grey: (np.clip(grey / 257, 0, 255))[..., None])
     if image.mode == "F":
         raise ValueError("floating-point pixels")
     if "A" in image.getbands() or "transparency" in image.info:
-        pixels = np.asarray(image.convert("RGBA"), np.float64)
-        return np.round(pixels[..., :3] * pixels[..., 3:] / 255).astype(np.uint8)
+        return _by_rows(
+            np.asarray(image.convert("RGBA")), lambda part: part[..., :3] * part[..., 3:] / 255
+        )
     return np.ascontiguousarray(np.asarray(image.convert("RGB")))
+
+
+def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """``colour`` of some rows as float64 after the other, rounded: uint8 [H, W, 3]."""
+    found = np.empty((*pixels.shape[:2], 3), np.uint8)
+    for top in range(0, len(pixels), _ROWS):
+        part = pixels[top : top + _ROWS].astype(np.float64)
+        found[top : top + _ROWS] = np.round(colour(part))
+    return found
 
 
 def open_rgb(path: Path) -> np.ndarray:
@@ -38,20 +50,27 @@ def open_rgb(path: Path) -> np.ndarray:
     An EXIF orientation is not applied, as poses and intrinsics belong to the stored pixels.
     """
     try:
-        with Image.open(path) as image:
-            image.load()
+        with opened(path) as image:
             return rgb(image)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as bad:
+    except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
     """Width and height of a stored photograph, None if it cannot be opened."""
     try:
-        with Image.open(path) as image:
+        with opened(path) as image:
             return image.size
-    except (OSError, Image.DecompressionBombError):
+    except (OSError, ValueError):
         return None
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file; no name is refused, as files say what they like."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def photographs_in(folder: Path) -> list[Path]:
@@ -75,8 +94,10 @@ def image_folder(scene: Path, name: str | None = None) -> Path:
     return min(shrunk, key=lambda path: int(path.name[7:]))
 
 
-def posed_view(path: Path, name: str, camera: Camera, maps: Maps | None = None) -> View:
-    """The view of a stored photograph, straightened if there are maps.
+def posed_view(
+    path: Path, name: str, camera: Camera, maps: Callable[[], Maps | None] = lambda: None
+) -> View:
+    """The view of a stored photograph, straightened if there are maps, which are asked for last.
 
     Raises
     ------
@@ -90,17 +111,10 @@ def posed_view(path: Path, name: str, camera: Camera, maps: Maps | None = None) 
             f"{path}: is {width}x{height}, but by its pose file {camera.width}x{camera.height}; "
             "bring it to that size and orientation"
         )
-    if maps is not None:
-        pixels, _ = straightened(pixels, None, maps)
+    bent = maps()
+    if bent is not None:
+        pixels, _ = straightened(pixels, None, bent)
     return View(name, camera, pixels)
-
-
-def unreadable(path: Path, bad: Exception) -> InputError:
-    """The error that says of a file that its content cannot be read, and why."""
-    reason = str(bad).replace(str(path), "the file").strip(" .") or type(bad).__name__
-    return InputError(
-        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
-    )
 
 
 def absent(path: Path, named_by: str, gone: Iterable[str], count: int) -> InputError:

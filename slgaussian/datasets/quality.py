@@ -6,10 +6,10 @@ import io
 
 import cv2
 import numpy as np
-from PIL import Image
 from skimage.measure import blur_effect
 
 from slgaussian.errors import InputError
+from slgaussian.images import opened
 
 SIDE = 180
 """Shorter side of a small look, pixels. A JPEG of 640 x 360 is decoded at half its size for it,
@@ -36,13 +36,13 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
         If it cannot be decoded.
     """
     try:
-        with Image.open(io.BytesIO(data)) as image:
+        with opened(io.BytesIO(data)) as image:
             size = image.size
             scale = min(1.0, SIDE / min(size))
             small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
             image.draft("L", small)
             grey = np.asarray(image.convert("L"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except ValueError as error:
         raise InputError(f"its JPEG cannot be decoded ({error})") from None
     return cv2.resize(grey, small, interpolation=cv2.INTER_AREA), size
 

@@ -27,8 +27,10 @@ import numpy as np
 import torch
 from PIL import Image
 
+from slgaussian import jsontext, tensorfile
 from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
+from slgaussian.images import opened
 from slgaussian.remote import explained, open_place, troubles
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.store import write_atomic
@@ -38,6 +40,8 @@ CHUNK_BYTES = 100_000_000
 """Chunks are begun anew when the images of one reach this, as the published ones are."""
 JPEG_QUALITY = 95
 ROW = 18
+WHOLE = (torch.int64, torch.int32)
+REAL = (torch.float32, torch.float64, torch.float16)
 FRAME_TIME = 33_333
 """Microseconds between the frames of a scene that has no timestamps."""
 
@@ -74,10 +78,9 @@ class Clip:
         """
         label = f"clip {self.key!r}, frame {number}"
         try:
-            with Image.open(io.BytesIO(self.images[number])) as image:
-                image.load()
+            with opened(io.BytesIO(self.images[number])) as image:
                 pixels = rgb(image)
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
         try:
             camera = camera_of(self.cameras[number], pixels.shape[1], pixels.shape[0])
@@ -85,8 +88,10 @@ class Clip:
             raise InputError(f"{label}: {error}") from None
         return View(str(number), camera, pixels)
 
-    def scene(self) -> Scene:
+    def scene(self, source: str = "") -> Scene:
         """The clip as a scene named by its key, with views "0" to "N - 1", decoded when read.
+
+        ``source`` is the file that it is from, for messages.
 
         Raises
         ------
@@ -94,31 +99,36 @@ class Clip:
             If it has no frame, no image can be decoded, or a camera is none. A single damaged image
             is an error of its own view only.
         """
+        label = f"{source}: clip {self.key!r}" if source else f"clip {self.key!r}"
         if not self.images:
-            raise InputError(f"clip {self.key!r}: has no frame")
+            raise InputError(f"{label}: has no frame")
         sizes = [_size(data) for data in self.images]
         usual = next((size for size in sizes if size is not None), None)
         if usual is None:
-            raise InputError(f"clip {self.key!r}: none of its {len(sizes)} images can be decoded")
+            raise InputError(f"{label}: none of its {len(sizes)} images can be decoded")
         cameras = {}
         for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True)):
             try:
                 cameras[str(number)] = camera_of(row, *(size or usual))
             except InputError as error:
-                raise InputError(f"clip {self.key!r}, frame {number}: {error}") from None
-        return Scene(self.key, cameras, _Frames(self, cameras).read)
+                raise InputError(f"{label}, frame {number}: {error}") from None
+        return Scene(self.key, cameras, _Frames(self, cameras, source).read)
 
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
     clip: Clip
     cameras: Mapping[str, Camera]
+    source: str
 
     def read(self, name: str) -> View:
         """Decode one image."""
         if name not in self.cameras:
             raise InputError(f"clip {self.clip.key!r}: has no frame {name!r}")
-        return self.clip.view(int(name))
+        try:
+            return self.clip.view(int(name))
+        except InputError as error:
+            raise InputError(f"{self.source}: {error}" if self.source else str(error)) from None
 
 
 def read(path: str | Path, key: str) -> Scene:
@@ -141,7 +151,7 @@ def read(path: str | Path, key: str) -> Scene:
         raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {few}")
     for clip in read_chunk(f"{path}/{index[key]}"):
         if clip.key == key:
-            return clip.scene()
+            return clip.scene(f"{path}/{index[key]}")
     raise InputError(f"{path}/{index[key]}: has no clip {key!r}, though {INDEX} says so")
 
 
@@ -159,7 +169,8 @@ def read_index(path: str | Path) -> dict[str, str]:
     """The chunk file of every clip of a split, by key, from its ``index.json``."""
     file = f"{path}/{INDEX}"
     index = _json(file)
-    if not all(isinstance(name, str) and name == os.path.basename(name) for name in index.values()):
+    names = index.values()
+    if not all(isinstance(n, str) and n == os.path.basename(n)[:255] for n in names):
         raise InputError(f"{file}: expected the name of a chunk for every key")
     return index
 
@@ -186,19 +197,33 @@ def read_chunk(file: str | Path) -> list[Clip]:
     """
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
-            found = torch.load(io.BytesIO(stream.read()), map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises what its parts raise, of any kind
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            data = stream.read()
+        found = tensorfile.load(data)
+    except tensorfile.CodeError as code:
+        raise InputError(
+            f"{file}: cannot be read as a chunk (it holds {code}, which could run code); get one "
+            "that holds clips only"
+        ) from None
+    except (*troubles(), ValueError) as error:
+        reason = explained(error) if not isinstance(error, ValueError) else error
         raise InputError(
             f"{file}: cannot be read as a chunk ({reason}); it is damaged or cut short, get it "
             "again"
         ) from None
     if not isinstance(found, list):
         raise InputError(f"{file}: found a {type(found).__name__}, expected a list of clips")
-    return [_clip(file, number, entry) for number, entry in enumerate(found)]
+    # One tensor may stand in many places, and there be copied as often.
+    left = len(data)
+    clips = []
+    for number, entry in enumerate(found):
+        clips.append(_clip(file, number, entry, left))
+        left -= sum(map(len, clips[-1].images))
+    return clips
 
 
-def _clip(file: str | Path, number: int, entry: Any) -> Clip:
+def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
+    """The clip of an entry, whose images have ``most`` bytes at most."""
+
     def wrong(what: str) -> InputError:
         return InputError(f"{file}: clip {number}: {what}")
 
@@ -209,13 +234,21 @@ def _clip(file: str | Path, number: int, entry: Any) -> Clip:
         if not isinstance(entry.get(name), kind):
             raise wrong(f"{name} is {type(entry.get(name)).__name__}, expected {kind.__name__}")
     images, cameras = entry["images"], entry["cameras"]
+    for name, types in (("timestamps", WHOLE), ("cameras", REAL)):
+        tensor = entry[name]
+        if not _is_plain(tensor) or tensor.dtype not in types or not tensor.ndim:
+            raise wrong(f"{name} is a tensor of {tensor.dtype}, expected one of {types[0]}")
     if tuple(cameras.shape) != (len(images), ROW) or len(entry["timestamps"]) != len(images):
         raise wrong(
             f"found {len(images)} images, cameras {tuple(cameras.shape)} and "
             f"{len(entry['timestamps'])} timestamps, expected as many rows of {ROW}"
         )
-    if not all(isinstance(i, torch.Tensor) and i.dtype == torch.uint8 for i in images):
+    if not all(
+        isinstance(i, torch.Tensor) and i.dtype == torch.uint8 and _is_plain(i) for i in images
+    ):
         raise wrong("images are not all uint8 tensors of JPEG bytes")
+    if sum(image.numel() for image in images) > most:
+        raise wrong("has more bytes of images than the file")
     return Clip(
         entry["key"],
         entry["url"],
@@ -223,6 +256,14 @@ def _clip(file: str | Path, number: int, entry: Any) -> Clip:
         cameras.numpy().astype(np.float32),
         tuple(image.numpy().tobytes() for image in images),
     )
+
+
+def _is_plain(tensor: torch.Tensor) -> bool:
+    """Whether all its numbers are stored, each once."""
+    if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
+        return False
+    stored = tensor.untyped_storage().nbytes()
+    return not tensor.requires_grad and tensor.numel() * tensor.element_size() <= stored
 
 
 def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
@@ -396,7 +437,7 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
 def _json(file: str | Path) -> dict[str, Any]:
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
-            content = json.loads(stream.read().decode("utf-8"))
+            content = jsontext.parse(stream.read())
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as JSON ({error})") from None
     if not isinstance(content, dict):
@@ -407,7 +448,7 @@ def _json(file: str | Path) -> dict[str, Any]:
 def _size(data: bytes) -> tuple[int, int] | None:
     """Width and height of an encoded image, None if not even that can be read."""
     try:
-        with Image.open(io.BytesIO(data)) as image:
+        with opened(io.BytesIO(data)) as image:
             return image.size
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+    except ValueError:
         return None

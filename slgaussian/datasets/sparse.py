@@ -283,7 +283,7 @@ def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
             track = list(map(int, words[8:]))
         except ValueError:
             track = [0]
-        if len(words) < 8 or len(track) % 2:
+        if len(words) < 8 or len(track) % 2 or not all(0 <= t < 2**32 for t in track[::2]):
             raise _Wrong(f"line {line} is no point")
         seen += [(len(points) - 1, image) for image in track[::2]]
     return np.array(points).reshape(-1, 3), np.array(seen, np.int64).reshape(-1, 2)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from slgaussian import tensorfile
 from slgaussian.errors import InputError
 from slgaussian.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json
 
@@ -232,9 +232,7 @@ def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
 
             content = load_file(file)
         else:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what they warn of ends in an error
-                content = torch.load(file, map_location="cpu", weights_only=True)
+            content = tensorfile.load(file)
     except Exception as problem:  # a damaged file raises almost anything
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(

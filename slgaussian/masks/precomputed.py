@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from PIL import Image
 
 from slgaussian.errors import InputError
+from slgaussian.images import opened, read_npy
 from slgaussian.scene import View
 from slgaussian.store import sha256_of
 
@@ -136,19 +136,18 @@ def read_ids(file: Path) -> np.ndarray:
 
 def _read_npy(file: Path) -> np.ndarray:
     try:
-        ids = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as problem:
+        return read_npy(file)
+    except (OSError, ValueError) as problem:
         raise InputError(f"{file}: cannot be read as NPY ({problem}); write it again") from None
-    return ids
 
 
 def _read_png(file: Path) -> np.ndarray:
     try:
         with file.open("rb") as stream:
             head = stream.read(26)
-        with Image.open(file, formats=["PNG"]) as image:
+        with opened(file, kinds=["PNG"]) as image:
             mode, pixels = image.mode, np.asarray(image)
-    except (OSError, ValueError, SyntaxError) as problem:
+    except (OSError, ValueError) as problem:
         raise InputError(f"{file}: cannot be read as PNG ({problem}); write it again") from None
     bits = head[24]
     if mode == "1":

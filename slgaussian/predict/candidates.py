@@ -11,7 +11,8 @@ MIN_MATCHES = 12
 
 MIN_CANDIDATES = 32
 MAX_CANDIDATES = 144
-"""Fewest that a sub-pixel fit is asked to interpolate, and most that memory and time allow."""
+"""Fewest that a sub-pixel fit is asked to interpolate, and most unless another number is asked for:
+more gain nothing that time and memory are worth (`docs/tradeoffs.md`)."""
 
 MAX_DEPTH = 1e4
 """Farthest estimated depth in baselines, where even a long lens sees no parallax."""
@@ -44,11 +45,18 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
     return float(low), float(max(1.25 * nearest, 2 * low))
 
 
-def candidates(relative: Relative, size: tuple[int, int], low: float, high: float) -> np.ndarray:
+def candidates(
+    relative: Relative,
+    size: tuple[int, int],
+    low: float,
+    high: float,
+    most: int = MAX_CANDIDATES,
+) -> np.ndarray:
     """Inverse depths float64 [D], ascending and evenly spaced from ``low`` to ``high``.
 
     The 90th percentile of the motion over the image between two neighbours is one pixel, as far
-    as :data:`MIN_CANDIDATES` and :data:`MAX_CANDIDATES` allow. ``size`` is (height, width).
+    as :data:`MIN_CANDIDATES` and ``most``, the stronger of the two, allow. ``size`` is (height,
+    width).
     """
     grid = pixel_grid(size, 16)
     count = 512
@@ -58,7 +66,7 @@ def candidates(relative: Relative, size: tuple[int, int], low: float, high: floa
     steps = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)
     seen = inside[:, 1:] & inside[:, :-1]
     longest = np.percentile(steps[seen], 90) * (count - 1) if seen.any() else 0
-    number = int(np.clip(np.ceil(longest) + 1, MIN_CANDIDATES, MAX_CANDIDATES))
+    number = int(np.clip(np.ceil(longest) + 1, min(MIN_CANDIDATES, most), most))
     return np.linspace(low, high, number)
 
 

@@ -12,6 +12,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
+    MAX_CANDIDATES,
     MIN_MATCHES,
     candidates,
     inverse_depth_range,
@@ -42,6 +43,9 @@ SPECKLE = 1 / 1200
 MIN_MARGIN = 0.02
 """A pixel whose best cost is not this much below all others is not answered: on a blank wall the
 smoothness alone decides, and both views may agree on what it says."""
+
+CANDIDATES = range(8, 513)
+"""Numbers of candidates that may be asked for."""
 
 MIN_VISIBLE = 0.05
 """Least share of the image that the sweep must see in a source view."""
@@ -98,10 +102,14 @@ class PlaneSweep:
     near, far : float or None
         Depth range along z in scene units. None takes the context camera's own, and where that
         has none either, estimates it from sparse matches between the views.
+    depth_candidates : int
+        Most depths that are compared, 8 to 512. A pair gets one for each pixel of motion over the
+        image, and no more than that; time and memory go with their number.
     """
 
     near: float | None = None
     far: float | None = None
+    depth_candidates: int = MAX_CANDIDATES
 
     def __post_init__(self) -> None:
         for name, value in (("near", self.near), ("far", self.far)):
@@ -110,6 +118,11 @@ class PlaneSweep:
         if self.near is not None and self.far is not None and self.near >= self.far:
             raise InputError(
                 f"plane sweep: near {self.near:g} must be below far {self.far:g}; correct them"
+            )
+        if self.depth_candidates not in CANDIDATES:
+            raise InputError(
+                f"plane sweep depth_candidates: found {self.depth_candidates}, expected a whole "
+                f"number from {CANDIDATES[0]} to {CANDIDATES[-1]}"
             )
 
     def __call__(self, sample: Sample) -> Gaussians:
@@ -148,7 +161,10 @@ class PlaneSweep:
         for i, view in enumerate(views):
             low, high = self._range(sample.scene, view, links[i])
             size = guides[i].shape
-            steps = max((candidates(link.relative, size, low, high) for link in links[i]), key=len)
+            steps = max(
+                (candidates(k.relative, size, low, high, self.depth_candidates) for k in links[i]),
+                key=len,
+            )
             for link in links[i]:
                 if visible_share(link.relative, size, steps) < MIN_VISIBLE:
                     raise InputError(

@@ -27,6 +27,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from slgaussian import jsontext
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
@@ -287,12 +288,12 @@ def branch_of(
             f"weights {path}: is of another architecture ({_differences(architecture, expected)}); "
             "train with that one, or begin without these weights"
         )
-    with torch.device("meta"):
-        branch = Branch(architecture)
     try:
+        with torch.device("meta"):
+            branch = Branch(architecture)
         branch.load_state_dict(dict(tensors), assign=True)
-    except RuntimeError as error:
-        reason = str(error).splitlines()[-1].strip()
+    except (RuntimeError, TypeError, ValueError, OverflowError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[-1].strip()[:200]
         raise InputError(
             f"weights {path}: tensors are not those of the architecture that it says it is of "
             f"({reason}); train again"
@@ -317,9 +318,11 @@ def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, A
     """
     try:
         with safetensors.safe_open(path, "pt") as file:
-            note = (file.metadata() or {}).get("slgaussian", "{}")
-            return {name: file.get_tensor(name) for name in file.keys()}, json.loads(note)  # noqa: SIM118
-    except (OSError, safetensors.SafetensorError, ValueError) as error:
+            about = jsontext.parse((file.metadata() or {}).get("slgaussian", "{}"))
+            if not isinstance(about, dict):
+                raise ValueError("its note is no table")
+            return {name: file.get_tensor(name) for name in file.keys()}, about  # noqa: SIM118
+    except Exception as error:  # a damaged file raises almost anything
         raise InputError(
             f"weights {path}: cannot be read ({error}); expected a safetensors file that "
             "`slgaussian train` wrote"

@@ -86,17 +86,25 @@ def load_checkpoint(
             f"checkpoint {file}: is of another training ({_difference(found, run)}); choose an "
             "empty folder, or go on with what it was begun with"
         )
+    step = about.get("step")
     parts: dict[str, dict[str, torch.Tensor]] = {"branch": {}, "optimiser": {}}
-    for name, tensor in tensors.items():
-        part, _, rest = name.partition(".")
-        parts[part][rest] = tensor
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    try:
+        if not isinstance(step, int) or step < 0:
+            raise ValueError(f"found step {step!r:.40}")
+        for name, tensor in tensors.items():
+            part, _, rest = name.partition(".")
+            parts[part][rest] = tensor
+        for name, tensor in parts["optimiser"].items():
+            index, _, rest = name.partition(".")
+            state.setdefault(int(index), {})[rest] = tensor
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"checkpoint {file}: is damaged ({str(error)[:200]}); begin in an empty folder"
+        ) from None
     architecture = {"architecture": run["architecture"]}
     loaded = branch_of(parts["branch"], architecture, file, branch.architecture)
     branch.load_state_dict(loaded.state_dict())
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for name, tensor in parts["optimiser"].items():
-        index, _, rest = name.partition(".")
-        state.setdefault(int(index), {})[rest] = tensor
     groups = optimiser.state_dict()["param_groups"]
     optimiser.load_state_dict({"state": state, "param_groups": groups})
     metrics = folder / METRICS
@@ -106,7 +114,7 @@ def load_checkpoint(
         raise InputError(f"{metrics}: {error.strerror}; begin in an empty folder") from None
     table = decode(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
     load_spec("metrics").check_table(table, str(metrics))
-    return Place(about["step"], table.to_pylist()[: about["step"]])
+    return Place(step, table.to_pylist()[:step])
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:

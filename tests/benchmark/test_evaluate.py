@@ -286,8 +286,9 @@ def _parts(hit, relevancy):
 def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, result):
     counted = Counting(room.field)
     found = evaluate(counted, room.sample, room.label_maps, room.truth)
-    # One target, and three views along the way.
-    assert counted.asked == ["render", "query", "segment", "render", "render", "render"]
+    # One target, its first text asked alone to time it, and three views along the way.
+    assert counted.asked == ["render", "query", "query", "segment", "render", "render", "render"]
+    assert {"first_query", "further_query"} <= set(found.times)
     assert found.rows == room.evaluate().rows
     # A method that does not know depths is not judged by them, and none are drawn without any.
     assert not {"target_abs_rel", "abs_rel", "near"} & set(found.scene_metrics)

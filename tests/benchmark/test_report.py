@@ -1,238 +1,253 @@
-import csv
 import re
+from collections.abc import Callable
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from PIL import Image
+from pages import Page, check_alone, tables_of
 
-from data_specs import load_spec
-from slgaussian.benchmark.pictures import encode_png
-from slgaussian.benchmark.report import (
-    SHOWN_QUERIES,
-    file_name,
-    render_report,
-    with_times,
-    write_predictions,
-    write_samples,
-)
-from slgaussian.errors import InputError
+from slgaussian.benchmark import report
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.report import Scene, render_report, with_times
+from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.timings import Times
 
 MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 
 
-class Page(HTMLParser):
-    """Collects tags, attributes and text; complains about tags that do not nest."""
-
-    VOID = ("meta", "img", "br")
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.tags, self.images, self.words, self.open = [], [], [], []
-        self.feed(html)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        if tag == "img":
-            self.images.append(dict(attrs))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-    @property
-    def text(self) -> str:
-        return re.sub(r"\s+", " ", " ".join(self.words))
+@pytest.fixture(scope="module")
+def truth(room):
+    masks = room.truth["view_01"]
+    some = next(iter(masks.values()))
+    return {"view_01": masks | {"qqwx": some, "red sofa": np.zeros_like(some)}}
 
 
-def page_of(results, manifest=MANIFEST, failures=()) -> tuple[str, Page]:
-    html = render_report(results, manifest, failures)
-    page = Page(html)
-    assert page.open == []
-    return html, page
+def named(result: SceneResult, method: str) -> SceneResult:
+    """The same answers, as another method's."""
+    return replace(result, rows=[{**row, "method": method} for row in result.rows])
+
+
+def scene_of(result: SceneResult, truth, *others: SceneResult, name: str = "") -> Scene:
+    """A scene of a report; of ``others`` no pictures are asked for, as they have none."""
+    name = name or result.scene
+    by_method = {each.rows[0]["method"]: each for each in (result, *others) if each.rows}
+    rows = [{**row, "scene": name} for each in (result, *others) for row in each.rows]
+    return Scene(
+        name=name,
+        dataset=result.dataset,
+        rows=rows,
+        metrics=result.scene_metrics,
+        pictures=lambda: result.pictures,
+        truth=lambda: truth,
+        masks=lambda method: by_method[method].predictions,
+    )
+
+
+@pytest.fixture(scope="module")
+def both(result, truth):
+    """A report of one scene, ours and a method that finds nothing."""
+    nothing = {
+        **dict.fromkeys(("iou", "boundary_iou", "class_iou", "average_precision"), 0.0),
+        **dict.fromkeys(("hit_mask", "hit_box", "hit_peak"), False),
+    }
+    poor = named(result, "nearest-view")
+    rows = [
+        {**row, **{k: v for k, v in nothing.items() if row[k] is not None}} for row in poor.rows
+    ]
+    masks = {key: np.zeros_like(mask) for key, mask in result.predictions.items()}
+    poor = replace(poor, rows=rows, predictions=masks)
+    return render_report([scene_of(result, truth, poor)], MANIFEST)
+
+
+@pytest.fixture
+def page_of(truth) -> Callable[..., Page]:
+    def made(results, failures=(), blame=()) -> Page:
+        scenes = [scene_of(result, truth, name=result.scene) for result in results]
+        return Page(render_report(scenes, MANIFEST, failures, blame).html)
+
+    return made
 
 
 def leading(result):
     return [row for row in result.rows if row["protocol"] == "slgaussian@1"]
 
 
-def test_the_page_needs_no_network_and_no_script(result):
-    html, page = page_of([result])
-    assert not {"script", "link", "iframe"} & set(page.tags)
-    assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
-    assert "url(" not in html
-    assert page.images
-    for image in page.images:
-        assert image["src"].startswith("data:image/jpeg;base64,")
-        assert image["alt"]
+def test_the_page_needs_no_network_and_no_script(both):
+    check_alone(both.html)
+    assert Page(both.html).images and "svg" in Page(both.html).tags
 
 
-def test_the_page_shows_the_numbers_and_how_they_were_made(result):
-    _, page = page_of([result])
+def test_the_page_shows_the_numbers_and_how_they_were_made(result, page_of):
+    page = page_of([result])
     for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
-    assert "Protocol slgaussian@1 (near-best" in page.text and "temperature 10.0" in page.text
+    assert "slgaussian@1 near-best, share 0.7, temperature 10, phrases: encoder's" in page.text
     scored = sum(row["iou"] is not None for row in leading(result))
     assert f"{scored} scored queries" in page.text
     for row in result.rows:
         assert row["query"] in page.text
     assert "not understood" in page.text
+    assert f"n {scored}" in page.text
 
 
-def test_the_mean_gives_every_scene_one_weight(result):
+def test_both_forms_say_the_same_numbers(both, result):
+    scores = {
+        (row["method"], row["metric"]): row["value"]
+        for row in score_table(result.rows).to_pylist()
+        if row["protocol"] == "slgaussian@1"
+    }
+    table = next(t for t in tables_of(both.markdown) if t[0][0] == "Method")
+    line = next(line for line in table if line[0] == "slgaussian")
+    column = table[0].index("IoU")
+    assert line[column] == f"**{scores['slgaussian', 'iou']:.3f}**"
+    assert table[1][column] == "slgaussian@1"
+    text = Page(both.html).text
+    for cells in table[1:]:
+        for cell in cells[1:]:
+            for number in re.findall(r"[\d.]+", cell):
+                assert number in text
+    gains = next(t for t in tables_of(both.markdown) if t[0][0] == "Minus")
+    assert gains[-1][:2] == ["nearest-view", f"{scores['slgaussian', 'iou']:+.3f}"]
+    assert gains[-1][1] in text
+    assert "not LangSplat" not in text and "the nearest photograph's masks" in text
+
+
+def test_the_worst_answers_come_first_with_their_pictures(both, result):
+    page = Page(both.html)
+    scores = {row["query"]: row["iou"] for row in leading(result) if row["iou"] is not None}
+    shown = [
+        image["alt"].removeprefix("relevancy of ")
+        for image in page.images
+        if image["alt"].startswith("relevancy of ")
+    ]
+    assert scores[shown[0]] == min(scores.values())
+    order = ["Answered worst", "Methods, ", "The same query", "The paper's tables", "What ran"]
+    places = [page.text.index(words) for words in order]
+    assert places == sorted(places)
+    table = next(t for t in tables_of(both.markdown) if t[0][0] == "Query")
+    ious = [float(row[3]) for row in table[1:]]
+    assert ious == sorted(ious) and ious[0] == pytest.approx(min(scores.values()), abs=1e-3)
+    assert table[1][6].startswith("predictions/slgaussian/slgaussian/")
+
+
+def test_every_method_answers_the_same_query(both, result):
+    alts = [image["alt"] for image in Page(both.html).images]
+    ours = [alt for alt in alts if alt.endswith(" by slgaussian")]
+    theirs = [alt for alt in alts if alt.endswith(" by nearest-view")]
+    assert 0 < len(ours) == len(theirs) <= 5
+
+
+def test_the_mean_gives_every_scene_one_weight(result, page_of):
     other = replace(
         result,
         scene="other",
         rows=result.rows[:1],
         scene_metrics=result.scene_metrics | {"iou": 0.0},
     )
-    _, page = page_of([result, other])
-    mean = re.search(r" mean (\d\.\d+)", page.text)[1]
+    mean = re.search(r" mean (\d\.\d+)", page_of([result, other]).text)[1]
     assert mean == f"{result.scene_metrics['iou'] / 2:.3f}"
 
 
-def test_pictures_of_the_best_and_the_worst_queries_are_shown(result):
-    _, page = page_of([result])
-    shown = [
-        i["alt"].removeprefix("relevancy of ") for i in page.images if "relevancy of" in i["alt"]
-    ]
-    assert len(shown) == SHOWN_QUERIES
-    scores = {row["query"]: row["iou"] for row in leading(result) if row["score"] is not None}
-    scores = {query: iou for query, iou in scores.items() if iou is not None}
-    assert scores[shown[0]] == max(scores.values())
-    assert scores[shown[-1]] == min(scores.values())
+def test_scenes_of_different_data_sets_are_not_averaged(result, truth):
+    other = replace(result, scene_metrics=result.scene_metrics | {"iou": 0.0}, dataset="attic")
+    scenes = [scene_of(result, truth), scene_of(other, truth, name="other")]
+    means = re.findall(r" mean (\d\.\d+)", Page(render_report(scenes, MANIFEST).html).text)
+    assert means == [f"{result.scene_metrics['iou']:.3f}", "0.000"]
 
 
-def test_only_the_last_section_depends_on_time_and_machine(result):
-    slow = replace(result, times=dict.fromkeys(result.times, 9.0))
-    page, again = render_report([result], MANIFEST), render_report([slow], MANIFEST)
-    assert page == again
-    times = {result.scene: result.times}
-    whole = with_times(page, {"field": 1.25}, times, {"machine": {"cores": 64}})
-    assert Page(whole).open == []
-    before, _, after = whole.partition("How long it took")
-    assert page.startswith(before.removesuffix("<h2>").removesuffix("<section>\n"))
+def test_only_the_last_section_depends_on_time_and_machine(both):
+    times = Times(
+        {"field": 1.25},
+        [("slgaussian", "room", {"first_query": 0.5}), ("query-2d", "room", {"prepare": 2.0})],
+        {"machine": "a machine"},
+    )
+    whole = with_times(both, times)
+    assert with_times(both, times) == whole
+    Page(whole.html)
+    before, _, after = whole.html.partition("How long it took")
+    assert both.html.startswith(before.removesuffix("<h2>").removesuffix("<section>\n"))
     assert "<section" not in after
-    assert "1.25" in after and "machine.cores" in after and result.scene in after
+    for words in ("1.25", "0.5000", "2.0000", "0.011", "18", "a machine"):
+        assert words in after
+    assert whole.markdown.startswith(both.markdown.split(report.TIMES_HERE)[0])
+    speeds = next(
+        t for t in tables_of(whole.markdown) if any("First query" in head for head in t[0])
+    )
+    assert speeds[1:] == [
+        ["slgaussian", "–", "0.5000", "–", "0.011"],
+        ["query-2d", "2.0000", "–", "–", "18"],
+    ]
 
 
-def test_failures_come_first(result):
-    failure = {"scene": "attic", "stage": "ingest", "reason": "attic/a.png: cannot be read"}
-    _, page = page_of([result], failures=[failure])
-    assert page.text.index("attic/a.png: cannot be read") < page.text.index("Summary")
-    _, alone = page_of([], failures=[failure])
-    assert "attic/a.png" in alone.text and "Summary" not in alone.text
+def test_left_out_scenes_come_before_everything(result, page_of):
+    failures = [
+        {"scene": f"attic {k}", "stage": "ingest", "reason": "a.png: cannot be read"}
+        for k in range(5)
+    ]
+    text = page_of([result], failures).text
+    assert text.index("a.png: cannot be read") < text.index("Answered worst")
+    assert "attic 0; attic 1; attic 2; and 2 more" in text and "5 left out" in text
+    alone = page_of([], failures)
+    assert "a.png" in alone.text and "Scene by scene" not in alone.text
+
+
+def test_what_lost_a_query_is_said_beside_it(result, page_of):
+    worst = min((r for r in leading(result) if r["iou"] is not None), key=lambda r: r["iou"])
+    ious = [name for name in report.load_spec("blame").columns if name.endswith("iou")]
+    asked = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
+    row = {**asked, **dict.fromkeys(ious, 0.25), "geometry_iou": None, "lost": "language"}
+    text = page_of([result], blame=[row]).text
+    assert "lost by language" in text
+    assert re.search(r"language 1 0\.250", text)
 
 
 def test_names_are_text_and_never_markup(result):
-    rows = [{**result.rows[0], "query": "<b>&", "frame": "view_01"}]
+    odd = "<b>&|*"
+    rows = [{**result.rows[0], "query": odd, "frame": "view_01", "iou": 0.1, "hit_mask": True}]
     pictures = dict(result.pictures)
     for kind in ("relevancy", "mask"):
-        pictures[f"{kind}/view_01/<b>&"] = pictures[f"input/{'view_00'}"]
-    odd = replace(
-        result,
-        scene="<script>x</script>",
-        rows=rows,
-        predictions={("slgaussian@1", "view_01", "<b>&"): np.ones((104, 144), bool)},
-        pictures=pictures,
-    )
-    html, page = page_of([odd])
+        pictures[f"{kind}/view_01/{odd}"] = pictures["input/view_00"]
+    mask = np.ones((104, 144), bool)
+    predictions = {("slgaussian@1", "view_01", odd): mask}
+    strange = replace(result, rows=rows, predictions=predictions, pictures=pictures)
+    scene = scene_of(strange, {"view_01": {odd: mask}}, name="<script>x</script>")
+    made = render_report([scene], MANIFEST)
+    page = Page(made.html)
     assert "script" not in page.tags
-    assert "<script>x</script>" in page.text and "<b>&" in page.text
-    assert "&lt;b&gt;&amp;" in html
+    assert "<script>x</script>" in page.text and odd in page.text
+    table = next(t for t in tables_of(made.markdown) if t[0][0] == "Query")
+    assert table[1][:2] == [odd, "<script>x</script>"]
 
 
-def test_a_scene_without_truth_has_pictures_and_dashes(result):
+def test_a_scene_without_truth_has_pictures_and_dashes(result, page_of):
     rows = [row for row in result.rows if row["frame"] == "halfway"]
     bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
-    _, page = page_of([bare])
+    page = page_of([bare])
     assert "0 scored queries, 1 asked without truth" in page.text
     assert any("relevancy of" in image["alt"] for image in page.images)
+    assert "Answered worst" not in page.text
 
 
-def test_sample_tables_hold_the_rows(tmp_path, result):
-    other = [row | {"scene": "other"} for row in result.rows]
-    write_samples([result, replace(result, scene="other", rows=other)], tmp_path)
-    table = pq.read_table(tmp_path / "samples.parquet")
-    load_spec("samples").check_table(table, "samples.parquet")
-    assert table.to_pylist()[: len(result.rows)] == result.rows
-    with open(tmp_path / "samples.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * len(result.rows)
-    for row, printed in zip([*result.rows, *other], rows, strict=True):
-        assert printed == {k: "" if v is None else str(v) for k, v in row.items()}
-    scores = pq.read_table(tmp_path / "scores.parquet")
-    load_spec("scores").check_table(scores, "scores.parquet")
-    first = scores.to_pylist()[0]
-    assert (first["metric"], first["scenes"]) == ("iou", 2)
-    assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
-    with open(tmp_path / "scores.csv", newline="") as file:
-        assert len(list(csv.DictReader(file))) == scores.num_rows
+def test_of_many_scenes_the_worst_are_drawn_and_all_are_told(result, truth, monkeypatch):
+    monkeypatch.setattr(report, "FEW", 1)
+    monkeypatch.setattr(report, "MOST", 2)
+    read: list[str] = []
+
+    def scene(k: int) -> Scene:
+        name = f"scene {k}"
+        own = replace(result, scene_metrics=result.scene_metrics | {"iou": k / 20})
+        made = scene_of(own, truth, name=name)
+        return replace(made, pictures=lambda: read.append(name) or result.pictures)
+
+    page = Page(render_report([scene(k) for k in range(20)], MANIFEST).html)
+    inputs = [image for image in page.images if image["alt"] == "view_00"]
+    assert len(inputs) == 2
+    # A scene's pictures are read once, and not at all where none of them is shown.
+    assert len(read) == len(set(read)) < 20
+    for k in range(20):
+        assert f"scene {k}" in page.text
 
 
-def test_an_empty_run_has_empty_tables(tmp_path):
-    write_samples([], tmp_path)
-    for name in ("samples", "scores"):
-        table = pq.read_table(tmp_path / f"{name}.parquet")
-        load_spec(name).check_table(table, f"{name}.parquet")
-        assert table.num_rows == 0
-
-
-def masks_of(result) -> dict[tuple[str, str, str], bytes]:
-    return {key: encode_png(mask) for key, mask in result.predictions.items()}
-
-
-def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
-    write_predictions(result.rows, masks_of(result), tmp_path)
-    files = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert len(files) == len(result.predictions)
-    assert len(files) == sum(row["protocol"] != "threshold-free@1" for row in result.rows)
-    for (protocol, frame, query), mask in result.predictions.items():
-        folder = tmp_path / "slgaussian" / protocol.removesuffix("@1") / result.scene / frame
-        path = folder / f"{query}.png"
-        assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
-
-
-def test_same_results_give_the_same_files(tmp_path, result):
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        write_samples([result], folder)
-        write_predictions(result.rows, masks_of(result), folder)
-    for path in (tmp_path / "a").rglob("*"):
-        if path.is_file():
-            twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
-            assert path.read_bytes() == twin.read_bytes()
-
-
-def test_file_names_are_safe_and_differ():
-    assert file_name("blue-grey sofa") == "blue-grey sofa"
-    odd = [
-        "../etc",
-        "a/b",
-        "a\\b",
-        "a:b",
-        "a?b",
-        ".hidden",
-        "hidden",
-        "é",
-        "",
-        " x",
-        "x",
-        "l" * 300,
-    ]
-    names = [file_name(text) for text in odd]
-    assert len(set(names)) == len(odd)
-    for name in names:
-        assert re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._ -]{0,99}", name)
-
-
-def test_an_unwritable_place_is_named(tmp_path, result):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file"):
-        write_samples([result], tmp_path / "file")
+def test_the_same_results_give_the_same_bytes(both, result, truth):
+    scene = scene_of(result, truth)
+    assert render_report([scene], MANIFEST) == render_report([scene], MANIFEST)

@@ -1,10 +1,13 @@
 """The real pipeline on one small made-up room, beside a scene that cannot be read."""
 
 import io
+import json
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command import run, said
 
 from flows import pipeline
 from flows.settings import make_settings
@@ -25,6 +28,7 @@ ROOM = {
 def settings_for(folder: Path, missing: Path, **more):
     bad = {"name": "lost", "path": missing, "context": ["a.png", "b.png"]}
     values = {"size": "64x96", "out": folder / "out", "scenes": [ROOM, bad], **more}
+    values.setdefault("against", ["nearest-view"])
     return make_settings(values, "test")
 
 
@@ -45,7 +49,10 @@ def first(tmp_path_factory, server):
 
 def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     folder, _, finished = first
-    assert [result.scene for result in finished.results] == ["room"]
+    assert [(result.scene, result.method) for result in finished.results] == [
+        ("room", "slgaussian"),
+        ("room", "nearest-view"),
+    ]
     (row,) = pq.read_table(folder / "out" / "failures.parquet").to_pylist()
     assert (row["scene"], row["stage"], row["kind"]) == ("lost", "ingest", "InputError")
     assert "nowhere" in row["reason"]
@@ -53,10 +60,15 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     assert "lost" in page
     assert row["reason"].split(":")[0] in page
     samples = pq.read_table(folder / "out" / "samples.parquet")
-    masks = list((folder / "out" / "predictions" / "slgaussian").glob("*/room/**/*.png"))
+    masks = list((folder / "out" / "predictions").glob("*/*/room/**/*.png"))
+    assert set(samples["method"].to_pylist()) == {"slgaussian", "nearest-view"}
     made = [name for name in samples["protocol"].to_pylist() if name != "threshold-free@1"]
     assert len(masks) == len(made) > 0
     assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
+    asked = {row["query"]: row for row in samples.to_pylist() if row["iou"] is not None}
+    lost = pq.read_table(folder / "out" / "blame.parquet").to_pylist()
+    assert {row["query"] for row in lost} == asked.keys()
+    assert all(bool(row["lost"]) == (row["iou"] < 0.5 or not row["hit"]) for row in lost)
 
 
 def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
@@ -65,7 +77,7 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     pipeline.run(settings_for(folder, missing), ArtifactStore(folder / "store"))
     assert files_below(folder / "out") == before
     told = capsys.readouterr().err
-    assert "room  7 stages cached" in told
+    assert "room  8 stages cached" in told
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
 
 
@@ -73,10 +85,47 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     folder, missing, _ = first
     store = ArtifactStore(tmp_path / "store")
     pipeline.run(settings_for(tmp_path, missing, workers=1), store)
-    # The page shows times, which differ; all else is content.
     hidden = ("keys/", ".prefect/")
     assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
-    assert files_below(tmp_path / "out", ("report",)) == files_below(folder / "out", ("report",))
+    # Times differ, at the end of the report and in their own file; all else is content.
+    mine, theirs = (files_below(place / "out", ("times",)) for place in (tmp_path, folder))
+    for name in ("report.html", "report.md"):
+        pages = (files.pop(name).decode().partition("How long it took") for files in (mine, theirs))
+        (one, _, took), (other, _, again) = pages
+        assert one == other and took and again
+    assert mine == theirs
+
+
+def test_the_manifest_says_what_the_report_was_made_of(first):
+    folder, _, _ = first
+    manifest = json.loads((folder / "out" / "manifest.json").read_text("utf-8"))
+    assert manifest["seed"] == 0 and manifest["settings"]["predictor"] == "planesweep"
+    assert manifest["methods"] == {"nearest-view": "nearest-view"}
+    assert manifest["stages"]["report"] > 0 and manifest["packages"]["numpy"] == np.__version__
+    assert manifest["protocols"][0] == "slgaussian@1"
+    (name,) = manifest["data"]
+    assert name == "room" and len(manifest["data"][name]["sample"]) == 64
+    said = json.dumps(manifest)
+    assert str(folder) not in said and "workers" not in said
+    times = json.loads((folder / "out" / "times.json").read_text("utf-8"))
+    assert [speed["method"] for speed in times["seconds_a_query"]] == ["slgaussian", "nearest-view"]
+    assert all(speed["first_query"] > 0 for speed in times["seconds_a_query"])
+
+
+def test_two_reports_are_compared_by_command(first, tmp_path, monkeypatch, capsys):
+    folder, missing, _ = first
+    changed = settings_for(tmp_path, missing, share=0.3)
+    pipeline.run(changed, ArtifactStore(folder / "store"))
+    capsys.readouterr()
+    out = tmp_path / "changes"
+    assert run(monkeypatch, "compare", folder / "out", tmp_path / "out", "-o", out) == 0
+    told = capsys.readouterr().out
+    assert "of 2 methods are in both" in told
+    assert "  settings.share: 0.7 -> 0.3\n" in told
+    assert f"page: {out / 'compare.html'}" in told
+    assert {file.name for file in out.iterdir()} == {"compare.html", "compare.md"}
+    assert run(monkeypatch, "compare", folder / "out", folder) == 2
+    assert "samples.parquet: found no such file" in said(capsys)
 
 
 def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):

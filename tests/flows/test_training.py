@@ -213,7 +213,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     settings = retrain_settings(tmp_path)
     made = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert made.version.number == 1 and not made.version.promoted and versions.current() is None
-    assert made.said.startswith("version 1 kept, not used: no gain over no branch (hard) beyond")
+    assert made.said.startswith("version 1 kept, not used: no gain over no network (filled) beyond")
     same = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert same.version is None
     assert same.said == "nothing new since version 1; no version is in use"
@@ -249,7 +249,7 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
     argv = ["retrain", config]
     assert run(monkeypatch, *argv) == 0
     said = capsys.readouterr()
-    assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no branch")
+    assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no network")
     assert run(monkeypatch, *argv) == 0
     said = capsys.readouterr()
     assert said.out == "nothing new since version 1; no version is in use\n"

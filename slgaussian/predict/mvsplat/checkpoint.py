@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
-import re
-import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import torch
 
+from slgaussian import tensorfile
 from slgaussian.errors import InputError
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.network import Network
@@ -46,31 +44,27 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
         )
     try:
         # Mapped into memory, so that what else is in it, like an optimiser's state, is not read.
-        stored = torch.load(
-            path, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(path)
-        )
-    except pickle.UnpicklingError as problem:
-        code = re.search(r"Unsupported global: GLOBAL (\S+)", str(problem))
-        if code is None:
-            raise _damaged(path, "it cannot be unpickled") from None
+        stored = tensorfile.load(path, mapped=True)
+    except tensorfile.CodeError as code:
         raise InputError(
-            f"checkpoint {path}: holds more than tensors ({code[1]}), which could run code; if you "
+            f"checkpoint {path}: holds more than tensors ({code}), which could run code; if you "
             "trust it, save the state_dict of torch.load(path, weights_only=False) to a new file, "
             "and give that"
         ) from None
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError) as problem:
-        reason = f"{type(problem).__name__} {problem}".strip().splitlines()[0]
-        raise _damaged(path, reason) from None
+    except (OSError, ValueError) as problem:
+        raise _damaged(path, str(problem)) from None
     state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else None
-    if not isinstance(state, Mapping) or not any(map(torch.is_tensor, state.values())):
+    if isinstance(state, Mapping):
+        state = {str(name): value for name, value in state.items() if _is_plain(value)}
+    if not state:
         raise InputError(
             f"checkpoint {path}: found no tensors by name, expected a Lightning checkpoint of "
             "MVSplat or its state_dict"
         )
-    if any(str(name).startswith(PREFIX) for name in state):
+    if any(name.startswith(PREFIX) for name in state):
         # Beside the encoder, a checkpoint may hold buffers of the losses that it was trained with.
         state = {n.removeprefix(PREFIX): t for n, t in state.items() if n.startswith(PREFIX)}
-    return dict(state)
+    return state
 
 
 def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str) -> Network:
@@ -104,6 +98,10 @@ def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str)
     state = {name: state[name].to(torch.float32, copy=True) for name in shared}
     network.load_state_dict(state, assign=True)
     return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+
+
+def _is_plain(value: object) -> bool:
+    return torch.is_tensor(value) and value.layout == torch.strided
 
 
 def _damaged(path: Path, reason: str) -> InputError:

@@ -1,0 +1,102 @@
+"""What a report was made of: settings, data, weights, versions. Nothing of when, where or how fast.
+
+The same run on another machine, with another number of workers or another place of the data has the
+same manifest.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from flows.settings import TABLES, Method, SceneSettings, Settings
+from slgaussian import __version__
+from slgaussian.benchmark.methods import Row
+from slgaussian.benchmark.protocols import PROTOCOLS
+from slgaussian.parts import DIGESTS
+from slgaussian.store import ArtifactRef, sha256_of
+
+PACKAGES = (
+    "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",
+    "matplotlib", "prefect", "transformers", "pycolmap",
+)  # fmt: skip
+"""Packages whose version may change a number; those that are not installed are left out."""
+
+
+def manifest(
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    stages: Sequence[str],
+    refs: Mapping[str, Mapping[str, ArtifactRef]],
+    others: Mapping[str, Row],
+) -> dict[str, Any]:
+    """The manifest of a run, as plain data.
+
+    ``refs`` are what the ``stages`` made by scene, of those scenes that went through, and
+    ``others`` the methods beside ours.
+    """
+    shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
+    own = {name: shown[name] for name in shown if name not in TABLES} | settings.identity
+    weights = {
+        f"{part}.{key}": digest
+        for part, table in settings.identity.items()
+        if isinstance(table, Mapping)
+        for key, digest in table.items()
+        if key in DIGESTS and digest is not None
+    }
+    return {
+        "slgaussian": __version__,
+        "seed": settings.seed,
+        "settings": own,
+        "methods": {name: _described(row) for name, row in others.items()},
+        "protocols": [protocol.label for protocol in PROTOCOLS.values()],
+        "weights": weights,
+        "index": {}
+        if settings.pairs is None
+        else {"file": settings.pairs.name, "sha256": sha256_of(settings.pairs)},
+        "stages": {stage: import_module(f"tasks.{stage}").VERSION for stage in stages},
+        "packages": {"python": platform.python_version(), **_packages()},
+        "data": {
+            scene.name: _data(scene, refs[scene.name]) for scene in scenes if scene.name in refs
+        },
+    }
+
+
+def _described(row: Row) -> str:
+    own = ", ".join(f"{name} {value}" for name, value in row.settings.items())
+    return f"{row.method} ({own})" if own else row.method
+
+
+def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:
+    """What a scene is, and what was read of it: files, and the digests of what they amount to."""
+    # Sorted: what comes from a record of the store has lost its order.
+    files, labels = (
+        dict(sorted(refs[stage].meta["settings"]["files"].items())) for stage in ("ingest", "truth")
+    )
+    return {
+        "dataset": scene.dataset,
+        "format": scene.format,
+        "scene": scene.options.get("scene", ""),
+        "options": {name: str(value) for name, value in scene.options.items()},
+        "context": scene.context,
+        "targets": scene.targets,
+        "sample": refs["ingest"].digest,
+        "truth": refs["truth"].digest,
+        "files": files,
+        "labels": labels,
+    }
+
+
+@cache
+def _packages() -> dict[str, str]:
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

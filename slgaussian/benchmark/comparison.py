@@ -1,0 +1,281 @@
+"""Two reports side by side: what differs in how they were made, and by how much in the scores.
+
+Only what both were asked counts: the same query of the same frame, by the same version of a
+protocol.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image
+
+from data_specs import load_spec
+from slgaussian.benchmark.outputs import mask_place
+from slgaussian.benchmark.rendering import data_uri, flatten, template
+from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tables
+from slgaussian.benchmark.showcase import key_of, leading
+from slgaussian.bootstrap import LEAST, LEVEL
+from slgaussian.errors import InputError
+
+Row = Mapping[str, Any]
+
+CHANGED = 8
+"""Queries that are shown, those whose IoU changed most."""
+
+WIDTH = 300
+"""Of a picture of two masks, pixels at most."""
+
+BOTH, FIRST, SECOND, NEITHER = (236, 239, 244), (230, 126, 34), (0, 114, 178), (29, 35, 48)
+"""Colours of the pixels of two masks: in both, in that of the first report alone, of the second."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a run left in a folder: its samples, and its manifest, empty where there is none."""
+
+    folder: Path
+    rows: list[Row]
+    manifest: Mapping[str, Any]
+
+    @property
+    def by_method(self) -> dict[str, list[Row]]:
+        """The samples of each method, ours first."""
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row["method"], []).append(row)
+        return found
+
+
+@dataclass(frozen=True)
+class Change:
+    """A query and its IoU in both reports; ``picture`` is of both masks, where they are there."""
+
+    method: str
+    row: Row
+    first: float
+    second: float
+    picture: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Two reports compared, the second minus the first.
+
+    Attributes
+    ----------
+    first, second : str
+        Their folders.
+    said : str
+        One sentence about what they have in common.
+    settings : list of (name, first, second)
+        What differs in how they were made.
+    tables, more : list of Table
+        Paired differences by data set, a line a method: of the main scores, and of the others.
+    changes : list of Change
+        Most changed first; what became worse before what became better.
+    """
+
+    first: str
+    second: str
+    said: str
+    settings: list[tuple[str, str, str]]
+    tables: list[Table]
+    more: list[Table]
+    changes: list[Change]
+
+
+def read_made(folder: str | Path) -> Made:
+    """Read what a run left.
+
+    Raises
+    ------
+    InputError
+        If there is no ``samples.parquet``, or it or the manifest is not what a run leaves.
+    """
+    folder = Path(folder)
+    file = folder / "samples.parquet"
+    expected = "expected a folder that benchmark, run or demo wrote"
+    if not file.is_file():
+        raise InputError(f"{file}: found no such file, {expected}")
+    try:
+        table = pq.read_table(file)
+    except (OSError, pa.ArrowInvalid) as error:
+        why = " ".join(str(error).split())
+        raise InputError(f"{file}: cannot be read ({why}); {expected}") from error
+    load_spec("samples").check_table(table, str(file))
+    return Made(folder, table.to_pylist(), _manifest(folder / "manifest.json"))
+
+
+def compare_reports(first: Made, second: Made) -> Reports:
+    """Set what two runs left against each other."""
+    pairs = _pairs(first, second)
+    gains = {name: (later, earlier) for name, (earlier, later) in pairs.items()}
+    return Reports(
+        str(first.folder),
+        str(second.folder),
+        _said(first, second, pairs),
+        _settings(first.manifest, second.manifest),
+        difference_tables(gains, MAIN),
+        difference_tables(gains, MORE),
+        _changes(first.folder, second.folder, pairs),
+    )
+
+
+def render_comparison(found: Reports) -> tuple[str, str]:
+    """The comparison as an HTML page, without network and script, and as Markdown."""
+    pictures = [
+        None if change.picture is None else data_uri(change.picture, WIDTH)
+        for change in found.changes
+    ]
+    shown = {"found": found, "least": LEAST, "level": LEVEL}
+    page = template("comparison.html.j2").render(**shown, pictures=pictures)
+    return page, template("comparison.md.j2").render(**shown)
+
+
+def mask_change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Two masks bool [H, W] in one picture uint8 [H, W, 3]."""
+    colors = np.array([NEITHER, FIRST, SECOND, BOTH], np.uint8)
+    return colors[first.astype(int) + 2 * second.astype(int)]
+
+
+def _manifest(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text("utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read ({error}); run the benchmark again") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: found no table of settings; run the benchmark again")
+    return content
+
+
+def _pairs(first: Made, second: Made) -> dict[str, tuple[list[Row], list[Row]]]:
+    """The samples of each method that both have; if none, those of their own methods."""
+    earlier, later = first.by_method, second.by_method
+    shared = {name: (earlier[name], later[name]) for name in earlier if name in later}
+    if not shared and earlier and later:
+        (name, rows), (other, others) = next(iter(earlier.items())), next(iter(later.items()))
+        shared = {f"{other} − {name}": (rows, others)}
+    return {name: pair for name, pair in shared.items() if _keys(pair[0]) & _keys(pair[1])}
+
+
+def _said(
+    first: Made, second: Made, pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
+) -> str:
+    if not pairs:
+        return (
+            f"nothing to compare: {first.folder} has {_described(first)}, {second.folder} has "
+            f"{_described(second)}, and no query of the same frame is in both"
+        )
+    total = same = 0
+    more = [0, 0]
+    for earlier, later in pairs.values():
+        mine, theirs = _aligned(earlier, later)
+        total += len(mine)
+        same += sum(
+            a | {"method": ""} == b | {"method": ""} for a, b in zip(mine, theirs, strict=True)
+        )
+        more[0] += len(earlier) - len(mine)
+        more[1] += len(later) - len(mine)
+    text = f"{total} samples of {len(pairs)} method{'s' if len(pairs) > 1 else ''} are in both"
+    text += ", and all are the same" if same == total else f", {total - same} of them changed"
+    alone = [
+        f"{count} more in {made.folder}"
+        for made, count in zip((first, second), more, strict=True)
+        if count
+    ]
+    return "; ".join([text, *alone])
+
+
+def _described(made: Made) -> str:
+    if not made.rows:
+        return "no samples"
+    scenes = list(dict.fromkeys(row["scene"] for row in made.rows))
+    sets = dict.fromkeys(row["dataset"] for row in made.rows)
+    listed = ", ".join(scenes[:3]) + (" ..." if len(scenes) > 3 else "")
+    return f"{len(scenes)} scene(s) of {', '.join(sets)} ({listed})"
+
+
+def _key(row: Row) -> tuple[str, ...]:
+    return row["dataset"], row["protocol"], *key_of(row)
+
+
+def _keys(rows: Sequence[Row]) -> set[tuple[str, ...]]:
+    return set(map(_key, rows))
+
+
+def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """The same samples of both."""
+    theirs = {_key(row): row for row in others}
+    mine = [row for row in rows if _key(row) in theirs]
+    return mine, [theirs[_key(row)] for row in mine]
+
+
+def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """The leaves of two manifests that differ, those of the data in a line a scene."""
+    if not first or not second:
+        return []
+    data = [dict(made.get("data", {})) for made in (first, second)]
+    one, other = (
+        dict(flatten({k: v for k, v in made.items() if k not in ("data", "methods")}))
+        for made in (first, second)
+    )
+    methods = [made.get("methods", {}) for made in (first, second)]
+    for own, theirs, values in ((*methods, one), (*methods[::-1], other)):
+        values["methods"] = "; ".join(k for k in own if own[k] != theirs.get(k)) or "–"
+    found = [
+        (name, one.get(name, "–"), other.get(name, "–"))
+        for name in dict.fromkeys([*one, *other])
+        if one.get(name) != other.get(name)
+    ]
+    for scene in dict.fromkeys([*data[0], *data[1]]):
+        if scene not in data[0] or scene not in data[1]:
+            there = ["present" if scene in own else "–" for own in data]
+            found.append((f"data.{scene}", *there))
+            continue
+        mine, theirs = (dict(flatten(own[scene])) for own in data)
+        names = [n for n in dict.fromkeys([*mine, *theirs]) if mine.get(n) != theirs.get(n)]
+        found += [(f"data.{scene}.{n}", mine.get(n, "–"), theirs.get(n, "–")) for n in names]
+    return found
+
+
+def _changes(
+    first: Path, second: Path, pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
+) -> list[Change]:
+    """The most changed queries of the first method that both have."""
+    if not pairs:
+        return []
+    name, (earlier, later) = next(iter(pairs.items()))
+    known = [
+        (row, other, other["iou"] - row["iou"])
+        for row, other in zip(*_aligned(leading(earlier), leading(later)), strict=True)
+        if None not in (row["iou"], other["iou"])
+    ]
+    known = sorted((k for k in known if k[2]), key=lambda k: -abs(k[2]))[:CHANGED]
+    changes = []
+    for row, other, _ in sorted(known, key=lambda k: k[2]):
+        masks = [_mask(first, row), _mask(second, other)]
+        picture = None
+        if all(mask is not None for mask in masks) and masks[0].shape == masks[1].shape:
+            picture = mask_change(*masks)
+        changes.append(Change(name, row, row["iou"], other["iou"], picture))
+    return changes
+
+
+def _mask(folder: Path, row: Row) -> np.ndarray | None:
+    """The mask of a row; None if it is not there."""
+    try:
+        data = (folder / "predictions" / mask_place(row)).read_bytes()
+        return np.asarray(Image.open(io.BytesIO(data)).convert("L")) > 127
+    except OSError:
+        return None

@@ -1,0 +1,147 @@
+"""Plots of scores as SVG text that may stand in a page: same numbers, same bytes."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from slgaussian.benchmark.scores import Reliability
+
+Row = Mapping[str, Any]
+
+NOTES = ("Date", "Creator", "Format", "Type")
+"""What Matplotlib would write about itself into a picture."""
+
+INK, SOFT, LINE, ACCENT = "#1d2330", "#667085", "#d5dae2", "#0072B2"
+COLORS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7a5200")
+"""Okabe and Ito's colours, which colour-blind people tell apart."""
+MARKERS = ("s", "^", "D", "v", "P", "X")
+
+STYLE = {
+    "svg.hashsalt": "slgaussian",
+    "svg.fonttype": "path",
+    "font.size": 9.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": LINE,
+    "xtick.color": SOFT,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#eef0f4",
+}
+
+NAMED = len(COLORS)
+"""Methods beside ours that a plot of lines names; the others are drawn pale."""
+
+
+def as_svg(draw: Callable[[], Figure]) -> str:
+    """The figure that ``draw`` makes as an ``svg`` element for HTML, which needs no namespaces."""
+    out = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        draw().savefig(out, format="svg", metadata=dict.fromkeys(NOTES))
+    text = out.getvalue()
+    return re.sub(r' xmlns(:xlink)?="[^"]*"', "", text[text.index("<svg") :])
+
+
+def plot_scores(scores: Sequence[Row], ours: str) -> str:
+    """One score of each method with its interval, best at the top: rows of the spec ``scores``."""
+
+    def draw() -> Figure:
+        ordered = sorted(scores, key=lambda score: score["value"])
+        figure = Figure((5.6, max(3.0, 0.9 + 0.25 * len(ordered))), layout="constrained")
+        axes = figure.subplots()
+        for place, score in enumerate(ordered):
+            color = ACCENT if score["method"] == ours else SOFT
+            if score["low"] is not None:
+                axes.plot((score["low"], score["high"]), (place, place), color=color, lw=2)
+            axes.plot(score["value"], place, "o", color=color, ms=6.5, mec="white")
+        axes.set_yticks(range(len(ordered)), [score["method"] for score in ordered])
+        axes.set(xlim=(0, None), ylim=(-0.6, len(ordered) - 0.4), xlabel="IoU")
+        axes.tick_params(axis="y", length=0)
+        axes.grid(axis="x")
+        return figure
+
+    return as_svg(draw)
+
+
+def plot_curves(curves: Mapping[str, Mapping[float, float]], ours: str) -> str:
+    """IoU with each threshold, by method; the best others have a colour and a name."""
+
+    def draw() -> Figure:
+        figure = Figure((5.6, 4.2), layout="constrained")
+        axes = figure.subplots()
+        for method, style in _styles(curves, ours, lambda curve: max(curve.values())):
+            curve = curves[method]
+            axes.plot(list(curve), list(curve.values()), ms=3.5, **style)
+        axes.set(xlim=(0, 1), ylim=(0, None), xlabel="relevancy above which pixels are taken")
+        axes.set_ylabel("IoU")
+        axes.grid()
+        _name_lines(figure)
+        return figure
+
+    return as_svg(draw)
+
+
+def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
+    """How often the point is right, by how sure each method was; on the diagonal both agree.
+
+    The larger a mark, the more samples.
+    """
+
+    def draw() -> Figure:
+        figure = Figure((5.6, 4.2), layout="constrained")
+        axes = figure.subplots()
+        axes.plot((0, 1), (0, 1), color=LINE, lw=1.2, ls="--")
+        for method, style in _styles(found, ours, lambda own: -own.error()):
+            own = found[method]
+            some = own.counts > 0
+            shares = own.hits[some] / own.counts[some]
+            means = own.scores[some] / own.counts[some]
+            if method == ours:
+                axes.plot(means, shares, color=style["color"], zorder=style["zorder"], lw=1.6)
+            sizes = 12 + 110 * np.sqrt(own.counts[some] / own.counts.sum())
+            looks = {name: value for name, value in style.items() if name != "lw"}
+            axes.scatter(means, shares, sizes, alpha=0.8, **looks)
+        axes.set(xlim=(0, 1), ylim=(-0.03, 1.03), xlabel="best relevancy", ylabel="share of hits")
+        axes.grid()
+        _name_lines(figure)
+        return figure
+
+    return as_svg(draw)
+
+
+def _name_lines(figure: Figure) -> None:
+    """A legend below, ours first."""
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles[::-1],
+        names[::-1],
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=8,
+    )
+
+
+def _styles(
+    methods: Mapping[str, Any], ours: str, merit: Callable[[Any], float]
+) -> list[tuple[str, dict[str, Any]]]:
+    """How each method's line looks, pale ones first: ours, then the best others, are named."""
+    others = sorted((m for m in methods if m != ours), key=lambda m: -merit(methods[m]))
+    pale = {"color": LINE, "lw": 1, "zorder": 1}
+    styles = [(method, pale) for method in others[NAMED:]]
+    for k, method in reversed(list(enumerate(others[:NAMED]))):
+        named = {"color": COLORS[k], "marker": MARKERS[k], "lw": 1.2, "zorder": 2}
+        styles.append((method, named | {"label": method}))
+    if ours in methods:
+        mine = {"color": ACCENT, "marker": "o", "lw": 2.4, "zorder": 3, "label": ours}
+        styles.append((ours, mine))
+    return styles

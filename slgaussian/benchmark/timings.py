@@ -1,0 +1,80 @@
+"""How long a query takes: what is true of one run on one machine, kept apart from the scores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+from slgaussian.benchmark.paper_tables import SECONDS
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds of a run.
+
+    Attributes
+    ----------
+    stages : {stage: float}
+        Of making the artifacts, summed, whenever they were made.
+    answers : sequence of (method, scene, {name: float})
+        What :func:`slgaussian.benchmark.evaluate.evaluate` measured, and ``prepare`` where a
+        method prepares a scene on top of what it shares with ours.
+    host : {name: text}
+        Where it ran.
+    """
+
+    stages: Mapping[str, float]
+    answers: Sequence[tuple[str, str, Mapping[str, float]]]
+    host: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data, for a file."""
+        return {
+            "seconds_by_stage": dict(self.stages),
+            "seconds_a_query": [asdict(speed) for speed in self.speeds()],
+            "seconds_by_answer": [
+                {"method": method, "scene": scene, **dict(sorted(times.items()))}
+                for method, scene, times in self.answers
+            ],
+            "host": dict(self.host),
+        }
+
+    def speeds(self) -> list[Speed]:
+        """One a method, in the order of the answers."""
+        methods = dict.fromkeys(method for method, *_ in self.answers)
+        return [self._speed(method) for method in methods]
+
+    def _speed(self, method: str) -> Speed:
+        def middle(name: str) -> float | None:
+            own = [times.get(name) for by, _, times in self.answers if by == method]
+            known = [value for value in own if value is not None]
+            return median(known) if known else None
+
+        names = "prepare", "first_query", "further_query"
+        return Speed(method, *map(middle, names), SECONDS.get(method))
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Seconds of a method, medians over scenes; None where it was not measured.
+
+    Attributes
+    ----------
+    method : str
+    prepare : float or None
+        Of a scene, on top of what all methods share.
+    first_query : float or None
+        In a view that was not seen before, its rendering included.
+    further_query : float or None
+        One more text in the same view.
+    paper : float or None
+        What the paper says of a query in a new view, on its GPU.
+    """
+
+    method: str
+    prepare: float | None
+    first_query: float | None
+    further_query: float | None
+    paper: float | None

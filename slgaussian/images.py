@@ -1,0 +1,110 @@
+"""Image files that anybody made: how large they may be, and the one way in for every reader.
+
+Size and kind are looked at before anything is decoded. Some kinds that Pillow knows start other
+programs (EPS starts Ghostscript), so only those of photographs, masks and depth maps are taken,
+whatever a file is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.errors import InputError
+
+MOST_PIXELS = 2**30 // 12
+"""Pixels of the largest image, mask, depth map or camera: 89 million, a quarter of a GiB as RGB,
+from where on Pillow warns of files that are made to fill the memory."""
+
+KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
+"""What Pillow calls the kinds of file that are opened."""
+
+
+class TooLargeError(ValueError):
+    """An image of more than :data:`MOST_PIXELS`."""
+
+
+def check_size(width: float, height: float) -> None:
+    """Raise :class:`TooLargeError` if an image of that size is not read."""
+    if width * height > MOST_PIXELS:
+        raise TooLargeError(
+            f"it has {width:.0f}x{height:.0f} pixels, of which at most {MOST_PIXELS:,} are read; "
+            "shrink it"
+        )
+
+
+@contextmanager
+def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Iterator[Image.Image]:
+    """An image, known by its header only; its pixels are to be taken inside the ``with``.
+
+    Raises
+    ------
+    OSError
+        If the file is not there or cannot be read.
+    ValueError
+        If it is none of these kinds, is damaged, has no pixel or more than :data:`MOST_PIXELS`,
+        there or where its pixels are taken. :func:`unreadable` makes a sentence of both.
+    """
+    try:
+        with Image.open(source, formats=kinds) as image:
+            check_size(*image.size)
+            if not min(image.size):
+                raise ValueError("it has no pixel")
+            yield image
+    except TooLargeError:
+        raise
+    except Image.DecompressionBombError:
+        raise TooLargeError(
+            f"it has more than the {MOST_PIXELS:,} pixels that are read; shrink it"
+        ) from None
+    except Exception as bad:  # a damaged file raises almost anything
+        if isinstance(bad, OSError) and bad.errno is not None:
+            raise
+        raise ValueError(_reason(bad)) from None
+
+
+def read_npy(file: Path) -> np.ndarray:
+    """The array of a ``.npy`` file of at most :data:`MOST_PIXELS` numbers; never a pickle.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`opened`.
+    """
+    try:
+        # Mapped, so that a size that the file does not have is found out before it is allocated.
+        array = np.lib.format.open_memmap(file, mode="r")
+    except Exception as bad:  # a damaged header raises almost anything
+        if isinstance(bad, OSError) and bad.errno is not None:
+            raise
+        raise ValueError(_reason(bad)) from None
+    if array.size > MOST_PIXELS:
+        raise TooLargeError(
+            f"it has {array.size:,} numbers, of which at most {MOST_PIXELS:,} are read; shrink it"
+        )
+    return np.array(array)
+
+
+def unreadable(path: str | Path, bad: Exception) -> InputError:
+    """The error that says of a file that its content cannot be read, and why."""
+    if isinstance(bad, TooLargeError):
+        return InputError(f"{path}: cannot be read: {bad}")
+    reason = _reason(bad).replace(str(path), "the file").strip(" .")
+    return InputError(
+        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
+    )
+
+
+def _reason(bad: Exception) -> str:
+    """The first line of what an error says, without the address of a stream in memory."""
+    if isinstance(bad, Image.UnidentifiedImageError):
+        return "no image of a kind that is read"
+    if isinstance(bad, OSError) and bad.strerror:
+        return bad.strerror
+    lines = str(bad).strip().splitlines()
+    return lines[0][:200] if lines else type(bad).__name__

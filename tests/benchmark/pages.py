@@ -1,0 +1,63 @@
+"""Pages read back as a browser and a reader meet them."""
+
+import re
+from html.parser import HTMLParser
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and text; complains about tags that do not nest."""
+
+    VOID = ("meta", "img", "br")
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags, self.images, self.words, self.open = [], [], [], []
+        self.feed(html)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+def check_alone(html: str) -> None:
+    """The page needs no network and no script, and its pictures are in it."""
+    page = Page(html)
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
+    assert set(re.findall(r"url\((.)", html)) <= {"#"}
+    for image in page.images:
+        assert image["src"].startswith("data:image/jpeg;base64,")
+        assert image["alt"]
+
+
+def tables_of(markdown: str) -> list[list[list[str]]]:
+    """The tables of a Markdown text; every row of one has as many cells as its heading."""
+    tables, rows = [], []
+    for line in [*markdown.splitlines(), ""]:
+        if line.startswith("|"):
+            cells = re.split(r"(?<!\\)\|", line.strip())[1:-1]
+            rows.append([cell.strip().replace("\\", "") for cell in cells])
+        elif rows:
+            assert all(set(cell) <= set("-:") and cell for cell in rows[1])
+            assert len({len(row) for row in rows}) == 1
+            tables.append([rows[0], *rows[2:]])
+            rows = []
+    return tables

@@ -1,0 +1,181 @@
+"""Two report folders: what differs, by how much, and where."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pages import Page, check_alone, tables_of
+
+from slgaussian.benchmark.comparison import (
+    BOTH,
+    FIRST,
+    NEITHER,
+    SECOND,
+    compare_reports,
+    mask_change,
+    read_made,
+    render_comparison,
+)
+from slgaussian.benchmark.outputs import mask_place, write_file, write_predictions, write_samples
+from slgaussian.benchmark.pictures import encode_png
+from slgaussian.errors import InputError, SpecError
+
+MANIFEST = {
+    "settings": {"share": 0.7, "seed": 0},
+    "methods": {"query-2d": "query-2d"},
+    "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "11"}}},
+}
+
+
+def leave(folder: Path, result, change=lambda row: row, manifest=MANIFEST) -> Path:
+    """What a run leaves in a folder, of rows that may be changed first."""
+    rows = [change(dict(row)) for row in result.rows]
+    rows = [row for row in rows if row is not None]
+    write_samples(rows, folder)
+    masks = {key: encode_png(mask) for key, mask in result.predictions.items()}
+    write_predictions(rows, masks, folder / "predictions")
+    write_file(folder / "manifest.json", json.dumps(manifest).encode())
+    return folder
+
+
+def compared(first: Path, second: Path):
+    return compare_reports(read_made(first), read_made(second))
+
+
+def scored(result) -> list[dict]:
+    return [r for r in result.rows if r["protocol"] == "slgaussian@1" and r["iou"] is not None]
+
+
+def test_a_report_and_itself_differ_in_nothing(tmp_path, result):
+    folder = leave(tmp_path / "a", result)
+    found = compared(folder, folder)
+    samples = len(result.rows)
+    assert found.said == f"{samples} samples of 1 method are in both, and all are the same"
+    assert found.settings == [] and found.changes == []
+    for table in (*found.tables, *found.more):
+        assert {float(cell.value) for line in table.lines for cell in line.cells} == {0.0}
+
+
+def test_what_changed_is_found(tmp_path, result):
+    worse = scored(result)[0]["query"]
+
+    def change(row):
+        if row["query"] == worse and row["protocol"] == "slgaussian@1" and row["iou"] is not None:
+            row["iou"] -= 0.25
+        return row
+
+    first = leave(tmp_path / "a", result)
+    second = leave(tmp_path / "b", result, change)
+    found = compared(first, second)
+    assert ", 1 of them changed" in found.said
+    (gain,) = (line.cells[0].value for table in found.tables for line in table.lines)
+    assert gain == f"{-0.25 / len(scored(result)):+.3f}"
+    (most,) = found.changes
+    assert (most.row["query"], round(most.second - most.first, 6)) == (worse, -0.25)
+    mask = result.predictions["slgaussian@1", "view_01", worse]
+    assert np.array_equal(most.picture, mask_change(mask, mask))
+    back = compared(second, first)
+    assert back.tables[0].lines[0].cells[0].value == gain.replace("-", "+")
+
+
+def test_what_they_were_made_with_is_compared(tmp_path, result):
+    other = {
+        **MANIFEST,
+        "settings": {"share": 0.5, "seed": 0},
+        "methods": {"query-2d": "query-2d", "lerf-like": "lerf-like"},
+        "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "22"}}, "new": {}},
+    }
+    first = leave(tmp_path / "a", result)
+    found = compared(first, leave(tmp_path / "b", result, manifest=other))
+    assert found.settings == [
+        ("settings.share", "0.7", "0.5"),
+        ("methods", "–", "lerf-like"),
+        ("data.procedural_3.files.a.png", "11", "22"),
+        ("data.new", "–", "present"),
+    ]
+
+
+def test_queries_of_one_report_alone_are_counted_and_not_compared(tmp_path, result):
+    left_out = scored(result)[0]["query"]
+    second = leave(tmp_path / "b", result, lambda row: None if row["query"] == left_out else row)
+    found = compared(leave(tmp_path / "a", result), second)
+    gone = sum(row["query"] == left_out for row in result.rows)
+    assert f"{gone} more in {tmp_path / 'a'}" in found.said
+    assert str(tmp_path / "b") not in found.said
+
+
+def test_own_methods_of_other_names_are_compared(tmp_path, result):
+    second = leave(tmp_path / "b", result, lambda row: {**row, "method": "mine"})
+    found = compared(leave(tmp_path / "a", result), second)
+    assert found.tables[0].lines[0].method == "mine − slgaussian"
+    assert "all are the same" in found.said
+
+
+def test_nothing_in_common_is_one_sentence(tmp_path, result):
+    second = leave(tmp_path / "b", result, lambda row: {**row, "dataset": "attic", "scene": "x"})
+    found = compared(leave(tmp_path / "a", result), second)
+    assert found.said.startswith("nothing to compare: ")
+    assert "1 scene(s) of attic (x)" in found.said and "procedural_3" in found.said
+    assert found.tables == [] and found.changes == []
+    empty = leave(tmp_path / "c", result, lambda row: None)
+    assert "has no samples" in compared(empty, second).said
+    page, text = render_comparison(found)
+    assert "nothing to compare" in Page(page).text and "nothing to compare" in text
+
+
+def test_the_pages_say_the_same_and_need_nothing_else(tmp_path, result):
+    def change(row):
+        return {**row, "iou": None if row["iou"] is None else row["iou"] / 2}
+
+    first = leave(tmp_path / "a", result)
+    found = compared(first, leave(tmp_path / "b", result, change, {**MANIFEST, "seed": "<b>"}))
+    page, text = render_comparison(found)
+    check_alone(page)
+    assert (page, text) == render_comparison(found)
+    shown = Page(page)
+    assert len(shown.images) == len(found.changes) > 0
+    assert "<b>" in shown.text
+    table = next(t for t in tables_of(text) if t[0][0] == "Protocol")
+    values = [cell.value for cell in found.tables[0].lines[0].cells]
+    assert [row[2].split()[0] for row in table[1:]] == values
+    for value in values:
+        assert value in shown.text
+
+
+def test_without_masks_there_is_no_picture(tmp_path, result):
+    def change(row):
+        return {**row, "iou": None if row["iou"] is None else row["iou"] / 2}
+
+    first, second = leave(tmp_path / "a", result), leave(tmp_path / "b", result, change)
+    for row in scored(result):
+        (second / "predictions" / mask_place(row)).unlink()
+    found = compared(first, second)
+    assert found.changes and all(change.picture is None for change in found.changes)
+    Page(render_comparison(found)[0])
+
+
+def test_colours_say_whose_a_pixel_is():
+    first = np.array([[False, True, False, True]])
+    second = np.array([[False, False, True, True]])
+    assert mask_change(first, second)[0].tolist() == list(map(list, (NEITHER, FIRST, SECOND, BOTH)))
+
+
+def test_what_is_no_report_is_named(tmp_path, result):
+    with pytest.raises(
+        InputError, match=r"samples\.parquet: found no such file, expected"
+    ):
+        read_made(tmp_path)
+    (tmp_path / "samples.parquet").write_bytes(b"no table")
+    with pytest.raises(InputError, match=r"samples\.parquet: cannot be read"):
+        read_made(tmp_path)
+    folder = leave(tmp_path / "a", result)
+    (folder / "manifest.json").write_text("[1]")
+    with pytest.raises(InputError, match=r"manifest\.json: found no table of settings"):
+        read_made(folder)
+    (folder / "manifest.json").unlink()
+    assert read_made(folder).manifest == {}
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "samples.parquet").write_bytes((folder / "scores.parquet").read_bytes())
+    with pytest.raises(SpecError, match="no such column"):
+        read_made(tmp_path / "b")

@@ -1,0 +1,95 @@
+import csv
+import re
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from data_specs import load_spec
+from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions, write_samples
+from slgaussian.benchmark.pictures import encode_png
+from slgaussian.errors import InputError
+
+
+def test_sample_tables_hold_the_rows(tmp_path, result):
+    other = [row | {"scene": "other"} for row in result.rows]
+    write_samples([*result.rows, *other], tmp_path)
+    table = pq.read_table(tmp_path / "samples.parquet")
+    load_spec("samples").check_table(table, "samples.parquet")
+    assert table.to_pylist()[: len(result.rows)] == result.rows
+    with open(tmp_path / "samples.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * len(result.rows)
+    for row, printed in zip([*result.rows, *other], rows, strict=True):
+        assert printed == {k: "" if v is None else str(v) for k, v in row.items()}
+    scores = pq.read_table(tmp_path / "scores.parquet")
+    load_spec("scores").check_table(scores, "scores.parquet")
+    first = scores.to_pylist()[0]
+    assert (first["metric"], first["scenes"]) == ("iou", 2)
+    assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
+    with open(tmp_path / "scores.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == scores.num_rows
+
+
+def test_an_empty_run_has_empty_tables(tmp_path):
+    write_samples([], tmp_path)
+    for name in ("samples", "scores"):
+        table = pq.read_table(tmp_path / f"{name}.parquet")
+        load_spec(name).check_table(table, f"{name}.parquet")
+        assert table.num_rows == 0
+
+
+def masks_of(result) -> dict[tuple[str, str, str], bytes]:
+    return {key: encode_png(mask) for key, mask in result.predictions.items()}
+
+
+def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
+    write_predictions(result.rows, masks_of(result), tmp_path)
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(files) == len(result.predictions)
+    assert len(files) == sum(row["protocol"] != "threshold-free@1" for row in result.rows)
+    for (protocol, frame, query), mask in result.predictions.items():
+        folder = tmp_path / "slgaussian" / protocol.removesuffix("@1") / result.scene / frame
+        path = folder / f"{query}.png"
+        asked = {"protocol": protocol, "frame": frame, "query": query}
+        assert tmp_path / mask_place({**result.rows[0], **asked}) == path
+        assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
+
+
+def test_same_results_give_the_same_files(tmp_path, result):
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        write_samples(result.rows, folder)
+        write_predictions(result.rows, masks_of(result), folder)
+    for path in (tmp_path / "a").rglob("*"):
+        if path.is_file():
+            twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
+            assert path.read_bytes() == twin.read_bytes()
+
+
+def test_file_names_are_safe_and_differ():
+    assert file_name("blue-grey sofa") == "blue-grey sofa"
+    odd = [
+        "../etc",
+        "a/b",
+        "a\\b",
+        "a:b",
+        "a?b",
+        ".hidden",
+        "hidden",
+        "é",
+        "",
+        " x",
+        "x",
+        "l" * 300,
+    ]
+    names = [file_name(text) for text in odd]
+    assert len(set(names)) == len(odd)
+    for name in names:
+        assert re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._ -]{0,99}", name)
+
+
+def test_an_unwritable_place_is_named(tmp_path, result):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file"):
+        write_samples(result.rows, tmp_path / "file")
