@@ -4,9 +4,21 @@ Anything else that escapes the library is a defect of the library. The command l
 without a traceback and exits with status 2; a batch records them in ``failures.parquet``.
 """
 
+import re
+
+_LONG = re.compile(r"[^\s/]{256,}")  # no file has such a name
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
 
 class SLGaussianError(Exception):
-    """Base of every error whose message is written for the user."""
+    """Base of every error whose message is written for the user.
+
+    What it quotes may come from a file that anybody wrote: what a terminal would obey, or no file
+    can hold, is escaped, and words of more than 255 letters are cut.
+    """
+
+    def __init__(self, message: str = "", *more: object) -> None:
+        super().__init__(one_line(message), *more)
 
 
 class InputError(SLGaussianError, ValueError):
@@ -15,3 +27,9 @@ class InputError(SLGaussianError, ValueError):
 
 class SpecError(SLGaussianError):
     """A stored artifact that is missing, damaged or not what its spec says."""
+
+
+def one_line(message: str) -> str:
+    """A message as one line that can be printed and stored anywhere."""
+    text = _LONG.sub(lambda word: f"{word[0][:100]}…", str(message))
+    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)

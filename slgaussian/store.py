@@ -42,6 +42,9 @@ REPAIR = "delete the file and run again to have it made anew"
 PART = 16 * 2**20
 """Bytes of a part of an upload; from two of them on it is done in parts, shown when all arrived."""
 
+MOST_UNPACKED = 8 * 2**30
+"""Bytes of the arrays of one file; a packed one may be a thousandth of what it unpacks to."""
+
 AT_ONCE = 16
 """Requests that are under way at the same time where many small ones are made."""
 
@@ -425,6 +428,8 @@ def decode(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays |
             return table
         # Not np.load, which takes whatever is no zip file for a pickle and says so.
         with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) > MOST_UNPACKED:
+                raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
             arrays = {name: archive[name] for name in archive.files}
         if any(isinstance(array, bytes) for array in arrays.values()):
             raise ValueError("a member is no array")

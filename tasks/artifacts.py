@@ -194,6 +194,9 @@ class Decoded(Mapping[Any, np.ndarray]):
     def __getitem__(self, key: Any) -> np.ndarray:
         return _pixels(self.files[key])
 
+    def __contains__(self, key: Any) -> bool:
+        return key in self.files  # without decoding it
+
     def __iter__(self) -> Iterator[Any]:
         return iter(self.files)
 

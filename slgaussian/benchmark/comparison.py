@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image
 
 from data_specs import load_spec
 from slgaussian.benchmark.outputs import mask_place
@@ -25,6 +24,7 @@ from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tabl
 from slgaussian.benchmark.showcase import key_of, leading
 from slgaussian.bootstrap import LEAST, LEVEL
 from slgaussian.errors import InputError
+from slgaussian.images import opened
 
 Row = Mapping[str, Any]
 
@@ -108,7 +108,7 @@ def read_made(folder: str | Path) -> Made:
         raise InputError(f"{file}: found no such file, {expected}")
     try:
         table = pq.read_table(file)
-    except (OSError, pa.ArrowInvalid) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:
         why = " ".join(str(error).split())
         raise InputError(f"{file}: cannot be read ({why}); {expected}") from error
     load_spec("samples").check_table(table, str(file))
@@ -276,6 +276,7 @@ def _mask(folder: Path, row: Row) -> np.ndarray | None:
     """The mask of a row; None if it is not there."""
     try:
         data = (folder / "predictions" / mask_place(row)).read_bytes()
-        return np.asarray(Image.open(io.BytesIO(data)).convert("L")) > 127
-    except OSError:
+        with opened(io.BytesIO(data)) as image:
+            return np.asarray(image.convert("L")) > 127
+    except (OSError, ValueError):
         return None

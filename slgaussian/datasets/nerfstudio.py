@@ -138,9 +138,9 @@ class _Frame:
         return InputError(f"{self.file}: frame {self.name!r}: {what}")
 
     def number(self, key: str, default: float | None = None) -> float | None:
-        value = self.values.get(key, default)
-        if value is None:
-            return None
+        value = self.values.get(key)
+        if value is None:  # missing, or null
+            return default
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)

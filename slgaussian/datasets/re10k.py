@@ -390,7 +390,8 @@ def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
             times.append(int(words[0]))
         except ValueError:
             values = []
-        if len(values) != ROW or not all(map(math.isfinite, values)):
+        times_fit = not times or abs(times[-1]) < 2**63
+        if len(values) != ROW or not times_fit or not all(map(math.isfinite, values)):
             raise InputError(
                 f"{file}, line {number}: found {line[:60]!r}, expected a time and {ROW} numbers"
             )

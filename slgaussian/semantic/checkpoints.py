@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,7 @@ def load_checkpoint(
         for name, tensor in parts["optimiser"].items():
             index, _, rest = name.partition(".")
             state.setdefault(int(index), {})[rest] = tensor
+        _check_state(state, list(branch.parameters()))
     except (KeyError, ValueError) as error:
         raise InputError(
             f"checkpoint {file}: is damaged ({str(error)[:200]}); begin in an empty folder"
@@ -115,6 +116,17 @@ def load_checkpoint(
     table = decode(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
     load_spec("metrics").check_table(table, str(metrics))
     return Place(step, table.to_pylist()[:step])
+
+
+def _check_state(
+    state: Mapping[int, Mapping[str, torch.Tensor]], parameters: Sequence[torch.Tensor]
+) -> None:
+    """ValueError unless it is that of an AdamW of the parameters."""
+    for index, own in state.items():
+        shapes = {name: tuple(tensor.shape) for name, tensor in own.items()}
+        shape = tuple(parameters[index].shape) if 0 <= index < len(parameters) else None
+        if shapes != {"step": (), "exp_avg": shape, "exp_avg_sq": shape}:
+            raise ValueError(f"optimiser.{index} is of no parameter")
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:

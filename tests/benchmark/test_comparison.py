@@ -162,9 +162,7 @@ def test_colours_say_whose_a_pixel_is():
 
 
 def test_what_is_no_report_is_named(tmp_path, result):
-    with pytest.raises(
-        InputError, match=r"samples\.parquet: found no such file, expected"
-    ):
+    with pytest.raises(InputError, match=r"samples\.parquet: found no such file, expected"):
         read_made(tmp_path)
     (tmp_path / "samples.parquet").write_bytes(b"no table")
     with pytest.raises(InputError, match=r"samples\.parquet: cannot be read"):

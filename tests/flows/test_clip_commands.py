@@ -228,7 +228,7 @@ def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
     )
     settings = read_toml(config, {})
     finished = pipeline.run(settings, ArtifactStore(settings.store))
-    rows = finished.results[0].rows
+    rows = [r for r in finished.results[0].rows if r["protocol"].startswith("slgaussian@")]
     assert len(rows) >= 4 and all(row["note"] == "" for row in rows)
     assert np.mean([row["iou"] for row in rows]) > 0.4
 
