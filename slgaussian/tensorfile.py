@@ -13,7 +13,6 @@ from typing import Any, BinaryIO
 
 import torch
 
-
 LONGEST = 200
 """Letters of the longest name of code that is looked at: torch takes the square of them in time."""
 

@@ -96,7 +96,7 @@ def test_a_size_may_be_a_bound(size, kept):
 
 @pytest.mark.parametrize("size", ["at most", "at most 3x4", "at most 312", "atmost 312x432"])
 def test_a_bound_that_is_none_is_one_sentence(size):
-    with pytest.raises(InputError, match="size: found .*expected height and width as in 416x576"):
+    with pytest.raises(InputError, match=r"size: found .*expected height and width as in 416x576"):
         make_settings({"size": size}, "test")
 
 
