@@ -702,23 +702,26 @@ def trial(name: str, number: int, seed: int, folder: Path) -> None:
         file.write_bytes(whole)
 
 
-def judged(name: str, number: int, seed: int, folder: Path) -> Found:
+def measured(name: str, number: int, seed: int, folder: Path) -> Found:
     _reset_peak()
     before, begun = _memory("VmRSS"), time.process_time()
-    kind, said = "accepted", ""
+    kind, said = verdict(name, number, seed, folder)
+    seconds = time.process_time() - begun
+    return Found(number, kind, said, seconds, max(0, _memory("VmHWM") - before))
+
+
+def verdict(name: str, number: int, seed: int, folder: Path) -> tuple[str, str]:
+    """What became of a file that leaves the process alive: its kind, and what was said."""
     try:
         trial(name, number, seed, folder)
     except SLGaussianError as error:
-        kind, said = "refused", str(error)
-        wrong = _wrong(said, folder)
-        if wrong:
-            kind, said = "other", f"{wrong}: {said!r:.300}"
+        wrong = _wrong(str(error), folder)
+        return ("other", f"{wrong}: {str(error)!r:.300}") if wrong else ("refused", str(error))
     except BaseException as error:
         place = traceback.extract_tb(error.__traceback__)
         ours = [f"{Path(f.filename).name}:{f.lineno}" for f in place if "slgaussian" in f.filename]
-        kind, said = "other", f"{type(error).__name__} in {' '.join(ours[-3:])}: {str(error)[:200]}"
-    seconds = time.process_time() - begun
-    return Found(number, kind, said, seconds, max(0, _memory("VmHWM") - before))
+        return "other", f"{type(error).__name__} in {' '.join(ours[-3:])}: {str(error)[:200]}"
+    return "accepted", ""
 
 
 def _wrong(said: str, folder: Path) -> str | None:
@@ -756,7 +759,7 @@ def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int)
     with os.fdopen(out, "w") as lines:
         FORMATS[name].read(folder)  # what is loaded once is no file's
         for number in range(first, count):
-            found = judged(name, number, seed, folder)
+            found = measured(name, number, seed, folder)
             lines.write(json.dumps(asdict(found)) + "\n")
             lines.flush()
     os._exit(0)

@@ -11,6 +11,7 @@ import numpy as np
 from charts import BLUE, FAINT, GREEN, INK, ORANGE, PINK, STYLE
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from tables import Table, count, hundredths, ms, thousandths
 
 from slgaussian.bootstrap import LEAST, LEVEL, compare
@@ -33,6 +34,10 @@ LOOKS = {
     NOISE: ("#999999", "."),
 }
 """Colour and marker of a factor."""
+
+
+HEADINGS = {"iou": "IoU", "miou": "mIoU", "abs_rel": "depth error"}
+"""What is compared with the first row."""
 
 
 def signed(value: float) -> str:
@@ -100,7 +105,7 @@ DIFFERENCES = Table(
     _NAMED
     | {
         key: cell
-        for score, heading in (("iou", "IoU"), ("miou", "mIoU"), ("abs_rel", "depth"))
+        for score, heading in HEADINGS.items()
         for key, cell in (
             (f"{score}_gain", (heading, signed)),
             (f"{score}_ends", ("interval", between)),
@@ -146,7 +151,7 @@ def summary(made: dict, first: dict) -> dict:
                 row[f"{kind}_{score}"] = value
     row |= {score: mean(scenes, score) for score in ("iou", "hit", "miou", "psnr", "abs_rel")}
     if made is not first and len(scenes) >= LEAST:
-        for score in ("iou", "miou", "abs_rel"):
+        for score in HEADINGS:
             found = compare([s[score] for s in scenes], [s[score] for s in others])
             row[f"{score}_gain"] = found.difference
             row[f"{score}_ends"] = found.low, found.high
@@ -219,7 +224,7 @@ def presets_said(rows: Sequence[dict]) -> str:
             continue
         lost = "; ".join(
             f"{heading} {row[f'{score}_gain']:+.3f} ({between(row[f'{score}_ends'])})"
-            for score, heading in (("iou", "IoU"), ("miou", "mIoU"), ("abs_rel", "depth error"))
+            for score, heading in HEADINGS.items()
             if f"{score}_gain" in row
         )
         said.append(f"- `{row['name']}`: {costs}. Against `balanced`: {lost}.")
@@ -233,8 +238,10 @@ def noise_said(rows: Sequence[dict]) -> str:
         return ""
     return (
         f"**Noise.** {len(own)} seeds, which draw other codes, have IoU from {min(own):.3f} to "
-        f"{max(own):.3f}: a difference of {max(own) - min(own):.3f} means nothing. Stages are "
-        "computed once for all rows that share their settings, and geometry depends on no seed."
+        f"{max(own):.3f}: a difference of {max(own) - min(own):.3f} means nothing. The seed draws "
+        "nothing but codes. A change of depth or of size moves the borders of objects a little, "
+        "and with them the answers of single queries a lot: what that amounts to over the scenes, "
+        "the intervals say."
     )
 
 
@@ -249,7 +256,7 @@ def found_said(rows: Sequence[dict]) -> str:
         ]  # fmt: skip
         for score, sign in starred:
             gain = sign * row[f"{score}_gain"]
-            named = f"{row['factor']} {row['name']} ({score.replace('abs_rel', 'depth')})"
+            named = f"{row['factor']}: {row['name']} ({HEADINGS[score]})"
             (better if gain > 0 else worse).append(named)
     return (
         f"**Beyond noise**, of single changes: worse are {'; '.join(worse) or 'none'}. Better are "
@@ -267,11 +274,11 @@ def chart(made: Sequence[dict]) -> bytes:
         figure = Figure(figsize=(10.5, 4.4), layout="constrained")
         iou, depth, memory = figure.subplots(1, 3)
         draw(iou, rows, "build", "iou", most=True)
-        iou.set(title="Query IoU", xlabel="seconds of the processor to build", xscale="log")
+        iou.set(title="Query IoU", xlabel="seconds of the processor to build")
         draw(depth, rows, "build", "abs_rel", most=False)
-        depth.set(title="Depth error", xlabel="seconds of the processor to build", xscale="log")
+        depth.set(title="Depth error", xlabel="seconds of the processor to build")
         draw(memory, rows, "memory", "iou", most=True)
-        memory.set(title="Query IoU", xlabel="memory, MB", xscale="log")
+        memory.set(title="Query IoU", xlabel="memory, MB")
         figure.legend(
             *iou.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False
         )
@@ -282,9 +289,10 @@ def chart(made: Sequence[dict]) -> bytes:
 
 def draw(axes: Axes, rows: Sequence[dict], x: str, y: str, most: bool) -> None:
     axes.grid(color=FAINT)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter("{x:g}")
-    axes.tick_params(axis="x", which="minor", labelsize=7)
+    axes.xaxis.set_minor_formatter(NullFormatter())
     front = best_by_price(rows, x, y, max if most else min)
     axes.plot(*zip(*front, strict=True), color=INK, lw=0.8, drawstyle="steps-post", label="front")
     for factor, (color, marker) in LOOKS.items():

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 from data_specs import spec_names
+from slgaussian import jsontext
 from slgaussian.errors import SpecError
-from slgaussian.store import ArtifactRef, ArtifactStore, File, address
+from slgaussian.store import ArtifactRef, ArtifactStore, File, address, is_digest
 
 FOLDER = "keys"
 _FILE = re.compile(r"keys/(?P<stage>[^/]+)/v(?P<version>\d+)/[0-9a-f]{2}/[0-9a-f]{64}\.json")
@@ -79,12 +80,17 @@ def _place(key: str) -> str:
     return f"{FOLDER}/{stage}/{version}/{digest[:2]}/{digest}.json"
 
 
+def _is_below(uri: str) -> bool:
+    return not uri.startswith("/") and ".." not in uri.split("/")
+
+
 def _parse(data: bytes) -> ArtifactRef | None:
     try:
-        ref = ArtifactRef(**json.loads(data))
+        ref = ArtifactRef(**jsontext.parse(data))
         parts = ref.meta.get("parts", [])
         whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
-        whole = whole and all(isinstance(part, str) for part in parts)
+        # Nothing outside the store is even looked at, whoever wrote the record.
+        whole = whole and is_digest(ref.digest) and all(map(_is_below, parts))
     except (ValueError, TypeError, AttributeError):
         return None
     return ref if whole else None

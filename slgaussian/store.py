@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -321,6 +322,8 @@ class ArtifactStore:
 
     def _check_address(self, ref: ArtifactRef) -> None:
         expected = address(ref.spec, ref.digest)
+        if not is_digest(ref.digest):
+            raise self._damaged(ref.uri, f"the digest {ref.digest!r:.80}", "64 hexadecimal digits")
         if ref.uri != expected:
             raise self._damaged(ref.uri, "a ref to it", f"one to {expected}")
 
@@ -336,6 +339,11 @@ class ArtifactStore:
 def address(spec: str, digest: str) -> str:
     """Path of an artifact relative to the root of its store."""
     return f"{spec}/{digest[:2]}/{digest}{load_spec(spec).suffix}"
+
+
+def is_digest(text: str) -> bool:
+    """Whether it is a SHA-256, hexadecimal, and so no way out of a folder either."""
+    return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
 def _written(info: Mapping[str, Any]) -> float:

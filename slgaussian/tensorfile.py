@@ -80,6 +80,16 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
 def _check_names(stream: BinaryIO, count: int) -> None:
     """ValueError if one of so many pickles has a name of too many letters; none is unpickled."""
     for _ in range(count):
-        for code, name, _ in pickletools.genops(stream):
-            if code.name == "GLOBAL" and len(name) > LONGEST:
-                raise ValueError(f"it has a name of {len(name)} letters")
+        try:
+            longest = max(
+                (
+                    len(name)
+                    for code, name, _ in pickletools.genops(stream)
+                    if code.name == "GLOBAL"
+                ),
+                default=0,
+            )
+        except Exception:  # what is no pickle raises almost anything
+            raise ValueError("it cannot be unpickled") from None
+        if longest > LONGEST:
+            raise ValueError(f"it has a name of {longest} letters")

@@ -15,6 +15,7 @@ from slgaussian.benchmark.labels import Truth
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
+from slgaussian.images import opened
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.scene import Camera, Sample, View
@@ -211,7 +212,8 @@ def _png(image: np.ndarray) -> bytes:
 
 
 def _pixels(png: bytes) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(png)))
+    with opened(io.BytesIO(png)) as image:
+        return np.asarray(image)
 
 
 def _pack(blobs: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:

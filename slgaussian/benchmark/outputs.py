@@ -22,6 +22,9 @@ from slgaussian.store import encode_table, write_atomic
 
 Row = Mapping[str, Any]
 
+_DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for n in range(10))}
+"""What no file may be called on Windows, whatever its ending."""
+
 
 def write_samples(rows: Sequence[Row], out: str | Path) -> None:
     """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: a row a sample.
@@ -76,6 +79,8 @@ def file_name(text: str) -> str:
     hash of itself at the end, so that different texts keep different names.
     """
     safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
+    if safe.partition(".")[0].upper() in _DEVICES:
+        safe = f"_{safe}"
     if safe and safe == text:
         return safe
     return f"{safe}-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"

@@ -1,0 +1,27 @@
+"""A small part of what ``benches/fuzz.py`` does, whose table is in ``docs/security.md``."""
+
+import random
+
+import pytest
+
+from benches.fuzz import FORMATS, damaged, verdict
+
+SEED, COUNT = 1, 12
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_file_is_read_or_named(name, tmp_path, recwarn):
+    folder = tmp_path / "set"
+    folder.mkdir()
+    FORMATS[name].make(folder)
+    FORMATS[name].read(folder)
+    found = [verdict(name, number, SEED, folder) for number in range(COUNT)]
+    assert [said for kind, said in found if kind not in ("accepted", "refused")] == []
+    assert "refused" in {kind for kind, _ in found}
+    FORMATS[name].read(folder)  # whole again
+
+
+def test_the_same_number_is_the_same_damage():
+    data = bytes(range(256)) * 4
+    first, again = (damaged(data, "x.bin", random.Random("0 x 3")) for _ in range(2))
+    assert first == again != data

@@ -1,0 +1,275 @@
+"""What ``docs/security.md`` promises and damaged files alone do not show."""
+
+import ast
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from slgaussian import tensorfile
+from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.labels import read_labels
+from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions
+from slgaussian.datasets import nerfstudio, re10k
+from slgaussian.datasets.photographs import open_rgb, stored_size
+from slgaussian.datasets.quality import glance
+from slgaussian.errors import InputError, SpecError
+from slgaussian.images import MOST_PIXELS, TooLargeError, check_size, opened, read_npy
+from slgaussian.jsontext import parse
+from slgaussian.masks.precomputed import read_ids
+from slgaussian.predict.mvsplat.checkpoint import read_state
+from slgaussian.scene import Camera
+from slgaussian.store import ArtifactRef, ArtifactStore
+
+ROOT = Path(__file__).parent.parent
+OWN = [path for part in ("slgaussian", "tasks", "flows") for path in (ROOT / part).rglob("*.py")]
+BAD_NAMES = [
+    "../up",
+    "../../../../../../tmp/up",
+    "/etc/up",
+    "a/../../up",
+    "..",
+    ".",
+    "",
+    "a\0b",
+    "a\\..\\b",
+    "C:\\up",
+    "NUL",
+    "con.txt",
+    "x" * 5000,
+    "é" * 300,
+    "\ud800",
+    "\x1b[2Jcup",
+    "a\nb",
+]
+
+
+def huge_png(width: int = 30_000, height: int = 30_000) -> bytes:
+    """A PNG that says that it is huge, and has no pixel to show for it."""
+    out = b"\x89PNG\r\n\x1a\n"
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    for kind, content in ((b"IHDR", head), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")):
+        whole = kind + content
+        out += struct.pack(">I", len(content)) + whole + struct.pack(">I", zlib.crc32(whole))
+    return out
+
+
+def called(tree: ast.AST) -> list[tuple[str, ast.Call]]:
+    """Every call in a module with the dotted name of what is called."""
+    return [(ast.unparse(n.func), n) for n in ast.walk(tree) if isinstance(n, ast.Call)]
+
+
+class TestNoCodeIsLoaded:
+    def test_no_module_unpickles_or_unpacks_what_it_reads(self):
+        loads = {
+            "pickle.load", "pickle.loads", "pickle.Unpickler", "marshal.loads", "marshal.load",
+            "shelve.open", "joblib.load", "dill.load", "cloudpickle.load", "cloudpickle.loads",
+            "yaml.load", "yaml.unsafe_load", "pd.read_pickle", "eval", "exec",
+        }  # fmt: skip
+        assert OWN
+        for path in OWN:
+            for name, call in called(ast.parse(path.read_text("utf-8"))):
+                assert name not in loads, f"{path}:{call.lineno}"
+                assert name.rpartition(".")[2] not in ("extractall", "extract", "unpack_archive")
+                keywords = {k.arg: ast.unparse(k.value) for k in call.keywords}
+                assert keywords.get("allow_pickle", "False") == "False", f"{path}:{call.lineno}"
+                assert keywords.get("trust_remote_code", "False") == "False"
+                if name == "torch.load":
+                    assert path.name == "tensorfile.py"
+                    assert keywords["weights_only"] == "True"
+                if name.startswith("Image.open"):
+                    assert path.name == "images.py"
+
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_a_checkpoint_that_asks_for_code_is_refused(self, tmp_path, zipped):
+        class Trap:
+            def __reduce__(self):
+                return (tmp_path / "ran").touch, ()
+
+        file = tmp_path / "trap.ckpt"
+        content = {"state_dict": {"a": torch.ones(2), "b": Trap()}}
+        torch.save(content, file, _use_new_zipfile_serialization=zipped)
+        with pytest.raises(InputError, match=r"trap\.ckpt: holds more than tensors \(\S+\)"):
+            read_state(file)
+        assert not (tmp_path / "ran").exists()
+
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_a_long_name_costs_no_time(self, tmp_path, zipped):
+        """Torch takes the square of its letters: an hour for this one."""
+        name = b"c" + b"x" * 1_000_000 + b"\ny\n."
+        if zipped:
+            with zipfile.ZipFile(tmp_path / "long", "w") as archive:
+                archive.writestr("archive/data.pkl", b"\x80\x02" + name)
+                archive.writestr("archive/version", "3\n")
+        else:
+            (tmp_path / "long").write_bytes(b"\x80\x02" + name)
+        with pytest.raises(ValueError, match="a name of 1000002 letters"):
+            tensorfile.load(tmp_path / "long")
+
+    def test_a_packed_checkpoint_is_not_unpacked(self, tmp_path):
+        torch.save({"a": torch.zeros(1000)}, tmp_path / "plain.ckpt")
+        with (
+            zipfile.ZipFile(tmp_path / "plain.ckpt") as plain,
+            zipfile.ZipFile(tmp_path / "x.ckpt", "w", zipfile.ZIP_DEFLATED) as packed,
+        ):
+            for name in plain.namelist():
+                packed.writestr(name, plain.read(name))
+        assert set(read_state(tmp_path / "plain.ckpt")) == {"a"}
+        with pytest.raises(InputError, match="it is packed"):
+            read_state(tmp_path / "x.ckpt")
+
+
+class TestLargeImages:
+    """Refused by their headers: these files have no pixels that could be decoded."""
+
+    @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+    @pytest.mark.parametrize("size", [(30_000, 30_000), (10_000, 9_000)])
+    def test_photographs_id_maps_and_class_masks(self, tmp_path, size):
+        file = tmp_path / "0" / "cup.png"
+        file.parent.mkdir()
+        file.write_bytes(huge_png(*size))
+        (tmp_path / "classes.txt").write_text("cup\n")
+        said = r"cup\.png: .*it has .* pixels"
+        for read in (open_rgb, read_ids, lambda _: class_masks.read(tmp_path, "0", 8, 8)):
+            with pytest.raises(InputError, match=said):
+                read(file)
+        assert stored_size(file) is None
+
+    def test_frames_of_clips(self):
+        with pytest.raises(InputError, match=r"it has .* pixels"):
+            glance(huge_png())
+        row = np.array([[1, 1, 0.5, 0.5, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]], np.float32)
+        clip = re10k.Clip("a", "", np.zeros(1, np.int64), row, (huge_png(),))
+        with pytest.raises(InputError, match=r"clip 'a', frame 0: .*it has .* pixels"):
+            clip.view(0)
+
+    @pytest.mark.parametrize("kind", ["png", "npy"])
+    def test_depth(self, tmp_path, kind):
+        Image.new("RGB", (8, 6)).save(tmp_path / "a.png")
+        depth = tmp_path / f"d.{kind}"
+        if kind == "png":
+            depth.write_bytes(huge_png())
+        else:
+            np.lib.format.open_memmap(depth, "w+", np.uint8, (10_000, 9_000))  # a hole on disk
+        frame = f'{{"file_path": "a.png", "depth_file_path": "d.{kind}", "fl_x": 9, '
+        frame += '"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}'
+        (tmp_path / "transforms.json").write_text(f'{{"frames": [{frame}]}}')
+        with pytest.raises(InputError, match=rf"d\.{kind}: .*it has .* (pixels|numbers)"):
+            nerfstudio.read(tmp_path).read("a.png")
+
+    def test_an_array_that_says_more_than_its_file_has_is_not_allocated(self, tmp_path):
+        with open(tmp_path / "a.npy", "wb") as file:
+            head = {"descr": "<f8", "fortran_order": False, "shape": (3_000_000_000, 9)}
+            np.lib.format.write_array_header_1_0(file, head)
+            file.write(bytes(96))
+        with pytest.raises(ValueError, match="mmap length is greater than file size"):
+            read_npy(tmp_path / "a.npy")
+
+    def test_cameras_and_labels(self, tmp_path):
+        with pytest.raises(InputError, match=r"camera size 1e\+09x1: expected at most"):
+            Camera(np.eye(3), np.eye(4), 10**9, 1)
+        (tmp_path / "a.json").write_text(
+            '{"info": {"name": "a", "width": 1000000, "height": 1000}, "objects": []}'
+        )
+        with pytest.raises(InputError, match=r"a\.json: info: it has 1000000x1000 pixels"):
+            read_labels(tmp_path, "a", 8, 8)
+
+    def test_the_bound_itself_is_read(self):
+        check_size(MOST_PIXELS, 1)
+        with pytest.raises(TooLargeError):
+            check_size(MOST_PIXELS + 1, 1)
+
+    def test_other_kinds_of_file_are_not_opened(self, tmp_path):
+        """Pillow would start Ghostscript for this one, whatever it is called."""
+        (tmp_path / "a.png").write_bytes(
+            b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EOF\n"
+        )
+        assert Image.open(tmp_path / "a.png").format == "EPS"
+        with pytest.raises(ValueError, match="no image of a kind"), opened(tmp_path / "a.png"):
+            pass
+
+
+class TestNames:
+    @given(st.text(max_size=200) | st.sampled_from(BAD_NAMES))
+    def test_a_file_name_is_one_part_of_a_path(self, text):
+        name = file_name(text)
+        assert Path(name).parts == (name,)
+        assert name not in (".", "..")
+        assert name.isascii() and name.isprintable()
+        assert len(f"{name}.png") <= 255
+        assert name.partition(".")[0].upper() not in ("CON", "NUL", "AUX", "PRN", "COM1", "LPT9")
+
+    @pytest.mark.parametrize("name", BAD_NAMES)
+    def test_predictions_stay_in_their_folder(self, tmp_path, name):
+        out = tmp_path / "a" / "out"
+        row = {"method": name, "protocol": f"{name}@1", "scene": name, "frame": "f", "query": name}
+        write_predictions([row], {(row["protocol"], "f", name): b"mask"}, out)
+        (file,) = [path for path in tmp_path.rglob("*") if path.is_file()]
+        assert file == out / mask_place(row)
+        assert file.resolve().is_relative_to(out.resolve())
+
+    @pytest.mark.parametrize("name", [n for n in BAD_NAMES if n.isprintable()])
+    def test_a_clip_of_any_key_is_packed_into_its_folder(self, tmp_path, name):
+        row = np.zeros((1, 18), np.float32)
+        clip = re10k.Clip(name, "", np.zeros(1, np.int64), row, (b"x",))
+        (chunk,) = re10k.write(tmp_path / "out", [clip])
+        assert re10k.read_index(tmp_path / "out") == {name: chunk}
+        files = {path for path in tmp_path.rglob("*") if path.is_file()}
+        assert files == {tmp_path / "out" / chunk, tmp_path / "out" / "index.json"}
+
+    @pytest.mark.parametrize("name", ["../x.torch", "/etc/passwd", "a/b.torch", 3])
+    def test_an_index_names_no_chunk_elsewhere(self, tmp_path, name):
+        text = repr({"key": name}).replace("'", '"')
+        (tmp_path / "index.json").write_text(text)
+        with pytest.raises(InputError, match=r"index\.json: expected the name of a chunk"):
+            re10k.read_index(tmp_path)
+
+    @pytest.mark.parametrize("name", ["../up", "/etc/up", "a\0b", "x" * 300])
+    def test_a_class_names_no_mask_elsewhere(self, tmp_path, name):
+        (tmp_path / "classes.txt").write_text(f"{name}\n")
+        with pytest.raises(InputError, match=r"classes\.txt: the class .* can be no file's name"):
+            class_masks.files(tmp_path, "0")
+
+    def test_a_ref_leads_nowhere_out_of_the_store(self, tmp_path):
+        store = ArtifactStore(tmp_path / "store")
+        digest = "../../../up"
+        ref = ArtifactRef("labels", f"labels/{digest[:2]}/{digest}.npz", digest)
+        for ask in (store.get, store.check):
+            with pytest.raises(SpecError, match="64 hexadecimal digits"):
+                ask(ref)
+
+    def test_the_members_of_an_array_file_are_only_read(self, tmp_path):
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w") as archive:
+            archive.writestr("../../up.npy", b"no array")
+        digest = "0" * 64
+        ref = ArtifactRef("labels", f"labels/00/{digest}.npz", digest)
+        store = ArtifactStore(tmp_path / "a" / "store")
+        store.write(ref.uri, out.getvalue())
+        with pytest.raises(SpecError):
+            store.get(ref)
+        assert list(tmp_path.rglob("*up*")) == []
+
+
+def test_what_a_terminal_would_obey_is_escaped_in_errors():
+    said = str(InputError(f"a\x1b[2J\nb\x9b {'x' * 5000} /{'y' * 255} \ud800"))
+    assert said == f"a\\x1b[2J\\nb\\x9b {'x' * 100}… /{'y' * 255} \\ud800"
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"a":' * 100_000, '"\\ud800"', b"\xff", "", "9" * 5000]
+)
+def test_json_is_read_or_a_value_error(text):
+    if text == "9" * 5000:
+        assert parse(text) == float("inf")
+        return
+    with pytest.raises(ValueError):
+        parse(text)
