@@ -165,6 +165,29 @@ class TestLargeImages:
         with pytest.raises(InputError, match=rf"d\.{kind}: .*it has .* (pixels|numbers)"):
             nerfstudio.read(tmp_path).read("a.png")
 
+    def test_a_tensor_is_taken_as_often_as_it_is_stored(self, tmp_path):
+        entry = {
+            "key": "a",
+            "url": "",
+            "timestamps": torch.zeros(50, dtype=torch.int64),
+            "cameras": torch.zeros(50, 18),
+            "images": [torch.zeros(10_000, dtype=torch.uint8)] * 50,
+        }
+        torch.save([entry], tmp_path / "x.torch")
+        with pytest.raises(InputError, match=r"x\.torch: clip 0: has more bytes of images than"):
+            re10k.read_chunk(tmp_path / "x.torch")
+        stretched = torch.zeros(1, dtype=torch.uint8).expand(10**12)
+        torch.save([{**entry, "images": [stretched] * 50}], tmp_path / "x.torch")
+        with pytest.raises(InputError, match=r"x\.torch: clip 0: images are not all uint8"):
+            re10k.read_chunk(tmp_path / "x.torch")
+
+    def test_labels_of_another_shape_are_not_stretched(self, tmp_path):
+        (tmp_path / "a.json").write_text(
+            '{"info": {"name": "a", "width": 1, "height": 80000000}, "objects": []}'
+        )
+        with pytest.raises(InputError, match=r"a\.json: labels of 1x80000000 .* another shape"):
+            read_labels(tmp_path, "a", 8, 8)
+
     def test_an_array_that_says_more_than_its_file_has_is_not_allocated(self, tmp_path):
         with open(tmp_path / "a.npy", "wb") as file:
             head = {"descr": "<f8", "fortran_order": False, "shape": (3_000_000_000, 9)}

@@ -244,7 +244,7 @@ class _Frame:
         except (OSError, ValueError) as bad:
             raise unreadable(path, bad) from None
         raw = raw.squeeze()
-        if raw.ndim != 2 or raw.dtype.kind not in "uif":
+        if raw.ndim != 2 or not raw.size or raw.dtype.kind not in "uif":
             raise InputError(
                 f"{path}: depth is {raw.dtype} {raw.shape}, expected one number a pixel"
             )
