@@ -214,7 +214,7 @@ class BranchTable(PartTable):
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "accurate")
-"""Named settings, each a file in `presets` beside this module; `benches/tradeoffs.py` measures them."""
+"""Named settings, each a file in `presets`; `benches/tradeoffs.py` measures them."""
 
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
 """The settings that name a part of the method."""
