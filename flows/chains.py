@@ -2,90 +2,38 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import queue
-import time
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeVar
 
 import pyarrow as pa
-from prefect import Task
+from prefect import flow
+from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
+from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 
 from data_specs import load_spec
 from flows.progress import Progress
-from slgaussian.errors import SLGaussianError
-from slgaussian.store import ArtifactRef, DamagedError
-from tasks.stage import StageCall
+from flows.runners import task_runner
+from slgaussian.store import ArtifactRef, ArtifactStore
+from tasks.shard import Chain, Event, Failure, Shard, StoppedError, shard_task, watching
 
+Made = TypeVar("Made")
 
-@dataclass(frozen=True)
-class Step:
-    """One stage of a chain.
+MOST = 500
+"""Most chains of a shard; where all are done already they take a second or so."""
 
-    ``inputs`` maps the name that the stage knows an input by to the stage that makes it, or to a
-    ref that the chain was given.
-    """
+LONG = 20.0
+"""Seconds after which a worker begins no other chain of its shard: what a worker that dies has not
+told of is little, and the end of the run is shared out well."""
 
-    stage: str
-    settings: Mapping[str, Any]
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    where: Mapping[str, str] = field(default_factory=dict)
-    package: str = "tasks"
-
-    def call(self, refs: Mapping[str, ArtifactRef], scene: str, workers: int) -> StageCall:
-        """The work to submit, its key computed so that an unkeyable setting fails here."""
-        module = f"{self.package}.{self.stage}"
-        inputs = {name: refs[source] for name, source in self.inputs.items()}
-        call = StageCall(module, self.settings, inputs, self.where, scene, workers)
-        call.key  # noqa: B018
-        return call
-
-
-@dataclass
-class Chain:
-    """The stages of one scene, and the refs made so far by stage.
-
-    ``plan`` lists the steps; it is asked when the chain's turn comes, as it reads files to hash
-    them. ``first`` names the stage that an error in the plan belongs to.
-    """
-
-    scene: str
-    plan: Callable[[], Sequence[Step]]
-    refs: dict[str, ArtifactRef] = field(default_factory=dict)
-    first: str = "ingest"
-    steps: Sequence[Step] = ()
-    position: int = 0
-    remade: set[str] = field(default_factory=set)
-
-    @property
-    def stage(self) -> str:
-        """The stage that is being worked on."""
-        return self.steps[self.position].stage if self.steps else self.first
-
-    def go_back(self, uri: str) -> int:
-        """Return to the stage that made a damaged artifact, once for each of them.
-
-        How many stages back that is; 0 if no stage made it, or it was damaged before.
-        """
-        for position, step in enumerate(self.steps[: self.position]):
-            ref = self.refs[step.stage]
-            if uri in (ref.uri, *ref.meta.get("parts", ())) and uri not in self.remade:
-                self.remade.add(uri)
-                back, self.position = self.position - position, position
-                return back
-        return 0
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A scene that was left out: where, what kind of error, and one sentence why."""
-
-    scene: str
-    stage: str
-    kind: str
-    reason: str
+DEATHS = 4
+"""So often a chain may be in a shard whose worker dies before it is left out."""
 
 
 @dataclass
@@ -96,65 +44,162 @@ class Outcome:
     failures: list[Failure] = field(default_factory=list)
 
 
-def run_chains(task: Task, chains: Iterable[Chain], workers: int, progress: Progress) -> Outcome:
-    """Run the chains, at most ``workers`` at a time, to be called inside a flow.
+class Crew:
+    """The workers of a flow, and what they tell, in one queue.
 
-    A chain keeps its place until it ends: the first scenes are complete early, and no more than
-    ``workers`` scenes are in memory. An error takes only its own chain out.
+    A pool of processes is of no use once one of them has died: then another is started.
+    """
+
+    def __init__(self, store: ArtifactStore, workers: int) -> None:
+        self.store, self.workers = store, workers
+        self.runner = FlowRunContext.get().task_runner
+        self.news: queue.SimpleQueue[Event | PrefectFuture] = queue.SimpleQueue()
+        self.running: dict[PrefectFuture, tuple[TaskRunner, list[Chain]]] = {}
+        self.stop = threading.Event()
+        self.stack = ExitStack()
+
+    def __enter__(self) -> Crew:
+        self.token = watching.set(self._heard)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        watching.reset(self.token)
+        if self.running:
+            # Nobody waits for what they are at, but the program would until they are done.
+            self.stop.set()
+            for process in multiprocessing.active_children():
+                process.kill()
+        self.stack.close()
+
+    @property
+    def busy(self) -> int:
+        """How many shards are under way."""
+        return len(self.running)
+
+    def submit(self, shard: list[Chain]) -> None:
+        """Have a worker take this shard on."""
+        task = shard_task(self.store.root, shard, self.workers, LONG)
+        future = self.runner.submit(task, {})
+        self.running[future] = self.runner, shard
+        future.add_done_callback(self.news.put)
+
+    def next(self) -> list[Event | tuple[list[Chain], Shard | str]]:
+        """What happened next: events, and a shard with what was made of it or how it was lost."""
+        news = self.news.get()
+        if isinstance(news, Event):
+            return [news]
+        runner, shard = self.running.pop(news)
+        made = _result(news)
+        if isinstance(made, str):
+            if runner is self.runner and isinstance(runner, ProcessPoolTaskRunner):
+                self.runner = self.stack.enter_context(runner.duplicate())
+            return [(shard, made)]
+        return [*made.events, (shard, made)]
+
+    def _heard(self, event: Event) -> None:
+        if self.stop.is_set():
+            raise StoppedError("stopped")
+        self.news.put(event)
+
+
+def run_flow(
+    name: str,
+    work: Callable[[Crew], Made],
+    store: ArtifactStore,
+    runner: str = "threads",
+    workers: int = 1,
+) -> Made:
+    """Do ``work``, which is given a crew, as a Prefect flow of this name.
+
+    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+
+    Parameters
+    ----------
+    name : str
+    work : callable
+    store : ArtifactStore
+        The one that the crew uses.
+    runner : str
+        Who the crew is, as :data:`flows.settings.Runner` has it.
+    workers : int
+        How many they are.
+
+    Raises
+    ------
+    InputError
+        As :func:`flows.runners.task_runner`.
+    """
+
+    @flow(name=name, persist_result=False, validate_parameters=False)
+    def run() -> Made:
+        with Crew(store, workers) as crew:
+            return work(crew)
+
+    return run.with_options(task_runner=task_runner(runner, workers, store))()
+
+
+def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outcome:
+    """Have a crew run the chains.
+
+    As many shards as it has workers are under way at a time, each with one scene in memory. An
+    error takes only its own chain out. When a worker dies, the chains of its shard are tried again,
+    each by itself; those that were lost twice with no other beside them, so that it is known which
+    one is to blame.
     """
     waiting, outcome = deque(chains), Outcome()
-    finished: queue.SimpleQueue[tuple[Chain, float, PrefectFuture]] = queue.SimpleQueue()
-    running = 0
+    alone: deque[Chain] = deque()
+    deaths: Counter[str] = Counter()
 
-    def submit(chain: Chain) -> bool:
-        """Submit the chain's next step; False if there is none or it cannot be submitted."""
-        try:
-            if not chain.steps:
-                chain.steps = chain.plan()
-            if chain.position == len(chain.steps):
-                outcome.refs[chain.scene] = chain.refs
-                return False
-            call = chain.steps[chain.position].call(chain.refs, chain.scene, workers)
-        except SLGaussianError as error:
-            fail(chain, error)
-            return False
-        start = time.perf_counter()
-        progress.started(chain.scene, chain.stage)
-        future = task.with_options(name=chain.stage).submit(call)
-        future.add_done_callback(lambda done: finished.put((chain, start, done)))
-        return True
+    def share() -> list[Chain]:
+        size = min(MOST, len(waiting) // (2 * crew.workers))
+        shard = [waiting.popleft()]
+        # What was lost before is tried by itself.
+        while len(shard) < size and not deaths[shard[0].scene] + deaths[waiting[0].scene]:
+            shard.append(waiting.popleft())
+        return shard
 
-    def fail(chain: Chain, error: BaseException) -> None:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if not isinstance(error, SLGaussianError):
-            reason = f"unexpected {type(error).__name__}: {reason}"
-        failure = Failure(chain.scene, chain.stage, type(error).__name__, reason)
-        outcome.failures.append(failure)
-        progress.failed(chain.scene, chain.stage, reason, error)
-
-    while waiting or running:
-        while waiting and running < workers:
-            running += submit(waiting.popleft())
-        if not running:
-            continue
-        chain, start, future = finished.get()
-        future.wait()  # done already; this is how the future takes its final state
-        state = future.state
-        result = state.result(raise_on_failure=False)
-        if isinstance(result, ArtifactRef):
-            seconds = time.perf_counter() - start
-            progress.finished(chain.scene, chain.stage, seconds, cached=state.name == "Cached")
-            chain.refs[chain.stage] = result
-            chain.position += 1
-            running -= not submit(chain)
-        elif isinstance(result, DamagedError) and (back := chain.go_back(result.uri)):
-            progress.went_back(chain.scene, back, str(result))
-            running -= not submit(chain)
+    def lost(chain: Chain, why: str) -> None:
+        deaths[chain.scene] += 1
+        if deaths[chain.scene] == DEATHS:
+            reason = f"its worker died, {DEATHS} times; the last time: {why}"
+            failure = Failure(chain.scene, chain.first, "WorkerDied", reason)
+            outcome.failures.append(failure)
+            progress.failed(chain.scene, chain.first, reason)
         else:
-            fail(chain, result)
-            running -= 1
+            (waiting if deaths[chain.scene] == 1 else alone).append(chain)
+
+    while waiting or alone or crew.busy:
+        while waiting and crew.busy < crew.workers:
+            crew.submit(share())
+        if alone and not crew.busy:
+            crew.submit([alone.popleft()])
+        for happened in crew.next():
+            if isinstance(happened, Event):
+                getattr(progress, happened.kind)(happened.scene, happened.stage, *happened.facts)
+                continue
+            shard, made = happened
+            if isinstance(made, Shard):
+                outcome.refs |= made.refs
+                outcome.failures += made.failures
+                waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
+            else:
+                progress.line(f"a worker died ({made}); its scenes are tried again")
+                for chain in shard:
+                    progress.dropped(chain.scene)
+                    lost(chain, made)
     outcome.failures.sort(key=lambda failure: failure.scene)
     return outcome
+
+
+def _result(future: PrefectFuture) -> Shard | str:
+    """What a worker made, or what is known of its end."""
+    try:
+        made = future.result(raise_on_failure=False)
+    except Exception as error:  # each runner has its own
+        made = error
+    if isinstance(made, Shard):
+        return made
+    return " ".join(str(made).split()) or type(made).__name__
 
 
 def failures_table(failures: Sequence[Failure]) -> pa.Table:

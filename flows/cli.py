@@ -21,10 +21,10 @@ METHOD = (
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
 BUILD = ("preset", *(name for name in METHOD if name not in RULES))
-RUN = ("preset", *METHOD, "store", "workers", "method")
+RUN = ("preset", *METHOD, "store", "runner", "workers", "method")
 INGEST = (
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
-    "most", "store", "workers",
+    "most", "store", "runner", "workers",
 )  # fmt: skip
 SUPERVISE = (
     "size", "near", "far", "predictor", "proposer", "tracker", "replicas",

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from prefect import flow
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from data_specs import load_spec
-from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
+from flows.chains import Crew, Outcome, failures_table, run_chains, run_flow
 from flows.corpus_settings import CorpusSettings
 from flows.pipeline import check_folder
 from flows.progress import Progress
@@ -26,7 +25,7 @@ from slgaussian.errors import InputError
 from slgaussian.parts import described, places
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, replacing, write_atomic
 from tasks.chunks import digest_of
-from tasks.stage import stage_task, using
+from tasks.shard import Chain, Failure, Step
 
 INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")
@@ -71,7 +70,7 @@ def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = Fa
 
 
 def steps(
-    settings: CorpusSettings, store: ArtifactStore, chunk: str, stages: Sequence[str]
+    settings: CorpusSettings, chunk: str, stages: Sequence[str], store: ArtifactStore
 ) -> list[Step]:
     """The steps of one chunk, each with just the settings that its result depends on."""
     file = f"{settings.chunks.rstrip('/')}/{chunk}"
@@ -121,7 +120,14 @@ def prepare(
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(chunks), len(stages), verbose=verbose)
-    outcome = _run(settings, store, chunks, stages, progress)
+
+    def work(crew: Crew) -> Outcome:
+        chains = [
+            Chain(chunk, partial(steps, settings, chunk, stages), first="views") for chunk in chunks
+        ]
+        return run_chains(chains, crew, progress)
+
+    outcome = run_flow("slgaussian-corpus", work, store, settings.runner, settings.workers)
     try:
         prepared = _write(settings.out, store, outcome, stages)
     except OSError as error:
@@ -132,32 +138,6 @@ def prepare(
         ) from error
     progress.summary()
     return prepared
-
-
-def _run(
-    settings: CorpusSettings,
-    store: ArtifactStore,
-    chunks: Sequence[str],
-    stages: Sequence[str],
-    progress: Progress,
-) -> Outcome:
-    @flow(
-        name="slgaussian-corpus",
-        task_runner=ThreadPoolTaskRunner(max_workers=settings.workers),
-        persist_result=False,
-        validate_parameters=False,
-    )
-    def corpus() -> Outcome:
-        with using(store):
-            chains = (
-                Chain(
-                    chunk, lambda chunk=chunk: steps(settings, store, chunk, stages), first="views"
-                )
-                for chunk in chunks
-            )
-            return run_chains(stage_task(), chains, settings.workers, progress)
-
-    return corpus()
 
 
 def _write(out: Path, store: ArtifactStore, outcome: Outcome, stages: Sequence[str]) -> Prepared:

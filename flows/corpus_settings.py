@@ -8,8 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from flows.settings import SIDES, Method, checked, refuse_idle, sides
-from slgaussian import threads
+from flows.settings import SIDES, Engine, Method, checked, refuse_idle, sides
 from slgaussian.errors import InputError
 
 
@@ -97,17 +96,13 @@ class IndexSettings(PairSettings):
     )
 
 
-class CorpusSettings(PairSettings, Method):
+class CorpusSettings(PairSettings, Engine, Method):
     """What views, samples and lessons depend on, and where they go."""
 
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
     )
     most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
-    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
-    workers: int = Field(
-        min(2, threads.cores()), ge=1, description="Chunks worked on at the same time."
-    )
     chunks: str = Field(description="Folder or fsspec URL of the chunks.")
     out: Path = Field(description="Folder for the tables and contact sheets.")
 

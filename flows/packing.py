@@ -75,7 +75,7 @@ def _clips(
             clip = re10k.clip_of(load())
         except InputError as error:
             packed.left_out.append(str(error))
-            progress.failed(name, "pack", str(error), error)
+            progress.failed(name, "pack", str(error))
             continue
         progress.finished(name, "pack", time.perf_counter() - start, cached=False)
         packed.clips += 1

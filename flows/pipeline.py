@@ -7,16 +7,15 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from prefect import flow
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from data_specs import load_spec
 from flows import rivals
-from flows.chains import Chain, Failure, Outcome, Step, failures_table, run_chains
+from flows.chains import Crew, Outcome, failures_table, run_chains, run_flow
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
 from flows.progress import Progress
@@ -34,7 +33,7 @@ from slgaussian.parts import places
 from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.ingest import file_hashes
-from tasks.stage import stage_task, using
+from tasks.shard import Chain, Failure, Step, given
 
 STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark", "blame")
 
@@ -265,34 +264,27 @@ class _Made:
 def _pipeline(
     settings: Settings, scenes: Sequence[SceneSettings], store: ArtifactStore, progress: Progress
 ) -> _Made:
-    @flow(
-        name="slgaussian",
-        task_runner=ThreadPoolTaskRunner(max_workers=settings.workers),
-        persist_result=False,
-        validate_parameters=False,
-    )
-    def pipeline() -> _Made:
-        with using(store):
-            task = stage_task()
-            chains = [
-                Chain(scene.name, lambda scene=scene: plan(settings, scene, settings.method))
-                for scene in scenes
-            ]
-            outcome = run_chains(task, chains, settings.workers, progress)
-            others = rivals.chains(settings, scenes, outcome.refs)
-            more = Outcome()
-            if others:
-                course = Progress(len(others), 1, verbose=progress.verbose)
-                more = run_chains(task, others, settings.workers, course)
-                course.summary()
-            made = _gathered(settings, scenes, outcome, more)
-            if made.answers:
-                page = run_chains(task, [_report_chain(made)], 1, progress)
-                made.failures += page.failures
-                made.report = page.refs.get("all scenes", {}).get("report")
-            return made
+    def work(crew: Crew) -> _Made:
+        chains = [Chain(scene.name, partial(_planned, settings, scene)) for scene in scenes]
+        outcome = run_chains(chains, crew, progress)
+        others = rivals.chains(settings, scenes, outcome.refs)
+        more = Outcome()
+        if others:
+            course = Progress(len(others), 1, verbose=progress.verbose)
+            more = run_chains(others, crew, course)
+            course.summary()
+        made = _gathered(settings, scenes, outcome, more)
+        if made.answers:
+            page = run_chains([_report_chain(made)], crew, progress)
+            made.failures += page.failures
+            made.report = page.refs.get("all scenes", {}).get("report")
+        return made
 
-    return pipeline()
+    return run_flow("slgaussian", work, store, settings.runner, settings.workers)
+
+
+def _planned(settings: Settings, scene: SceneSettings, store: ArtifactStore) -> list[Step]:
+    return plan(settings, scene, settings.method)
 
 
 def _gathered(
@@ -347,7 +339,7 @@ def _report_chain(made: _Made) -> Chain:
         },
         {name: name for name in inputs},
     )
-    return Chain("all scenes", lambda: [step], inputs, first="report")
+    return Chain("all scenes", partial(given, [step]), inputs, first="report")
 
 
 def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:

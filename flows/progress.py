@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-import traceback
 from typing import TextIO
-
-from slgaussian.errors import SLGaussianError
 
 REMIND = 30.0
 """Seconds between progress lines where there is no terminal to keep one live line on."""
@@ -47,14 +44,14 @@ class Progress:
         self.detail = ""
         self._status()
 
-    def said(self, text: str) -> None:
-        """The one stage that is being worked on is so far."""
+    def said(self, scene: str, stage: str, text: str) -> None:
+        """A stage that is being worked on is so far."""
         self.detail = f", {text}"
         self._status()
 
     def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
         """A stage of a scene is done, or was found done."""
-        del self.active[scene]
+        self.active.pop(scene, None)
         self.steps += 1
         self.computed += not cached
         self.totals.setdefault(stage, []).append((seconds, cached))
@@ -70,21 +67,26 @@ class Progress:
             self.line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
         self._status()
 
-    def went_back(self, scene: str, stages: int, reason: str) -> None:
+    def went_back(self, scene: str, stage: str, stages: int, reason: str) -> None:
         """The last stages of a scene that were done are done again."""
-        del self.active[scene]
+        self.active.pop(scene, None)
         del self.done[scene][-stages:]
         self.steps -= stages
         self.line(f"{scene}  goes {stages} stages back: {reason}")
 
-    def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
-        """A scene is taken out."""
+    def dropped(self, scene: str) -> None:
+        """A scene begins anew, whatever was done of it."""
+        self.active.pop(scene, None)
+        self.steps -= len(self.done.pop(scene, []))
+
+    def failed(self, scene: str, stage: str, reason: str, trace: str = "") -> None:
+        """A scene is taken out; ``trace`` is the traceback of an error that is a defect."""
         self.active.pop(scene, None)
         self.lost += 1
         self.total -= self.stages - len(self.done.get(scene, []))
         self.line(f"{scene}  left out at {stage}: {reason}")
-        if self.verbose and not isinstance(error, SLGaussianError):
-            self.line("".join(traceback.format_exception(error)).rstrip())
+        if self.verbose and trace:
+            self.line(trace)
 
     def summary(self) -> None:
         """One line a stage with its time, then the whole."""

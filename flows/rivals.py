@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
-from flows.chains import Chain, Step
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.methods import ROWS, Row
 from slgaussian.errors import InputError
 from slgaussian.parts import places
 from slgaussian.store import ArtifactRef
+from tasks.shard import Chain, Step, given
 
 STAGE = "rivals"
 OURS = "slgaussian"
@@ -64,7 +65,7 @@ def chains(
             )
             own = dict(refs[scene.name])
             chain = chain_name(scene.name, name)
-            made.append(Chain(chain, lambda step=step: [step], own, STAGE))
+            made.append(Chain(chain, partial(given, [step]), own, STAGE))
     return made
 
 

@@ -18,6 +18,8 @@ from pathlib import Path
 
 from slgaussian.errors import InputError, SLGaussianError
 
+LOOPBACK = "127.0.0.1"
+
 START_TIMEOUT = 120.0
 """Seconds to wait for the server; its first start in a store also makes the database."""
 
@@ -32,8 +34,8 @@ class LocalServer:
     def __init__(self, home: Path) -> None:
         self.home = home
         self.log = home / "server.log"
-        self.socket = socket.create_server(("127.0.0.1", 0), backlog=128)
-        self.url = f"http://127.0.0.1:{self.socket.getsockname()[1]}/api"
+        self.socket = socket.create_server((LOOPBACK, 0), backlog=128)
+        self.url = f"http://{LOOPBACK}:{self.socket.getsockname()[1]}/api"
         self.process: subprocess.Popen | None = None
 
     def start(self) -> None:

@@ -68,6 +68,25 @@ def _parse_count(value: Any) -> Any:
     raise PydanticCustomError("count", "expected a whole number or 'auto'")
 
 
+RUNNERS = ("threads", "processes", "dask", "ray")
+"""Who may do the work of a flow."""
+
+
+def _parse_runner(value: Any) -> str:
+    kind, _, address = str(value).partition("://")
+    host, _, port = address.rpartition(":")
+    given = "://" in str(value)
+    if kind in RUNNERS and (not given or (kind in RUNNERS[2:] and host and port.isdecimal())):
+        return str(value)
+    raise PydanticCustomError(
+        "runner",
+        "expected threads, processes, dask or ray, or for a cluster that runs dask://host:port or "
+        "ray://host:port",
+    )
+
+
+Runner = Annotated[str, BeforeValidator(_parse_runner)]
+
 Count = Annotated[int | Literal["auto"], BeforeValidator(_parse_count)]
 
 
@@ -356,7 +375,21 @@ class SceneSettings(BaseModel):
     queries: list[Phrase] = []
 
 
-class Settings(Method):
+class Engine(BaseModel):
+    """Who does the work, and where it is kept."""
+
+    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
+    runner: Runner = Field(
+        "threads",
+        description="Who does the work: threads, processes, dask or ray, or the workers of a "
+        "cluster that runs, dask://host:port or ray://host:port.",
+    )
+    workers: int = Field(
+        min(2, threads.cores()), ge=1, description="Scenes, or chunks, worked on at the same time."
+    )
+
+
+class Settings(Engine, Method):
     """A whole run."""
 
     preset: str | None = Field(
@@ -364,11 +397,7 @@ class Settings(Method):
         description="Settings to begin from, over which those that are given win: "
         f"{', '.join(PRESETS)}.",
     )
-    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
     out: Path = Field(Path("out"), description="Folder for the report and the tables.")
-    workers: int = Field(
-        min(2, threads.cores()), ge=1, description="Scenes worked on at the same time."
-    )
     method: str = Field("slgaussian", description="Name of the method in tables and folders.")
     data: Path | None = Field(None, description="Folder of a labelled set, as its format has it.")
     format: str | None = Field(

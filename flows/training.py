@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import threading
-import traceback
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from prefect import flow
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from data_specs import load_spec
-from flows.chains import Chain, Outcome, Step, run_chains
+from flows.chains import Outcome, run_chains, run_flow
 from flows.environment import home_of
 from flows.pipeline import check_folder
 from flows.progress import Progress
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
-from slgaussian.errors import InputError, SLGaussianError, SpecError
+from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import Architecture, find_weights, load_branch
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import TrainingSettings
 from slgaussian.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
-from tasks.stage import stage_task, using
+from tasks.shard import Chain, Step, given
 
 FILES = {
     "weights": "branch.safetensors",
@@ -226,30 +223,8 @@ def _run(
     steps: list[Step], refs: dict[str, ArtifactRef], store: ArtifactStore, verbose: bool
 ) -> Outcome:
     progress = _Course(1, len(steps), verbose=verbose)
-    stop = threading.Event()
-
-    def listen(text: str) -> None:
-        if stop.is_set():
-            raise SLGaussianError("stopped")
-        progress.said(text)
-
-    @flow(
-        name="slgaussian-train",
-        task_runner=ThreadPoolTaskRunner(max_workers=1),
-        persist_result=False,
-        validate_parameters=False,
-    )
-    def training() -> Outcome:
-        with using(store, listen):
-            try:
-                chain = Chain("branch", lambda: steps, refs, first="train")
-                return run_chains(stage_task(), [chain], 1, progress)
-            except KeyboardInterrupt:
-                # Nobody waits for what the thread does, but the program would until it is done.
-                stop.set()
-                raise
-
-    outcome = training()
+    chain = Chain("branch", partial(given, steps), refs, first="train")
+    outcome = run_flow("slgaussian-train", lambda crew: run_chains([chain], crew, progress), store)
     progress.summary()
     return outcome
 
@@ -257,8 +232,8 @@ def _run(
 class _Course(Progress):
     """Of one chain, whose failure is raised in the end."""
 
-    def failed(self, scene: str, stage: str, reason: str, error: BaseException) -> None:
+    def failed(self, scene: str, stage: str, reason: str, trace: str = "") -> None:
         """Say only what the reason leaves out."""
         self.active.pop(scene, None)
-        if self.verbose and not isinstance(error, SLGaussianError):
-            self.line("".join(traceback.format_exception(error)).rstrip())
+        if self.verbose and trace:
+            self.line(trace)

@@ -1,4 +1,4 @@
-"""Run any stage as a Prefect task, if no run on any machine with this store has done it before.
+"""Do the work of any stage, if no run on any machine with this store has done it before.
 
 Results are not left to Prefect: its records name the code that reads them back, pickle among it, so
 who may write to the store could have any code run; and it reads all of a result three times to use
@@ -18,8 +18,6 @@ from typing import Any
 
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
-from prefect.client.schemas.objects import State
-from prefect.states import Completed
 
 from slgaussian import threads
 from slgaussian.records import Records
@@ -29,7 +27,6 @@ from tasks.keys import cache_key
 CHANGED = "was changed after the run had begun; start the run again"
 """What is said of a file whose content is no longer that of the settings."""
 
-_active_store: ContextVar[ArtifactStore] = ContextVar("active_store")
 _listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
@@ -57,17 +54,13 @@ class StageCall:
 
 
 @contextmanager
-def using(store: ArtifactStore, listener: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Make ``store`` the one that tasks submitted within read and write.
-
-    ``listener`` gets what they :func:`tell`.
-    """
-    tokens = _active_store.set(store), _listener.set(listener)
+def listening(listener: Callable[[str], None]) -> Iterator[None]:
+    """Have ``listener`` get what stages that run within :func:`tell`."""
+    token = _listener.set(listener)
     try:
         yield
     finally:
-        _active_store.reset(tokens[0])
-        _listener.reset(tokens[1])
+        _listener.reset(token)
 
 
 def tell(text: str) -> None:
@@ -77,38 +70,38 @@ def tell(text: str) -> None:
         listener(text)
 
 
-def run_stage(call: StageCall) -> ArtifactRef | State:
-    """What ``call`` makes in the active store, found there (a state ``Cached`` with it) or made.
+def run_stage(store: ArtifactStore, call: StageCall) -> tuple[ArtifactRef, bool]:
+    """What ``call`` makes, and whether it was found in the store and not made now.
 
+    What is made is a task of Prefect's, which so knows of each stage of each scene.
     ``meta["seconds"]`` says how long it took, and ``meta["settings"]`` what made the artifact, with
     models and other files by their digests. A damaged artifact that it should have read is removed
     from the store, so that it is made again.
     """
-    store = _active_store.get()
     records = Records(store)
     found = records.find(call.key)
     if found is not None:
-        return Completed(name="Cached", data=found)
+        return found, True
     threads.share(call.workers)
     stage = import_module(call.module)
-    start = time.perf_counter()
-    try:
+
+    def work() -> ArtifactRef:
+        start = time.perf_counter()
         ref = stage.run(store, call)
-    except DamagedError as error:
-        store.remove([error.uri])
-        raise
-    seconds = time.perf_counter() - start
-    ref = replace(ref, meta={**ref.meta, "settings": dict(call.settings), "seconds": seconds})
-    records.keep(call.key, ref)
-    return ref
+        seconds = time.perf_counter() - start
+        return replace(ref, meta={**ref.meta, "settings": dict(call.settings), "seconds": seconds})
 
-
-def stage_task() -> Task:
-    """The Prefect task that runs stages."""
-    return Task(
-        run_stage,
-        name="stage",
-        task_run_name="{call.scene}",
+    task = Task(
+        work,
+        name=stage.STAGE,
+        task_run_name=call.scene or None,
         cache_policy=NO_CACHE,
         persist_result=False,
     )
+    try:
+        ref = task()
+    except DamagedError as error:
+        store.remove([error.uri])
+        raise
+    records.keep(call.key, ref)
+    return ref, False

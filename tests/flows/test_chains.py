@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 from tiny_run import chain_plan, run_tiny
 
-from flows.chains import Step, failures_table
+from flows.chains import failures_table
 from slgaussian.store import ArtifactStore, table_digest
+from tasks.shard import Step
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -24,8 +25,8 @@ class Runs:
     def __call__(self, a=6, b=20, more=1):
         self.log.write_text("")
         plans = {
-            "a": lambda: chain_plan(a, more, self.log),
-            "b": lambda: chain_plan(b, more, self.log),
+            "a": chain_plan(a, more, self.log),
+            "b": chain_plan(b, more, self.log),
         }
         outcome = run_tiny(self.store, plans)
         assert outcome.failures == []
@@ -115,11 +116,11 @@ def test_a_store_in_memory_caches_too(tmp_path):
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     log = tmp_path / "log"
     plans = {
-        "good": lambda: chain_plan(4, 1, log),
-        "bad": lambda: chain_plan(-1, 1, log),
-        "defect": lambda: chain_plan(666, 1, log),
-        "unkeyable": lambda: [Step("make", {"value": {1, 2}}, package="tiny_stages")],
-        "fine": lambda: chain_plan(6, 1, log),
+        "good": chain_plan(4, 1, log),
+        "bad": chain_plan(-1, 1, log),
+        "defect": chain_plan(666, 1, log),
+        "unkeyable": [Step("make", {"value": {1, 2}}, package="tiny_stages")],
+        "fine": chain_plan(6, 1, log),
     }
     seen = io.StringIO()
     outcome = run_tiny(store, plans, stream=seen)
@@ -142,13 +143,13 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
 def test_a_failed_stage_is_tried_again_next_time(store, tmp_path):
     log = tmp_path / "log"
     for _ in range(2):
-        run_tiny(store, {"bad": lambda: chain_plan(-1, 1, log)})
+        run_tiny(store, {"bad": chain_plan(-1, 1, log)})
     assert log.read_text().splitlines() == ["bad make", "bad make"]
 
 
 def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):
     log = tmp_path / "log"
-    plans = {f"{i}": lambda i=i: chain_plan(2 * i + 2, 1, log) for i in range(5)}
+    plans = {f"{i}": chain_plan(2 * i + 2, 1, log) for i in range(5)}
     run_tiny(store, plans, workers=1)
     order = [line.split()[0] for line in log.read_text().splitlines()]
     assert order == sorted(order)

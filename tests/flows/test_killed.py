@@ -26,11 +26,11 @@ def with_database(store: Path, server) -> Path:
     return store
 
 
-def start(store: Path, log: Path, sleep: float) -> subprocess.Popen:
+def start(store: Path, log: Path, sleep: float, runner: str = "threads") -> subprocess.Popen:
     hidden = ("PREFECT_API_URL", "PREFECT_HOME")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env["PYTHONPATH"] = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
-    command = [sys.executable, str(HERE / "tiny_run.py"), str(store), str(log), str(sleep)]
+    command = [sys.executable, str(HERE / "tiny_run.py"), str(store), str(log), str(sleep), runner]
     return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 

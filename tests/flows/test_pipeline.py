@@ -205,16 +205,15 @@ def test_time_left_is_that_of_stages_like_those_still_to_come(monkeypatch):
     assert left == pytest.approx(now * 4 / 5, abs=0.5)
 
 
-def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects_alone():
+def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
     from flows.progress import Progress
-    from slgaussian.errors import InputError
 
     seen = io.StringIO()
     told = Progress(2, 1, verbose=True, stream=seen)
-    for scene, error in (("a", InputError("too dark")), ("b", ZeroDivisionError("a defect"))):
+    for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
         told.started(scene, "ingest")
         told.finished(scene, "ingest", 0.5, cached=False)
-        told.failed(scene, "masks", str(error), error)
+        told.failed(scene, "masks", reason, trace)
     lines = seen.getvalue().splitlines()
     assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
-    assert lines[4:] == ["ZeroDivisionError: a defect"]
+    assert lines[4:] == ["ZeroDivisionError: a"]

@@ -31,7 +31,7 @@ def store(bucket):
 def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[str]:
     """What a run had to compute."""
     log.write_text("")
-    outcome = run_tiny(store, {"a": lambda: chain_plan(value, more, log)})
+    outcome = run_tiny(store, {"a": chain_plan(value, more, log)})
     assert outcome.failures == []
     return sorted(log.read_text().splitlines())
 
@@ -39,7 +39,7 @@ def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[
 @pytest.mark.usefixtures("server")
 def test_what_one_machine_made_another_finds(bucket, tmp_path):
     """Two programs with nothing in common but the bucket and the account."""
-    plans = {f"scene_{i}": lambda i=i: chain_plan(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
+    plans = {f"scene_{i}": chain_plan(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
     run_tiny(ArtifactStore(f"{bucket}/slg"), plans)
     assert len((tmp_path / "a").read_text().splitlines()) == 9
     home = tmp_path / "home"
@@ -64,7 +64,7 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
 def test_what_is_lost_or_damaged_is_made_again_and_nothing_else(store, tmp_path, monkeypatch):
     assert ran(store, tmp_path / "log") == ALL
     assert ran(store, tmp_path / "log") == []
-    outcome = run_tiny(store, {"a": lambda: chain_plan(6, 1, tmp_path / "log")})
+    outcome = run_tiny(store, {"a": chain_plan(6, 1, tmp_path / "log")})
     uri = outcome.refs["a"]["halve"].uri
     whole = store.read(uri)
     store.remove([uri])

@@ -2,6 +2,7 @@
 
 import io
 import sys
+from functools import partial
 from pathlib import Path
 
 from flows.progress import Progress
@@ -9,7 +10,7 @@ from slgaussian.store import ArtifactStore
 
 
 def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0):
-    from flows.chains import Step
+    from tasks.shard import Step
 
     where = {"log": str(log), "sleep": str(sleep)}
     return [
@@ -19,23 +20,18 @@ def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0):
     ]
 
 
-def run_tiny(store: ArtifactStore, plans: dict, workers: int = 2, stream=None):
-    """Run ``{scene: callable giving steps}``; returns the outcome."""
-    from prefect import flow
-    from prefect.task_runners import ThreadPoolTaskRunner
-
-    from flows.chains import Chain, run_chains
-    from tasks.stage import stage_task, using
+def run_tiny(
+    store: ArtifactStore, plans: dict, workers: int = 2, stream=None, runner: str = "threads"
+):
+    """Run ``{scene: its steps}``; returns the outcome."""
+    from flows.chains import run_chains, run_flow
+    from tasks.shard import Chain, given
 
     progress = Progress(len(plans), 3, stream=stream or io.StringIO())
-
-    @flow(task_runner=ThreadPoolTaskRunner(max_workers=workers), persist_result=False)
-    def tiny():
-        with using(store):
-            chains = [Chain(scene, plan, first="make") for scene, plan in plans.items()]
-            return run_chains(stage_task(), chains, workers, progress)
-
-    outcome = tiny()
+    chains = [Chain(scene, partial(given, plan), first="make") for scene, plan in plans.items()]
+    outcome = run_flow(
+        "tiny", lambda crew: run_chains(chains, crew, progress), store, runner, workers
+    )
     progress.summary()
     return outcome
 
@@ -43,8 +39,8 @@ def run_tiny(store: ArtifactStore, plans: dict, workers: int = 2, stream=None):
 if __name__ == "__main__":
     from flows.environment import orchestration
 
-    store, log, sleep = ArtifactStore(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    store, log, sleep, runner = ArtifactStore(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:5]
     with orchestration(store) as ready:
         ready()
-        plans = {f"scene_{i}": lambda i=i: chain_plan(10 * i + 4, 1, log, sleep) for i in range(3)}
-        run_tiny(store, plans, stream=sys.stderr)
+        plans = {f"scene_{i}": chain_plan(10 * i + 4, 1, log, float(sleep)) for i in range(3)}
+        run_tiny(store, plans, stream=sys.stderr, runner=runner)
