@@ -48,7 +48,14 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
         "SLGAUSSIAN_CACHE": home / "copies",
         "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}",
     }
-    command = [sys.executable, HERE / "tiny_run.py", f"{bucket}/slg", tmp_path / "b", "0"]
+    command = [
+        sys.executable,
+        HERE / "tiny_run.py",
+        f"{bucket}/slg",
+        tmp_path / "b",
+        "0",
+        "threads",
+    ]
     other = subprocess.run(
         list(map(str, command)),
         env={**os.environ, **{name: str(value) for name, value in own.items()}},
