@@ -1,0 +1,47 @@
+"""Made-up rooms as photographs on disk, small: many scenes of a second each, to run flows on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from PIL import Image
+
+from slgaussian import datasets
+
+HEIGHT, WIDTH = 96, 128
+QUERIES = ("red crate", "wall", "floor")
+
+
+def write_rooms(folder: Path, count: int) -> Path:
+    """``count`` rooms of two context views and a target each; the file for `slgaussian run`."""
+    config = folder / "rooms.toml"
+    if config.exists():
+        return config
+    entries = ["replicas = 1"]
+    for seed in range(count):
+        name = f"room_{seed:04d}"
+        _write_room(folder / name, seed)
+        entries += [
+            "[[scenes]]",
+            f'name = "{name}"',
+            f'path = "{name}/transforms.json"',
+            'context = ["view_00.png", "view_02.png"]',
+            'targets = ["view_01.png"]',
+            f"queries = {json.dumps(QUERIES)}",
+        ]
+    config.write_text("\n".join(entries) + "\n")
+    return config
+
+
+def _write_room(folder: Path, seed: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = datasets.load("procedural", seed=seed, views=3, height=HEIGHT, width=WIDTH)
+    frames = []
+    for name, camera in scene.cameras.items():
+        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
+        size = {"w": WIDTH, "h": HEIGHT, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        frames.append({"file_path": f"{name}.png", "transform_matrix": pose, **size})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
