@@ -5,7 +5,7 @@ Percentile intervals, of resamplings that are the same for the same number of sa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -37,23 +37,34 @@ class Comparison:
         Where the mean lies for :data:`LEVEL` of the resamplings: a gain is beyond noise if
         ``low`` is above 0.
     samples : int
+    drawn : int
+        Independent ones, that the resamplings draw: those of one group count once.
     """
 
     difference: float
     low: float
     high: float
     samples: int
+    drawn: int
 
 
-def compare(scores: Sequence[float], others: Sequence[float], seed: int = 0) -> Comparison:
+def compare(
+    scores: Sequence[float],
+    others: Sequence[float],
+    seed: int = 0,
+    groups: Sequence[Hashable] | None = None,
+) -> Comparison:
     """Paired bootstrap over samples: they are drawn with replacement, in pairs.
 
     Parameters
     ----------
     scores, others : sequence of float
         Of the two on the same samples, in one order. Samples without a score (NaN) are left out.
-        Samples of one scene are no independent ones: the interval is then too narrow.
+        Samples of one scene are no independent ones: without ``groups`` the interval is then too
+        narrow.
     seed : int
+    groups : sequence, optional
+        What each sample is of: those of one group are drawn together.
 
     Raises
     ------
@@ -63,18 +74,38 @@ def compare(scores: Sequence[float], others: Sequence[float], seed: int = 0) -> 
     if len(scores) != len(others):
         raise InputError(f"compare: found {len(scores)} and {len(others)} scores, expected pairs")
     gains = np.asarray(scores, np.float64) - np.asarray(others, np.float64)
-    gains = gains[np.isfinite(gains)]
-    if len(gains) == 0:
+    known = np.isfinite(gains)
+    if not known.any():
         raise InputError("compare: found no sample that both were judged on, expected at least one")
-    return Comparison(float(gains.mean()), *interval_of_mean(gains, seed), len(gains))
+    of = range(len(gains)) if groups is None else groups
+    of = [group for group, counts in zip(of, known, strict=True) if counts]
+    gains = gains[known]
+    ends = interval_of_mean(gains, seed, of)
+    return Comparison(float(gains.mean()), *ends, len(gains), len(set(of)))
 
 
-def interval_of_mean(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
+def interval_of_mean(
+    values: np.ndarray, seed: int = 0, groups: Sequence[Hashable] | None = None
+) -> tuple[float, float]:
     """Where the mean of float [n] lies for :data:`LEVEL` of the resamplings; n is at least 1.
 
-    Of one value it is that value, which says nothing: leave it out where it is printed.
+    With ``groups``, one a value, whole groups are drawn, and the mean is that of all their values
+    (the cluster bootstrap; Davison and Hinkley 1997, section 3.8). Of one value or group it is the
+    mean itself, which says nothing: leave it out where it is printed.
     """
-    return interval(values[resamplings(len(values), seed)].mean(1))
+    if groups is None:
+        return interval(values[resamplings(len(values), seed)].mean(1))
+    sums, counts = totals(values, groups), totals(np.ones(len(values)), groups)
+    drawn = resamplings(len(sums), seed)
+    return interval(sums[drawn].sum(1) / counts[drawn].sum(1))
+
+
+def totals(values: np.ndarray, groups: Sequence[Hashable]) -> np.ndarray:
+    """Sums of float [n, ...] over each group, in their order: float64 [g, ...]."""
+    places = {group: place for place, group in enumerate(dict.fromkeys(groups))}
+    found = np.zeros((len(places), *values.shape[1:]))
+    np.add.at(found, [places[group] for group in groups], values)
+    return found
 
 
 def interval(statistics: np.ndarray) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from data_specs import spec_names
 from slgaussian import jsontext
@@ -44,20 +45,28 @@ class Records:
     def find(self, key: str) -> ArtifactRef | None:
         """What the work of this key made, if that is still there (:meth:`ArtifactStore.check`).
 
-        A record or an artifact that is lost or damaged is none: the work is done again. InputError
-        if the store does not answer.
+        A record or an artifact that is lost or damaged is none: the work is done again. A file
+        whose size and time are still those of the record is taken to be as it was; whoever reads it
+        compares its digest anyway. InputError if the store does not answer.
         """
         try:
-            ref = _parse(self.store.read(_place(key)))
-            if ref is not None:
+            ref, stamp = _parse(self.store.read(_place(key)))
+            if ref is None:
+                return None
+            if stamp is not None and stamp == self.store.stamp(ref.uri):
+                self.store.check_parts(ref)
+            else:
                 self.store.check(ref)
+                if self.store.local:
+                    self.keep(key, ref)
         except SpecError:
             return None
         return ref
 
     def keep(self, key: str, ref: ArtifactRef) -> None:
         """Note what the work of this key made; InputError if the store cannot be written to."""
-        self.store.write(_place(key), json.dumps(asdict(ref), sort_keys=True).encode())
+        record = {**asdict(ref), "stamp": self.store.stamp(ref.uri)}
+        self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
 
     def all(self) -> Iterator[list[Record]]:
         """All records, those of a folder at a time."""
@@ -69,7 +78,7 @@ class Records:
     def _read(self, file: File) -> Record:
         found = _FILE.fullmatch(file.uri)
         try:
-            ref = _parse(self.store.read(file.uri))
+            ref, _ = _parse(self.store.read(file.uri))
         except SpecError:
             ref = None
         return Record(file, found["stage"], int(found["version"]), ref)
@@ -84,13 +93,16 @@ def _is_below(uri: str) -> bool:
     return not uri.startswith("/") and ".." not in uri.split("/")
 
 
-def _parse(data: bytes) -> ArtifactRef | None:
+def _parse(data: bytes) -> tuple[ArtifactRef | None, Any]:
+    """The ref of a record, if it is one, and the stamp of its file."""
     try:
-        ref = ArtifactRef(**jsontext.parse(data))
+        fields = jsontext.parse(data)
+        stamp = fields.pop("stamp", None)
+        ref = ArtifactRef(**fields)
         parts = ref.meta.get("parts", [])
         whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
         # Nothing outside the store is even looked at, whoever wrote the record.
         whole = whole and is_digest(ref.digest) and all(map(_is_below, parts))
     except (ValueError, TypeError, AttributeError):
-        return None
-    return ref if whole else None
+        return None, None
+    return (ref if whole else None), stamp

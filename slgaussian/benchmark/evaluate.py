@@ -105,6 +105,7 @@ def evaluate(
     queries: Sequence[str] = (),
     method: str = "slgaussian",
     dataset: str = "scenes",
+    place: str | None = None,
     rules: Rules | None = None,
     protocols: Sequence[str] | None = None,
     gaussians: Gaussians | None = None,
@@ -133,6 +134,9 @@ def evaluate(
         Name of what answers, written into every row.
     dataset : str
         What the scene belongs to: scores of different data sets are not averaged.
+    place : str, optional
+        What it shows, where the data say that several scenes show one place: they are no
+        independent samples.
     rules : Rules, optional
         How texts become answers, if not in the default way.
     protocols : sequence of str, optional
@@ -160,7 +164,7 @@ def evaluate(
     rules = rules or Rules()
     names = protocols or sorted(PROTOCOLS, key=lambda name: name != rules.protocol)
     named = {"dataset": dataset, "scene": sample.scene, "method": method}
-    record = _Record(named, rules, names, drawn)
+    record = _Record(named, rules, names, drawn, place)
     for target in sample.targets:
         with record.stage("render"):
             view = field.render(target.camera)
@@ -206,7 +210,12 @@ class _Record:
     """What has been found out so far."""
 
     def __init__(
-        self, named: Mapping[str, str], rules: Rules, protocols: Sequence[str], drawn: bool
+        self,
+        named: Mapping[str, str],
+        rules: Rules,
+        protocols: Sequence[str],
+        drawn: bool,
+        place: str | None,
     ):
         self._named, self.drawn = dict(named), drawn
         # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
@@ -224,6 +233,7 @@ class _Record:
         self._constants: dict[str, float] = {}
         self._common = {
             **named,
+            "place": place,
             "temperature": rules.temperature,
             "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
             "absent": rules.absent,

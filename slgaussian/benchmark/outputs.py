@@ -10,10 +10,12 @@ import hashlib
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from data_specs import load_spec
 from slgaussian.benchmark.scores import score_table
@@ -59,6 +61,28 @@ def write_predictions(
         png = predictions.get((row["protocol"], row["frame"], row["query"]))
         if png is not None:
             write_file(Path(out, mask_place(row)), png)
+
+
+def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
+    """Take away the masks of an earlier run in folder ``out`` that this one, ``rows``, has not.
+
+    Which they are, the samples say that it left beside them: no other file is touched. Call this
+    before :func:`write_samples`; a table that is not of samples says nothing, and nothing goes.
+    """
+    out = Path(out)
+    columns = "method", "protocol", "scene", "frame", "query"
+    try:
+        earlier = pq.read_table(out / "samples.parquet", columns=list(columns)).to_pylist()
+        left = set(map(mask_place, earlier)) - set(map(mask_place, rows))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
+        return
+    folders: set[Path] = set()
+    for place in left:
+        (out / "predictions" / place).unlink(missing_ok=True)
+        folders.update(list(place.parents)[:-1])
+    for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
+        with suppress(OSError):  # not empty, or gone
+            (out / "predictions" / folder).rmdir()
 
 
 def mask_place(row: Row) -> Path:

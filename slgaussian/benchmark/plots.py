@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
 from slgaussian.benchmark.scores import Reliability
@@ -93,23 +92,26 @@ def plot_curves(curves: Mapping[str, Mapping[float, float]], ours: str) -> str:
 def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
     """How often the point is right, by how sure each method was; on the diagonal both agree.
 
-    The larger a mark, the more samples.
+    The larger a mark, the more samples; marks of a few samples say little. Other methods are pale.
     """
 
     def draw() -> Figure:
         figure = Figure((5.6, 4.2), layout="constrained")
         axes = figure.subplots()
         axes.plot((0, 1), (0, 1), color=LINE, lw=1.2, ls="--")
-        for method, style in _styles(found, ours, lambda own: -own.error()):
+        others = [method for method in found if method != ours]
+        for method in [*others, *(found.keys() & {ours})]:
             own = found[method]
             some = own.counts > 0
             shares = own.hits[some] / own.counts[some]
             means = own.scores[some] / own.counts[some]
+            sizes = 4 + 200 * own.counts[some] / own.counts.sum()
             if method == ours:
-                axes.plot(means, shares, color=style["color"], zorder=style["zorder"], lw=1.6)
-            sizes = 12 + 110 * np.sqrt(own.counts[some] / own.counts.sum())
-            looks = {name: value for name, value in style.items() if name != "lw"}
-            axes.scatter(means, shares, sizes, alpha=0.8, **looks)
+                axes.plot(means, shares, color=ACCENT, lw=1.2, alpha=0.5)
+                axes.scatter(means, shares, sizes, color=ACCENT, zorder=3, label=ours)
+            else:
+                label = "other methods" if method == others[-1] else None
+                axes.scatter(means, shares, sizes, color=LINE, label=label)
         axes.set(xlim=(0, 1), ylim=(-0.03, 1.03), xlabel="best relevancy", ylabel="share of hits")
         axes.grid()
         _name_lines(figure)

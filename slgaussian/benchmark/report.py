@@ -1,7 +1,7 @@
 """What a benchmark leaves to look at: one HTML page, and the same numbers as Markdown.
 
-Everything but the last section, the times, depends on the arguments alone: same results, same
-bytes. Left-out scenes come first, then the worst answers.
+Everything but one section, the times, depends on the arguments alone: same results, same bytes.
+Left-out scenes come first, then the worst answers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from data_specs import load_spec
 from slgaussian.benchmark import plots, showcase
 from slgaussian.benchmark.evaluate import ALONG_THE_WAY, ERROR_TOP, NOT_UNDERSTOOD
 from slgaussian.benchmark.outputs import mask_place
@@ -50,6 +49,18 @@ SHOWN_QUERIES = 6, 4
 
 SHOWN_TARGETS = 2
 """Target views of a scene that are shown."""
+
+STAND_INS = {
+    "iou": ("as it is", ""),
+    "threshold_iou": ("threshold", "each query cut where it is best for it"),
+    "joined_iou": ("joined", "ids of one thing scored as one"),
+    "language_iou": ("language", "whole things named, one for each part of the truth"),
+    "pieces_iou": ("pieces", "as many objects named as help"),
+    "parted_iou": ("parted", "each view's own pieces, as before association"),
+    "mask_iou": ("mask", "the true masks of the two photographs"),
+    "geometry_iou": ("geometry", "their true depth"),
+}
+"""Columns of the spec ``blame``: what is true from there on, in a word and in a line."""
 
 TIMES_HERE = "<!-- how long it took -->"
 """Where :func:`with_times` puts what differs from run to run."""
@@ -135,12 +146,17 @@ def render_report(
         "failures": _grouped(failures),
         "left_out": len(failures),
         "counts": _counts(own),
+        "missed": [
+            (dataset, _counts([row for row in own if row["dataset"] == dataset]))
+            for dataset in dict.fromkeys(row["dataset"] for row in own)
+        ],
         "by": conditions(own[0]) if own else "",
         "protocol": own[0]["protocol"] if own else "",
         "miss": showcase.MISS,
         "worst": [_card(row, lost_by) for row in worst],
         "best": [_card(row, lost_by) for row in best],
-        "blame": _blame_table(blame),
+        "blame": _blame_tables(blame),
+        "stand_ins": STAND_INS,
         "tables": method_tables(scores, MAIN),
         "more": method_tables(scores, MORE),
         "differences": difference_tables(
@@ -152,6 +168,7 @@ def render_report(
         ),
         "told": [_answers(key, own, others) for key in told],
         "summaries": _summaries(scenes),
+        "summary_columns": dict.fromkeys(m for *_, one in _summaries(scenes) for m in one.columns),
         "paper": paper_tables(
             [row for rows in by_method.values() for row in rows], _places(manifest), ours
         ),
@@ -180,6 +197,7 @@ def with_times(report: Report, times: Times) -> Report:
     shown = {
         "times": times,
         "speeds": times.speeds(),
+        "claim": times.claim(),
         "host": flatten(times.host),
         "paper_seconds": any(speed.paper is not None for speed in times.speeds()),
     }
@@ -341,28 +359,39 @@ def _answers(key: Key, own: Sequence[Row], others: Mapping[str, Sequence[Row]]) 
 
 
 def _counts(own: Sequence[Row]) -> dict[str, int]:
-    scored = [row["iou"] for row in own if row["iou"] is not None]
+    scored = [row for row in own if row["iou"] is not None]
+    low = [row for row in scored if row["iou"] < showcase.MISS]
+    beside = [row for row in scored if not row["hit_mask"]]
     return {
         "scored": len(scored),
         "unscored": len(own) - len(scored),
         "unknown": sum(row["note"].startswith(NOT_UNDERSTOOD) for row in own),
-        "missed": sum(iou < showcase.MISS for iou in scored),
-        "pointed": sum(bool(row["hit_mask"]) for row in own),
+        "low": len(low),
+        "beside": len(beside),
+        "missed": len({key_of(row) for row in (*low, *beside)}),
     }
 
 
-def _blame_table(blame: Sequence[Row]) -> list[tuple[str, int, dict[str, float | None]]]:
-    """By what lost queries: how many, and their mean IoU with each stage replaced."""
-    groups: dict[str, list[Row]] = {}
-    for row in blame:
-        groups.setdefault(row["lost"] or "", []).append(row)
-    ordered = sorted(groups.items(), key=lambda item: (item[0] == "", -len(item[1])))
-    return [(name, len(rows), _mean_ious(rows)) for name, rows in ordered]
+Lost = list[tuple[str, int, dict[str, float | None]]]
+"""By what lost queries: how many, and their mean IoU with each stage replaced."""
+
+
+def _blame_tables(blame: Sequence[Row]) -> list[tuple[str, Lost]]:
+    """Of each data set, and of all queries in its last line."""
+    tables = []
+    for dataset in dict.fromkeys(row["dataset"] for row in blame):
+        own = [row for row in blame if row["dataset"] == dataset]
+        groups: dict[str, list[Row]] = {}
+        for row in own:
+            groups.setdefault(row["lost"] or "no miss", []).append(row)
+        ordered = sorted(groups.items(), key=lambda item: (item[0] == "no miss", -len(item[1])))
+        lines = [(name, len(rows), _mean_ious(rows)) for name, rows in ordered]
+        tables.append((dataset, [*lines, ("all", len(own), _mean_ious(own))]))
+    return tables
 
 
 def _mean_ious(rows: Sequence[Row]) -> dict[str, float | None]:
-    names = [name for name in load_spec("blame").columns if name.endswith("iou")]
-    known = {name: [row[name] for row in rows if row[name] is not None] for name in names}
+    known = {name: [row[name] for row in rows if row[name] is not None] for name in STAND_INS}
     return {name: float(np.mean(ious)) if ious else None for name, ious in known.items()}
 
 
@@ -410,8 +439,7 @@ def _plots(
         if curves:
             drawn["IoU with each threshold of the relevancy"] = plots.plot_curves(curves, ours)
         if sure:
-            drawn["Calibration: how often the point is right, by how sure"] = (
-                plots.plot_reliability(sure, ours)
-            )
+            caption = "Calibration: how often the point is right, by how sure; larger: more queries"
+            drawn[caption] = plots.plot_reliability(sure, ours)
         found[dataset] = drawn
     return found

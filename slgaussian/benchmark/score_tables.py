@@ -87,19 +87,24 @@ class Group:
 
 @dataclass(frozen=True)
 class Line:
-    """A method, what it is, and its scores."""
+    """A method, what it is, its scores, and the conditions of its own that they go by."""
 
     method: str
     about: str
     cells: tuple[Cell, ...]
+    by: str = ""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Scores of a data set."""
+    """Scores of a data set.
+
+    ``places`` are what its scenes show, which the resamplings draw: fewer where the data say so.
+    """
 
     dataset: str
     scenes: int
+    places: int
     groups: tuple[Group, ...]
     lines: tuple[Line, ...]
 
@@ -129,6 +134,7 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
         }
         methods = list(dict.fromkeys(method for method, *_ in own))
         groups, cells = [], {method: [] for method in methods}
+        by: dict[str, list[str]] = {method: [] for method in methods}
         for protocol in dict.fromkeys(column.protocol for column in columns):
             group = [
                 column
@@ -146,6 +152,7 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
                 counts.append(_most(f"n {score['samples']}" for score in there))
                 best = max(_printed(score, column) * column.sign for score in there)
                 for method, score in by_method.items():
+                    by[method] += [] if score is None else _others(conditions(score), said)
                     cells[method].append(_cell(score, column, best, said, counts[-1]))
             label = _most(
                 score["protocol"] for (_, name, _), score in own.items() if name == protocol
@@ -153,8 +160,11 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
             groups.append(Group(label, said, tuple(group), tuple(counts)))
         if groups:
             scenes = max(score["scenes"] for score in own.values())
-            lines = (Line(m, about(m), tuple(cells[m])) for m in methods)
-            found.append(Table(dataset, scenes, tuple(groups), tuple(lines)))
+            places = max(score["places"] for score in own.values())
+            lines = (
+                Line(m, about(m), tuple(cells[m]), ", ".join(dict.fromkeys(by[m]))) for m in methods
+            )
+            found.append(Table(dataset, scenes, places, tuple(groups), tuple(lines)))
     return found
 
 
@@ -190,26 +200,31 @@ def difference_tables(
                 for gain, column in zip(found, shown, strict=True)
             )
             lines.append(Line(name, "", cells))
-        scenes = max(gain.gain.samples for of in by_name.values() for gain in of.values())
-        tables.append(Table(dataset, scenes, tuple(groups), tuple(lines)))
+        gains = [gain.gain for of in by_name.values() for gain in of.values()]
+        counts = (max(gain.samples for gain in gains), max(gain.drawn for gain in gains))
+        tables.append(Table(dataset, *counts, tuple(groups), tuple(lines)))
     return tables
 
 
 def gain_cell(found: Difference, digits: int, sign: int = 1) -> Cell:
-    """A difference as it is printed; ``sign`` is -1 where less is better."""
+    """A difference as it is printed; ``sign`` is -1 where less is better.
+
+    It is beyond noise if the interval is, as it is printed: one that ends at 0.000 is not.
+    """
     gain = found.gain
     value, start, end = (
-        f"{round(number, digits) + 0.0:+.{digits}f}"  # and not -0.000
+        round(number, digits) + 0.0  # and not -0.000
         for number in (gain.difference, gain.low, gain.high)
     )
     counts = f"{found.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
-    if gain.samples < 2:
-        return Cell(value, "", "few", counts)
-    low, high = sorted((sign * gain.low, sign * gain.high))
+    told = f"{value:+.{digits}f}"
+    if gain.drawn < 2:
+        return Cell(told, "", "few", counts)
+    low, high = sorted((sign * start, sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
-    if gain.samples < LEAST and mark != "noise":
+    if gain.drawn < LEAST and mark != "noise":
         mark = "few"
-    return Cell(value, f"{start} to {end}", mark, counts)
+    return Cell(told, f"{start:+.{digits}f} to {end:+.{digits}f}", mark, counts)
 
 
 def about(method: str) -> str:
@@ -226,6 +241,11 @@ def conditions(score: Row) -> str:
     return ", ".join(
         [selection, *said, f"phrases: {score['canonical']}", f"absent: {score['absent']}"]
     )
+
+
+def _others(conditions: str, said: str) -> list[str]:
+    """The parts of some conditions that are not among those of most."""
+    return [part for part in conditions.split(", ") if part not in said.split(", ")]
 
 
 def _is_of_curve(score: Row) -> bool:

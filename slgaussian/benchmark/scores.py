@@ -3,7 +3,8 @@
 A sample is a row of the spec ``samples``. As LangSplat averages: the mean of the samples of a
 scene, then the unweighted mean over scenes. mIoU and accuracy are those of frames, as 3D-OVS
 averages: the mean over the classes of a frame, over the frames of a scene, over scenes. Scenes are
-the independent samples, so the bootstrap draws scenes; with one scene there is no interval.
+the independent samples, so the bootstrap draws scenes; with one scene there is no interval. Where
+the data say that several scenes, pairs of views, are of one place, they are drawn together.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from slgaussian.bootstrap import (
     interval,
     interval_of_mean,
     resamplings,
+    totals,
 )
 from slgaussian.errors import InputError
 
@@ -39,7 +41,9 @@ GROUPS = ("dataset", "method", "protocol")
 """Columns of the samples that every score is of one value of."""
 
 ONE_SCENE = "one scene: no interval"
+ONE_PLACE = "scenes of one place: no interval"
 FEW_SCENES = f"fewer than {LEAST} scenes: a rough interval"
+FEW_PLACES = f"scenes of fewer than {LEAST} places: a rough interval"
 
 
 @dataclass(frozen=True)
@@ -125,12 +129,13 @@ def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
             if not known:
                 continue
             values = np.array([mean for mean, _ in known])
+            places = [place_of(scene[0]) for _, scene in known]
             samples = sum(metric.of(row) is not None for _, scene in known for row in scene)
             row = common | {"metric": metric.name, "value": float(values.mean())}
             if metric.threshold is not None:
                 row["threshold"] = metric.threshold
-            ends = interval_of_mean(values, seed) if len(values) > 1 else None
-            found.append(row | _trust(ends, len(values), samples))
+            ends = interval_of_mean(values, seed, places) if len(set(places)) > 1 else None
+            found.append(row | _trust(ends, places, samples))
         found += [common | row for row in _score_calibration(scenes, seed)]
     return pa.Table.from_pylist(found, schema=load_spec("scores").schema)
 
@@ -145,7 +150,7 @@ class Difference:
     threshold : float or None
         The one tried, of the protocol threshold-free.
     gain : Comparison
-        Of their scenes; ``gain.low`` and ``gain.high`` say nothing if there is one.
+        Of their scenes; ``gain.low`` and ``gain.high`` say nothing if they are of one place.
     samples : int
         Those that both have.
     """
@@ -187,7 +192,7 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
                 [_scene_mean([pair[side] for pair in scene], metric) for scene in shared]
                 for side in (0, 1)
             )
-            gain = compare(one, other, seed)
+            gain = compare(one, other, seed, [place_of(scene[0][0]) for scene in shared])
             samples = sum(map(len, shared))
             found.append(
                 Difference(dataset, protocol, metric.name, metric.threshold, gain, samples)
@@ -231,27 +236,38 @@ def reliability(rows: Iterable[Row]) -> Reliability:
 
 def _score_calibration(scenes: Sequence[Sequence[Row]], seed: int) -> list[dict[str, Any]]:
     """The row of :data:`SCORE_CALIBRATION`, if there is a sample of it."""
-    own = [each for each in map(reliability, scenes) if each.counts.any()]
-    if not own:
+    known = [(reliability(scene), place_of(scene[0])) for scene in scenes]
+    known = [(one, place) for one, place in known if one.counts.any()]
+    if not known:
         return []
-    gaps = np.stack([each.scores - each.hits for each in own])
-    counts = np.array([each.counts.sum() for each in own])
+    places = [place for _, place in known]
+    gaps = totals(np.stack([one.scores - one.hits for one, _ in known]), places)
+    counts = totals(np.array([one.counts.sum() for one, _ in known], float), places)
     value = float(np.abs(gaps.sum(0)).sum() / counts.sum())
     ends = None
-    if len(own) > 1:
-        drawn = resamplings(len(own), seed)
+    if len(gaps) > 1:
+        drawn = resamplings(len(gaps), seed)
         total = np.zeros((len(drawn), ranking.BINS))
-        for scene in drawn.T:  # one at a time, so that memory does not grow with the scenes
-            total += gaps[scene]
+        for place in drawn.T:  # one at a time, so that memory does not grow with the places
+            total += gaps[place]
         ends = interval(np.abs(total).sum(1) / counts[drawn].sum(1))
-    trust = _trust(ends, len(own), int(counts.sum()))
+    trust = _trust(ends, places, int(counts.sum()))
     return [{"metric": SCORE_CALIBRATION, "value": value, **trust}]
 
 
-def _trust(ends: tuple[float, float] | None, scenes: int, samples: int) -> dict[str, Any]:
+def place_of(row: Row) -> str:
+    """What a sample shows: the place that its data name, or its scene."""
+    return row.get("place") or row["scene"]
+
+
+def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
+    """What says how far a score can be trusted; ``places`` are those of its scenes."""
     low, high = ends or (None, None)
-    note = ONE_SCENE if ends is None else FEW_SCENES if scenes < LEAST else ""
-    return {"low": low, "high": high, "scenes": scenes, "samples": samples, "note": note}
+    scenes, drawn = len(places), len(set(places))
+    one, few = (ONE_SCENE, FEW_SCENES) if drawn == scenes else (ONE_PLACE, FEW_PLACES)
+    note = one if ends is None else few if drawn < LEAST else ""
+    counts = {"scenes": scenes, "places": drawn, "samples": samples}
+    return {"low": low, "high": high, **counts, "note": note}
 
 
 def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:

@@ -46,6 +46,23 @@ class Times:
         methods = dict.fromkeys(method for method, *_ in self.answers)
         return [self._speed(method) for method in methods]
 
+    def claim(self) -> str:
+        """What the paper claims of speed, and what was measured; empty without its two methods."""
+        known = {
+            one.method: one for one in self.speeds() if None not in (one.first_query, one.paper)
+        }
+        if len(known) < 2:
+            return ""
+        fast, slow = sorted(known.values(), key=lambda one: one.paper)
+        if not fast.first_query:
+            return ""
+        return (
+            f"A query in a new view takes {slow.method} {slow.first_query / fast.first_query:.0f} "
+            f"times as long as {fast.method}, {slow.first_query:.2g} s against "
+            f"{fast.first_query:.2g} s; the paper says {slow.paper:g} s against {fast.paper:g} s, "
+            f"on its GPU and with its networks."
+        )
+
     def _speed(self, method: str) -> Speed:
         def middle(name: str) -> float | None:
             own = [times.get(name) for by, _, times in self.answers if by == method]

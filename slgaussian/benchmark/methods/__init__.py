@@ -28,7 +28,6 @@ METHODS = {
     "nearest-view": "slgaussian.benchmark.methods.nearest_view:NearestView",
     "no-association": "slgaussian.benchmark.methods.ours:NoAssociation",
     "no-bank": "slgaussian.benchmark.methods.pooled:NoBank",
-    "absent-zero": "slgaussian.benchmark.methods.absent_zero:AbsentZero",
 }
 
 
@@ -58,12 +57,14 @@ def load_method(name: str, **settings: Any) -> Method:
 class Row:
     """A row of the table of methods: one of :data:`METHODS` with settings, and what to call it.
 
-    ``about`` says in one line what it is, and of what is not the original that it is not.
+    ``about`` says in one line what it is, and of what is not the original that it is not. ``rules``
+    are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
     """
 
     method: str
     about: str
     settings: Mapping[str, Any] = field(default_factory=dict)
+    rules: Mapping[str, Any] = field(default_factory=dict)
 
     def load(self) -> Method:
         """The method; raises as :func:`load_method`."""
@@ -115,7 +116,11 @@ ROWS = {
     ),
     "no-association": Row("no-association", "ablation: each view's masks are objects of their own"),
     "no-bank": Row("no-bank", "ablation: the mean over views in place of the multi-view bank"),
-    "absent-zero": Row("absent-zero", "ablation: the paper's zero vector for an absent view"),
+    "absent-zero": Row(
+        "slgaussian",
+        "ablation: the paper's zero vector for an absent view",
+        rules={"absent": "zero"},
+    ),
 }
 """The table of all methods, in its order."""
 
