@@ -229,7 +229,7 @@ class ArtifactStore:
         """Raise :class:`DamagedError` if a part that the artifact names is not there."""
         self.at_once(self.check_there, list(ref.meta.get("parts", ())))
 
-    def stamp(self, uri: str) -> list[int] | None:
+    def stamp(self, uri: str) -> str | None:
         """Bytes and time (ns) of a file of a local store; None if it has none, or elsewhere."""
         if not self.local:
             return None
@@ -237,7 +237,7 @@ class ArtifactStore:
             found = os.stat(f"{self.path}/{uri}")
         except OSError:
             return None
-        return [found.st_size, found.st_mtime_ns]
+        return f"{found.st_size} {found.st_mtime_ns}"
 
     def check_there(self, uri: str) -> None:
         """Raise :class:`DamagedError` if there is no file at a path relative to the root."""

@@ -18,7 +18,8 @@ WORST, BEST = 8, 4
 """Answers of a run that open the report, and that follow."""
 
 OF_A_SCENE = 2
-"""Of them at most so many are of one scene, unless there are too few scenes."""
+"""Of them at most so many are of one scene, unless there are too few scenes; of data sets as many
+of each."""
 
 ALL_METHODS = 5
 """Queries that are shown as every method answers them."""
@@ -44,15 +45,23 @@ def ranked(rows: Iterable[Row]) -> list[Row]:
 
 
 def few_a_scene(rows: Sequence[Row], count: int) -> list[Row]:
-    """The first ``count`` rows, no more than a few of any scene."""
-    taken: Counter[str] = Counter()
-    of_a_scene = max(OF_A_SCENE, -(-count // max(1, len({row["scene"] for row in rows}))))
-    chosen = []
-    for row in rows:
-        if len(chosen) < count and taken[row["scene"]] < of_a_scene:
-            taken[row["scene"]] += 1
-            chosen.append(row)
-    return chosen
+    """The first ``count`` rows, no more than a few of any scene, and of each data set its share.
+
+    A query is there once a scene, whatever the number of frames that it is asked in.
+    """
+    sets, scenes = (len({row[of] for row in rows}) or 1 for of in ("dataset", "scene"))
+    own = {"scene": max(OF_A_SCENE, -(-count // scenes))}
+    taken: Counter[tuple[str, str]] = Counter()
+    chosen: dict[tuple[str, str], int] = {}
+    # Where a data set has not its share, the others fill the places.
+    for most in (own | {"dataset": -(-count // sets)}, own):
+        for place, row in enumerate(rows):
+            asked = row["scene"], row["query"]
+            full = any(taken[of, row[of]] >= limit for of, limit in most.items())
+            if len(chosen) < count and not full and asked not in chosen:
+                taken.update((of, row[of]) for of in ("scene", "dataset"))
+                chosen[asked] = place
+    return [rows[place] for place in sorted(chosen.values())]
 
 
 def telling(own: Sequence[Row], others: Mapping[str, Sequence[Row]], count: int) -> list[Key]:
