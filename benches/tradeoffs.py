@@ -1,9 +1,10 @@
 """Speed against error, setting by setting: ``python benches/tradeoffs.py DATA [-o docs]``.
 
-DATA holds ``office``. One setting is changed at a time, from the defaults; the presets change
-several. Two processes share the scenes, one thread each. Seconds are those of the processor, after
-a small run that does not count. A stage is computed once for all rows that need the same of it, and
-they all say what it took then. Needs Linux, which says how much memory a process held at most.
+DATA holds ``office``. One setting is changed at a time, from the defaults; a few rows change
+several. The presets are picked among the rows by the rules of ``tradeoffs_page``. Two processes
+share the scenes, one thread each. Seconds are those of the processor, after a small run that does
+not count. A stage is computed once for all rows that need the same of it, and they all say what it
+took then. Needs Linux, which says how much memory a process held at most.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import ctypes
 import gc
 import hashlib
+import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,12 +29,12 @@ import cv2
 import numpy as np
 import torch
 from machine import machine
-from tradeoffs_page import DEFAULT, PRESET, PRUNED, chart, page
+from tradeoffs_page import DEFAULT, NOISE, PRUNED, chart, page
 
-from flows.settings import PRESETS, Settings, make_settings
+from flows.settings import PRESETS, Method, Settings, make_settings
 from slgaussian import datasets, threads
 from slgaussian.benchmark import metrics
-from slgaussian.benchmark.evaluate import truth_from_instances
+from slgaussian.benchmark.evaluate import camera_between, truth_from_instances
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.labels import read_truth
 from slgaussian.build import label_views, lift_field, remember
@@ -59,14 +61,16 @@ BUILDING = ("geometry", "masks", "supervision", "field")
 class Row:
     """What is changed from the defaults.
 
-    ``keep`` is the tolerance at which Gaussians are pruned, ``precision`` a name of
-    :data:`PRECISIONS`; neither is a setting of a run. A ``slow`` row is for one scene alone.
+    ``keep`` is the tolerance at which Gaussians are pruned, as the photographs see them or, if
+    ``between``, a view halfway too; ``precision`` a name of :data:`PRECISIONS`. None of these is a
+    setting of a run. A ``slow`` row is for one scene alone.
     """
 
     factor: str
     name: str
     values: dict[str, Any] = field(default_factory=dict)
     keep: float | None = None
+    between: bool = False
     precision: str | None = None
 
     @property
@@ -85,23 +89,36 @@ def rows() -> Iterator[Row]:
     for most in (32, 64, 216):
         own = {"planesweep": {"depth_candidates": most}}
         yield Row("depth candidates", f"at most {most}", own)
-    for greys in (1, 4):
-        yield Row(PRUNED, f"to {greys} grey levels", keep=greys * GREY)
-    for tracker, copies in (("geometric", 1), ("geometric", 3)):
-        yield Row("replicas", f"{tracker}, {copies}", {"replicas": copies})
-    for copies in (1, 3, 5):
+    for greys, between in ((1, False), (4, False), (4, True)):
+        seen = "photographs and halfway" if between else "photographs"
+        yield Row(PRUNED, f"{greys} of 255, {seen}", keep=greys * GREY, between=between)
+    yield Row("replicas", "geometric, 1", {"replicas": 1})
+    for copies in (1, 5):
         yield Row("replicas", f"flow, {copies}", {"tracker": "flow", "replicas": copies})
     yield Row("codes", "grid, 3 numbers", {"codes": "grid"})
     for numbers in (1, 2, "auto"):
         own = {"separated": {"dimension": numbers}}
         yield Row("codes", f"separated, {numbers}", own)
     yield Row("codes", "exact", {"codes": "exact"})
+    yield Row("lifting", "filled", {"lifting": "filled"})
     for precision in PRECISIONS:
         yield Row("precision", precision, precision=precision)
-    for seed in (1, 2, 3):
-        yield Row("seed", str(seed), {"seed": seed})
-    for preset in PRESETS:
-        yield Row(PRESET, preset, {"preset": preset})
+    for seed in (1, 2):
+        yield Row(NOISE, str(seed), {"seed": seed})
+    for size, most in TOGETHER:
+        own = {"planesweep": {"depth_candidates": most}} if most else {}
+        name = f"{size}, exact" + (f", {most} depths" if most else "")
+        yield Row("together", name, {"size": size, "codes": "exact", **own})
+
+
+TOGETHER = (
+    ("at most 208x288", 64),
+    ("at most 208x288", None),
+    ("at most 312x432", None),
+    ("original", None),
+    ("original", 216),
+)
+"""Sizes and depth candidates that are also tried together, without codes."""
 
 
 # Precisions that are no settings.
@@ -251,6 +268,7 @@ class Stages:
             made = lift_field(sample, gaussians, labels, bank, chosen.lifting, about)
             if row.keep is not None:
                 cameras = [view.camera for view in sample.context]
+                cameras += [camera_between(*cameras[:2], 0.5)] * row.between
                 made = made.changed(gaussians=prune(made.gaussians, cameras, row.keep).gaussians)
             return made if row.precision is None else PRECISIONS[row.precision](made)
 
@@ -409,12 +427,16 @@ def chosen_rows(factors: Sequence[str]) -> list[Row]:
 
 
 def sweep(data: Path, counts: dict[str, int], factors: Sequence[str]) -> list[dict]:
-    """Each row with what every scene gave: ``{"factor", "name", "scenes"}``."""
+    """Each row with what every scene gave: ``{"factor", "name", "preset", "scenes"}``.
+
+    ``preset`` is the one with the same settings, or empty.
+    """
     work = [(kind, number) for kind, most in counts.items() for number in range(most)]
     # What takes longest first.
     work.sort(key=lambda one: (one != ("office", 0), one[0] != "rooms"))
     made: list[dict] = [
-        {"factor": row.factor, "name": row.name, "scenes": []} for row in chosen_rows(factors)
+        {"factor": row.factor, "name": row.name, "preset": preset_of(row), "scenes": []}
+        for row in chosen_rows(factors)
     ]
     with ProcessPoolExecutor(2, get_context("spawn"), threads.share, (threads.cores(),)) as pool:
         done = {pool.submit(sweep_scene, data, *one, factors): one for one in work}
@@ -426,6 +448,17 @@ def sweep(data: Path, counts: dict[str, int], factors: Sequence[str]) -> list[di
     return made
 
 
+def preset_of(row: Row) -> str:
+    if row.keep is not None or row.precision is not None:
+        return ""
+    same = [name for name in PRESETS if method_of({"preset": name}) == method_of(row.values)]
+    return same[0] if same else ""
+
+
+def method_of(values: dict[str, Any]) -> dict[str, Any]:
+    return make_settings(values, "tradeoffs").model_dump(include=set(Method.model_fields))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
@@ -433,8 +466,14 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=8, help="of the office set")
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--only", nargs="*", default=[], help="factors, beside the defaults")
+    parser.add_argument("--keep", type=Path, help="JSON of what was measured, written, or read")
     given = parser.parse_args()
-    made = sweep(given.data, {"office": given.scenes, "rooms": given.rooms}, given.only)
+    if given.keep and given.keep.exists():
+        made = json.loads(given.keep.read_text())
+    else:
+        made = sweep(given.data, {"office": given.scenes, "rooms": given.rooms}, given.only)
+        if given.keep:
+            given.keep.write_text(json.dumps(made))
     command = f"python benches/tradeoffs.py DATA --scenes {given.scenes} --rooms {given.rooms}"
     text = page(made, command, machine())
     print(text)

@@ -19,7 +19,6 @@ from slgaussian.bootstrap import LEAST, LEVEL, compare
 DEFAULT = ("defaults", "defaults")
 """Factor and name of the row that all others are compared with."""
 
-PRESET = "preset"
 NOISE = "seed"
 PRUNED = "Gaussians kept"
 
@@ -30,11 +29,16 @@ LOOKS = {
     "depth candidates": (ORANGE, "s"),
     "replicas": (PINK, "v"),
     "codes": (GREEN, "D"),
+    "lifting": ("#56B4E9", "^"),
+    "together": ("#7a5200", "X"),
     "precision": ("#E69F00", "P"),
     NOISE: ("#999999", "."),
 }
 """Colour and marker of a factor."""
 
+
+KEPT_SHARE = 0.85
+"""Of the defaults' IoU and mIoU that the preset `fast` keeps at least."""
 
 HEADINGS = {"iou": "IoU", "miou": "mIoU", "abs_rel": "depth error"}
 """What is compared with the first row."""
@@ -139,7 +143,7 @@ MEANS = (
 def summary(made: dict, first: dict) -> dict:
     """One row of the tables from what its scenes gave, compared with those of the defaults."""
     scenes, others = made["scenes"], first["scenes"]
-    row: dict = {"factor": made["factor"], "name": made["name"]}
+    row: dict = {name: made[name] for name in ("factor", "name", "preset")}
     row |= {key: mean(scenes, key) for key in MEANS}
     row["share"] = row["build"] / mean(others, "build")
     row["memory"] = max(scene["memory"] for scene in scenes)
@@ -209,25 +213,74 @@ cut-offs in [rasterizer.md](rasterizer.md), trackers and copies on 50 rooms in
 {kept}"""
 
 
+def picked(rows: Sequence[dict]) -> dict[str, dict]:
+    """The row of each preset, as :func:`presets_said` puts the rules into words."""
+    first = rows[0]
+    settings = [row for row in rows if row["factor"] not in (NOISE, "precision")]
+    good = [
+        row for row in settings if all(row[s] >= KEPT_SHARE * first[s] for s in ("iou", "miou"))
+    ]
+    sound = [row for row in settings if not worse_scores(row)]
+    best = max(map(answers_well, sound))
+    as_good = [row for row in sound if answers_well(row) >= best - noise_of(rows)]
+    found = {"fast": min(good, key=whole_seconds), "balanced": first}
+    return found | {"accurate": min(as_good, key=whole_seconds)}
+
+
+def answers_well(row: dict) -> float:
+    return row["iou"] + row["miou"]
+
+
+def whole_seconds(row: dict) -> float:
+    """From photographs to the first answer."""
+    return row["build"] + row["first"]
+
+
+def noise_of(rows: Sequence[dict]) -> float:
+    """How far rows that differ in the seed alone are apart, in :func:`answers_well`."""
+    own = [answers_well(row) for row in rows if row["factor"] in (NOISE, DEFAULT[0])]
+    return max(own) - min(own)
+
+
+def worse_scores(row: dict) -> list[str]:
+    """Those beyond noise."""
+    return [
+        score
+        for score in HEADINGS
+        if row.get(f"{score}_beyond") and (row[f"{score}_gain"] > 0) == (score == "abs_rel")
+    ]
+
+
 def presets_said(rows: Sequence[dict]) -> str:
-    """What each preset costs and loses, a sentence each."""
-    said = ['**The presets** (`--preset NAME`, or `preset = "NAME"` in a file):', ""]
-    for row in rows:
-        if row["factor"] != PRESET:
-            continue
+    """By which rules presets are picked, and what each costs and loses, a sentence each."""
+    said = [
+        "## The presets",
+        "",
+        '`--preset NAME`, or `preset = "NAME"` in a file. They are rows of the tables below, '
+        "picked by rules:",
+        "",
+        f"- `fast`: the least time from photographs to the first answer (*build* and *first "
+        f"query*) of all rows that keep {ratio(KEPT_SHARE)} of the defaults' IoU and mIoU;",
+        "- `balanced`: the defaults;",
+        "- `accurate`: the greatest IoU + mIoU of all rows that lose neither, nor depth, beyond "
+        "noise; and of those that come as near to it as seeds are apart "
+        f"({noise_of(rows):.3f}), the quickest.",
+        "",
+    ]
+    for preset, row in picked(rows).items():
+        of = "the defaults" if row["name"] == DEFAULT[1] else f"*{row['factor']}: {row['name']}*"
         costs = (
             f"{row['build']:.1f} s to build ({ratio(row['share'])} of the defaults), "
             f"{1e3 * row['first']:.0f} ms for a first query, {row['memory']:,.0f} MB"
         )
-        if row["name"] == "balanced":
-            said.append(f"- `balanced` is the defaults: {costs}.")
-            continue
         lost = "; ".join(
             f"{heading} {row[f'{score}_gain']:+.3f} ({between(row[f'{score}_ends'])})"
             for score, heading in HEADINGS.items()
             if f"{score}_gain" in row
         )
-        said.append(f"- `{row['name']}`: {costs}. Against `balanced`: {lost}.")
+        against = f" Against `balanced`: {lost}." if lost else ""
+        wrong = "" if row["preset"] == preset else " **The file of the preset says otherwise.**"
+        said.append(f"- `{preset}` is {of}: {costs}.{against}{wrong}")
     return "\n".join(said)
 
 
@@ -247,17 +300,15 @@ def noise_said(rows: Sequence[dict]) -> str:
 
 def found_said(rows: Sequence[dict]) -> str:
     """Which single changes are beyond noise, and which nothing can be said against."""
-    singles = [row for row in rows if row["factor"] not in (PRESET, NOISE, DEFAULT[0])]
+    singles = [row for row in rows if row["factor"] not in ("together", NOISE, DEFAULT[0])]
     worse, better = [], []
     for row in singles:
-        starred = [
-            (score, sign) for score, sign in (("iou", 1), ("miou", 1), ("abs_rel", -1))
-            if row.get(f"{score}_beyond")
-        ]  # fmt: skip
-        for score, sign in starred:
-            gain = sign * row[f"{score}_gain"]
-            named = f"{row['factor']}: {row['name']} ({HEADINGS[score]})"
-            (better if gain > 0 else worse).append(named)
+        bad = worse_scores(row)
+        good = [s for s in HEADINGS if row.get(f"{s}_beyond") and s not in bad]
+        for scores, told in ((bad, worse), (good, better)):
+            if scores:
+                listed = ", ".join(HEADINGS[score] for score in scores)
+                told.append(f"{row['factor']}: {row['name']} ({listed})")
     return (
         f"**Beyond noise**, of single changes: worse are {'; '.join(worse) or 'none'}. Better are "
         f"{'; '.join(better) or 'none'}. With so many comparisons one in twenty stars is chance."
@@ -299,10 +350,9 @@ def draw(axes: Axes, rows: Sequence[dict], x: str, y: str, most: bool) -> None:
         own = [(row[x], row[y]) for row in rows if row["factor"] == factor]
         if own:
             axes.scatter(*zip(*own, strict=True), color=color, marker=marker, s=28, label=factor)
-    for row in rows:
-        if row["factor"] == PRESET:
-            axes.scatter(row[x], row[y], color=INK, marker="*", s=110, zorder=3)
-            axes.annotate(row["name"], (row[x], row[y]), xytext=(5, 6), textcoords="offset points")
+    for name, row in picked(rows).items():
+        axes.scatter(row[x], row[y], color=INK, marker="*", s=110, zorder=3)
+        axes.annotate(name, (row[x], row[y]), xytext=(5, 6), textcoords="offset points")
 
 
 def best_by_price(

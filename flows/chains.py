@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pyarrow as pa
 from prefect import flow
@@ -19,7 +18,7 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 
 from data_specs import load_spec
 from flows.progress import Progress
-from flows.runners import task_runner
+from flows.runners import abandon, started, without_interrupts
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.shard import Chain, Event, Failure, Shard, StoppedError, shard_task, watching
 
@@ -65,10 +64,8 @@ class Crew:
     def __exit__(self, *error: object) -> None:
         watching.reset(self.token)
         if self.running:
-            # Nobody waits for what they are at, but the program would until they are done.
             self.stop.set()
-            for process in multiprocessing.active_children():
-                process.kill()
+            abandon(self.runner)
         self.stack.close()
 
     @property
@@ -79,7 +76,8 @@ class Crew:
     def submit(self, shard: list[Chain]) -> None:
         """Have a worker take this shard on."""
         task = shard_task(self.store.root, shard, self.workers, LONG)
-        future = self.runner.submit(task, {})
+        with without_interrupts():
+            future = self.runner.submit(task, {})
         self.running[future] = self.runner, shard
         future.add_done_callback(self.news.put)
 
@@ -127,15 +125,31 @@ def run_flow(
     Raises
     ------
     InputError
-        As :func:`flows.runners.task_runner`.
+        As :func:`flows.runners.started`.
     """
+    here = _Here(work)
 
     @flow(name=name, persist_result=False, validate_parameters=False)
     def run() -> Made:
         with Crew(store, workers) as crew:
-            return work(crew)
+            return here.work(crew)
 
-    return run.with_options(task_runner=task_runner(runner, workers, store))()
+    with started(runner, workers, store) as task_runner:
+        return run.with_options(task_runner=task_runner)()
+
+
+class _Here:
+    """Work that stays in this process.
+
+    Prefect sends the flow along with every shard, though workers never call it, and with it all
+    that its function refers to: here every scene of the run, and who is told of it.
+    """
+
+    def __init__(self, work: Callable[[Crew], Any] | None = None) -> None:
+        self.work = work
+
+    def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
+        return _Here, ()
 
 
 def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outcome:
@@ -183,7 +197,7 @@ def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outco
                 outcome.failures += made.failures
                 waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
             else:
-                progress.line(f"a worker died ({made}); its scenes are tried again")
+                progress.died(made, [chain.scene for chain in shard])
                 for chain in shard:
                     progress.dropped(chain.scene)
                     lost(chain, made)

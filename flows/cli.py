@@ -1,6 +1,5 @@
 """The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +19,10 @@ METHOD = (
 )  # fmt: skip
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
+FILES = (
+    "predictor", "proposer", "tracker", "encoder", "lifting", "mvsplat.checkpoint", "sam.model",
+    "sam2.model", "sam2_video.model", "precomputed.folder", *PLACES, "branch.weights",
+)  # fmt: skip
 BUILD = ("preset", *(name for name in METHOD if name not in RULES))
 RUN = ("preset", *METHOD, "store", "runner", "workers", "method")
 INGEST = (
@@ -69,7 +72,8 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
     from flows.demo import demo_scenes
     from flows.settings import make_settings
 
-    _run(make_settings({**settings, "out": out, "scenes": demo_scenes()}, "demo"), verbose)
+    given = {**settings, "out": out, "scenes": demo_scenes()}
+    _run("demo", make_settings(given, "demo"), verbose)
 
 
 @app.command()
@@ -100,7 +104,7 @@ def benchmark(
     from flows.settings import make_settings
 
     given = {**settings, "against": against or [], "out": out}
-    _run(make_settings(given, "benchmark"), verbose)
+    _run("benchmark", make_settings(given, "benchmark"), verbose)
 
 
 @app.command()
@@ -187,7 +191,8 @@ def run(
     """
     from flows.settings import read_toml
 
-    _run(read_toml(config, settings if out is None else {**settings, "out": out}), verbose)
+    given = settings if out is None else {**settings, "out": out}
+    _run("run", read_toml(config, given), verbose)
 
 
 @app.command()
@@ -420,13 +425,7 @@ def train(
 
     given = {"lessons": lessons, "out": out} | ({} if start is None else {"start": start})
     chosen = checked(TrainSettings, {**settings, **given}, "train")
-
-    def work(store: Any) -> Any:
-        from flows import training
-
-        return training.train(chosen, store, verbose)
-
-    made = _orchestrated(chosen.store, work)
+    made = _performed("train", chosen, verbose)
     from flows.tables import judgements_table
     from flows.training import FILES
 
@@ -484,12 +483,7 @@ def retrain(
         serve(config, settings, every, cron)
         return
 
-    def work(store: Any) -> Any:
-        from flows import retraining
-
-        return retraining.retrain(chosen, store, verbose)
-
-    learnt, prepared = _orchestrated(chosen.store, work)
+    learnt, prepared = _performed("retrain", chosen, verbose)
     if prepared.failures:
         file = chosen.out / "failures.parquet"
         typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
@@ -529,20 +523,28 @@ def versions(
 
 
 @app.command()
-@with_options("store")
+@with_options("store", "runner", *FILES)
 def doctor(settings: dict) -> None:
-    """Check the installation: versions, threads, the store and the Prefect server.
+    """Check what a run needs: packages, threads, store, Prefect server, and what options name.
+
+    A line for each: ok, BAD with what to do about it, or -- for what need not be there, such as
+    packages of the extras. Of models only the headers are read, and none is downloaded. The exit
+    status is 1 if anything is BAD.
 
     \b
-    slgaussian doctor --store /data/slg
+    slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
+    slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
     """
-    from flows.doctor import examine
     from flows.settings import make_settings
 
+    chosen = make_settings(settings, "doctor")
+    from flows.doctor import examine
+
     healthy = True
-    for name, found, good in examine(make_settings(settings, "doctor").store):
-        healthy &= good
-        typer.echo(f"{'ok ' if good else 'BAD'}  {name:<12} {found}")
+    for finding in examine(chosen, "runner" in settings):
+        healthy &= finding.good is not False
+        mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
+        typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
     raise typer.Exit(0 if healthy else 1)
 
 
@@ -555,21 +557,10 @@ def main() -> None:
         raise SystemExit(2) from None
 
 
-def _run(settings: Any, verbose: bool) -> None:
-    from flows.environment import orchestration
-    from slgaussian.store import ArtifactStore
+def _run(command: str, settings: Any, verbose: bool) -> None:
+    finished = _performed(command, settings, verbose)
+    from flows.tables import scores_tables
 
-    store = ArtifactStore(settings.store)
-    with orchestration(store) as ready:
-        from flows import pipeline
-        from flows.tables import scores_tables
-
-        ready()
-        try:
-            finished = pipeline.run(settings, store, verbose)
-        except KeyboardInterrupt:
-            typer.echo("\nstopped; the same command goes on from here", err=True)
-            raise
     if finished.results:
         typer.echo(scores_tables(finished.results))
     if finished.report is not None:
@@ -582,22 +573,13 @@ def _run(settings: Any, verbose: bool) -> None:
 
 def _prepare(command: str, values: dict[str, Any], verbose: bool) -> None:
     from flows.corpus_settings import make_corpus_settings
-    from flows.environment import orchestration
-    from slgaussian.store import ArtifactStore
 
     settings = make_corpus_settings(values, command)
-    store = ArtifactStore(settings.store)
-    with orchestration(store) as ready:
-        from flows import corpus
+    made = _performed(command, settings, verbose)
+    from flows.corpus import FILES
 
-        ready()
-        try:
-            made = getattr(corpus, command)(settings, store, verbose)
-        except KeyboardInterrupt:
-            typer.echo("\nstopped; the same command goes on from here", err=True)
-            raise
     for stage, count in made.rows.items():
-        file = settings.out / corpus.FILES[stage]
+        file = settings.out / FILES[stage]
         typer.echo(f"{count} {file.stem}  {file}")
     if made.failures:
         first = made.failures[0]
@@ -609,21 +591,12 @@ def _prepare(command: str, values: dict[str, Any], verbose: bool) -> None:
         raise typer.Exit(1)
 
 
-def _orchestrated(place: str, work: Callable[[Any], Any]) -> Any:
-    """What ``work`` does with the store at ``place`` and Prefect ready."""
-    from flows.environment import orchestration
-    from slgaussian.store import ArtifactStore
+def _performed(command: str, settings: Any, verbose: bool) -> Any:
+    from flows.commands import perform
+    from flows.environment import interruptible
 
-    store = ArtifactStore(place)
-    with orchestration(store) as ready:
-        import flows.training  # noqa: F401  while the server comes up
-
-        ready()
-        try:
-            return work(store)
-        except KeyboardInterrupt:
-            typer.echo("\nstopped; the same command goes on from here", err=True)
-            raise
+    with interruptible():
+        return perform(command, settings, verbose)
 
 
 def _spoken(answers: list[dict]) -> str:

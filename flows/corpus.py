@@ -119,7 +119,7 @@ def prepare(
         )
     store.check_writable()
     check_folder(settings.out)
-    progress = Progress(len(chunks), len(stages), verbose=verbose)
+    progress = Progress(len(chunks), len(stages), verbose=verbose, unit="chunks")
 
     def work(crew: Crew) -> Outcome:
         chains = [
@@ -127,7 +127,8 @@ def prepare(
         ]
         return run_chains(chains, crew, progress)
 
-    outcome = run_flow("slgaussian-corpus", work, store, settings.runner, settings.workers)
+    with progress:
+        outcome = run_flow("slgaussian-corpus", work, store, settings.runner, settings.workers)
     try:
         prepared = _write(settings.out, store, outcome, stages)
     except OSError as error:

@@ -6,10 +6,14 @@ server runs already; then none is started.
 
 from __future__ import annotations
 
+import atexit
 import os
+import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from flows.server import LocalServer
 from slgaussian.local_cache import user_cache
@@ -26,9 +30,17 @@ def prepare(home: Path) -> None:
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
         # Progress and failures are told by flows.progress.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
-        "PREFECT_LOGGING_TO_API_ENABLED": "false",
+        # A server of ours ends with the run, and nobody reads there what flows.journal logs.
+        "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
+        "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
+        "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
         # Never Prefect's own embedded server: it stays behind when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
+        # Ray, should it be the runner: offline, and on loopback. Prefect may import it any time.
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+        # It hides all GPUs from tasks that do not book one.
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     }
     for name, value in variables.items():
         os.environ.setdefault(name, value)
@@ -56,12 +68,42 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
     os.environ["PREFECT_API_URL"] = server.url
     try:
         server.start()
-        from prefect.events.clients import NullEventsClient
-        from prefect.events.worker import EventsWorker
+        from tasks.shard import NO_EVENTS, send_no_events
 
-        # Nobody watches this server, and events cost it 36 kB a task and a second at the end.
-        EventsWorker.set_client_override(NullEventsClient)
+        # Nobody watches this server.
+        send_no_events()
+        os.environ[NO_EVENTS] = "1"
         yield server.wait
+        del os.environ[NO_EVENTS]
     finally:
         server.stop()
         del os.environ["PREFECT_API_URL"]
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """End this program in good order on Ctrl-C or SIGTERM within the block, and at once.
+
+    What was begun in the block is left as after any error; then the program ends as the signal
+    itself ends one, without waiting for threads that are at a stage still.
+    """
+
+    def terminate(number: int, frame: object) -> NoReturn:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    except (KeyboardInterrupt, _Terminated) as reason:
+        sys.stderr.write("\nstopped; the same command goes on from here\n")
+        sys.stderr.flush()
+        number = signal.SIGTERM if isinstance(reason, _Terminated) else signal.SIGINT
+        signal.signal(number, signal.SIG_DFL)
+        atexit._run_exitfuncs()  # pools of processes would otherwise be said to leak
+        os.kill(os.getpid(), number)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class _Terminated(BaseException):
+    """SIGTERM came."""

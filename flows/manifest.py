@@ -67,7 +67,7 @@ def manifest(
 
 
 def _described(row: Row) -> str:
-    own = ", ".join(f"{name} {value}" for name, value in row.settings.items())
+    own = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
     return f"{row.method} ({own})" if own else row.method
 
 

@@ -58,9 +58,9 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
             )
     threads.share()
     packed = Packed()
-    progress = Progress(len(scenes), 1)
-    clips = _clips(scenes, progress, packed)
-    packed.chunks = re10k.write(out, clips, int(settings.chunk_mb * 1e6))
+    with Progress(len(scenes), 1) as progress:
+        clips = _clips(scenes, progress, packed)
+        packed.chunks = re10k.write(out, clips, int(settings.chunk_mb * 1e6))
     progress.summary()
     return packed
 

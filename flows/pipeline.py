@@ -23,7 +23,12 @@ from flows.rooms import room_scene, seeds
 from flows.settings import Method, SceneSettings, Settings
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import label_files
-from slgaussian.benchmark.outputs import write_predictions, write_samples, write_table
+from slgaussian.benchmark.outputs import (
+    clear_predictions,
+    write_predictions,
+    write_samples,
+    write_table,
+)
 from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import Times
 from slgaussian.build import check_parts
@@ -68,7 +73,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     Rules(**settings.rules())
     store.check_writable()
     check_folder(settings.out)
-    progress = Progress(len(scenes), len(STAGES), more=1, verbose=verbose)
+    progress = Progress(len(scenes), len(STAGES), verbose=verbose)
     for text in (f"with {', '.join(parts.values())}", *said):
         progress.line(text)
     made = _pipeline(settings, scenes, store, progress)
@@ -176,7 +181,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             {**base, **known, "bank": "supervision"},
             where=where.get(method.lifting, {}),
         ),
-        Step("benchmark", {**asked, "queries": scene.queries}, answered, where=of_encoder),
+        Step("benchmark", {**asked, **scene.asked}, answered, where=of_encoder),
         Step("blame", asked, answered, where={**of_encoder, **of_blame}),
     ]
 
@@ -204,7 +209,9 @@ def _write(settings: Settings, store: ArtifactStore, made: _Made) -> list[SceneR
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
         times.append((result.method, scene, result.times))
-    write_samples([row for result in results for row in result.rows], out)
+    rows = [row for result in results for row in result.rows]
+    clear_predictions(rows, out)
+    write_samples(rows, out)
     lost = [load_spec("blame").schema.empty_table(), *map(store.get, made.blames.values())]
     write_table("blame", pa.concat_tables(lost), out)
     files = {"manifest.json": _json(made.manifest)}
@@ -266,16 +273,18 @@ def _pipeline(
 ) -> _Made:
     def work(crew: Crew) -> _Made:
         chains = [Chain(scene.name, partial(_planned, settings, scene)) for scene in scenes]
-        outcome = run_chains(chains, crew, progress)
+        with progress:
+            outcome = run_chains(chains, crew, progress)
         others = rivals.chains(settings, scenes, outcome.refs)
         more = Outcome()
         if others:
-            course = Progress(len(others), 1, verbose=progress.verbose)
-            more = run_chains(others, crew, course)
+            with Progress(len(others), 1, progress.verbose, unit="answers") as course:
+                more = run_chains(others, crew, course)
             course.summary()
         made = _gathered(settings, scenes, outcome, more)
         if made.answers:
-            page = run_chains([_report_chain(made)], crew, progress)
+            with Progress(1, 1, progress.verbose, unit="reports") as course:
+                page = run_chains([_report_chain(made)], crew, course)
             made.failures += page.failures
             made.report = page.refs.get("all scenes", {}).get("report")
         return made

@@ -1,151 +1,264 @@
-"""What people see while a run works: little, on standard error, and how long is left."""
+"""What people and logs are told while a run works, and how long is left."""
 
 from __future__ import annotations
 
+import logging
 import sys
+import threading
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TextIO
 
+from flows.display import Display
+from flows.journal import log
+from flows.memory import memory_in_use
+from flows.metrics import Metrics
+
 REMIND = 30.0
-"""Seconds between progress lines where there is no terminal to keep one live line on."""
+"""Seconds between lines with the metrics: in the log, and where there is no terminal to keep a
+table on."""
+
+REDRAW = 0.1
+"""Seconds at least between two drawings of the table: there may be thousands of events a second."""
+
+TICK = 1.0
+"""Seconds at most."""
+
+
+@dataclass
+class Spent:
+    """What a stage took, of all scenes so far: how often it was done or found done, and seconds."""
+
+    computed: int = 0
+    cached: int = 0
+    seconds: float = 0.0
 
 
 class Progress:
-    """One line a scene as it is done, a live line in between, and a line a stage at the end.
+    """One line a scene as it is done, a table in between, and a line a stage at the end.
 
     With ``verbose`` every stage of every scene has its line, and unexpected errors their
-    traceback.
+    traceback. Within ``with`` it also tells the metrics while nothing happens.
     """
 
     def __init__(
         self,
         scenes: int,
         stages: int,
-        more: int = 0,
         verbose: bool = False,
         stream: TextIO | None = None,
+        unit: str = "scenes",
     ) -> None:
-        """``stages`` are those of each scene, ``more`` those of the whole run."""
-        self.scenes, self.stages = scenes, stages
-        self.total = scenes * stages + more
+        """``stages`` are those of each scene."""
+        self.scenes, self.stages, self.unit = scenes, stages, unit
+        self.total = scenes * stages
         self.verbose = verbose
-        self.stream = stream or sys.stderr
-        self.live = self.stream.isatty()
-        self.start = self.last = time.perf_counter()
-        self.steps = self.computed = self.lost = 0
+        self.display = Display(stream or sys.stderr)
+        self.start = self.reminded = self.drawn = time.perf_counter()
+        self.steps = 0
         self.active: dict[str, str] = {}
         self.detail = ""
-        self.done: dict[str, list[tuple[str, float, bool]]] = {}
-        self.totals: dict[str, list[tuple[float, bool]]] = {}
+        self.under_way: dict[str, list[tuple[str, float, bool]]] = {}
+        self.whole: set[str] = set()
+        self.left_out: dict[str, int] = {}
+        self.spent: dict[str, Spent] = {}
+        self.memory = self.peak = memory_in_use()
+        self.lock = threading.RLock()
+        self.over = threading.Event()
+
+    def __enter__(self) -> Progress:
+        told = f"{self.scenes} {self.unit}, {self.total} stages"
+        log(logging.INFO, "began", told, unit=self.unit, scenes=self.scenes, stages=self.total)
+        threading.Thread(target=self._tick, daemon=True).start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self.lock:
+            self.over.set()
+            self.display.clear()
+        self._log_metrics()
 
     def started(self, scene: str, stage: str) -> None:
         """A stage of a scene begins."""
-        self.active[scene] = stage
-        self.detail = ""
+        log(logging.DEBUG, "started", f"{scene}  {stage}", scene=scene, stage=stage)
+        with self.lock:
+            self.active[scene] = stage
+            self.detail = ""
         self._status()
 
     def said(self, scene: str, stage: str, text: str) -> None:
         """A stage that is being worked on is so far."""
-        self.detail = f", {text}"
+        log(logging.DEBUG, "said", f"{scene}  {stage}  {text}", scene=scene, stage=stage)
+        with self.lock:
+            self.detail = f", {text}"
         self._status()
 
     def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
         """A stage of a scene is done, or was found done."""
-        self.active.pop(scene, None)
-        self.steps += 1
-        self.computed += not cached
-        self.totals.setdefault(stage, []).append((seconds, cached))
-        mine = self.done.setdefault(scene, [])
-        mine.append((stage, seconds, cached))
-        if self.verbose or self.scenes == 1:
-            self.line(f"{scene}  {stage}  {_took(seconds, cached)}")
-        elif len(mine) == self.stages:
-            computed = [(name, s) for name, s, was_cached in mine if not was_cached]
-            told = " · ".join(f"{name} {s:.1f} s" for name, s in computed)
-            rest = len(mine) - len(computed)
-            cached_too = f"{rest} stages cached" if rest else ""
-            self.line(f"{scene}  {' · '.join(filter(None, [told, cached_too]))}")
+        told = f"{scene}  {stage}  {'cached' if cached else f'{seconds:.1f} s'}"
+        facts = {"scene": scene, "stage": stage, "seconds": round(seconds, 3), "cached": cached}
+        log(logging.DEBUG if cached else logging.INFO, "finished", told, **facts)
+        with self.lock:
+            self.active.pop(scene, None)
+            self.steps += 1
+            spent = self.spent.setdefault(stage, Spent())
+            spent.cached += cached
+            spent.computed += not cached
+            spent.seconds += 0.0 if cached else seconds
+            mine = self.under_way.setdefault(scene, [])
+            mine.append((stage, seconds, cached))
+            if self.verbose or self.scenes == 1:
+                self.display.line(told)
+            if len(mine) == self.stages:
+                self._went_through(scene)
         self._status()
 
     def went_back(self, scene: str, stage: str, stages: int, reason: str) -> None:
         """The last stages of a scene that were done are done again."""
-        self.active.pop(scene, None)
-        del self.done[scene][-stages:]
-        self.steps -= stages
-        self.line(f"{scene}  goes {stages} stages back: {reason}")
+        told = f"{scene}  goes {stages} stages back: {reason}"
+        log(logging.WARNING, "went_back", told, scene=scene, stage=stage, stages=stages)
+        with self.lock:
+            self.active.pop(scene, None)
+            del self.under_way[scene][-stages:]
+            self.steps -= stages
+            self.display.line(told)
 
     def dropped(self, scene: str) -> None:
         """A scene begins anew, whatever was done of it."""
-        self.active.pop(scene, None)
-        self.steps -= len(self.done.pop(scene, []))
+        log(logging.WARNING, "dropped", f"{scene}  begins anew", scene=scene)
+        with self.lock:
+            self.active.pop(scene, None)
+            self.steps -= len(self.under_way.pop(scene, []))
+            if scene in self.whole:
+                self.whole.remove(scene)
+                self.steps -= self.stages
+            if scene in self.left_out:
+                done = self.left_out.pop(scene)
+                self.steps -= done
+                self.total += self.stages - done
 
     def failed(self, scene: str, stage: str, reason: str, trace: str = "") -> None:
         """A scene is taken out; ``trace`` is the traceback of an error that is a defect."""
-        self.active.pop(scene, None)
-        self.lost += 1
-        self.total -= self.stages - len(self.done.get(scene, []))
-        self.line(f"{scene}  left out at {stage}: {reason}")
+        told = f"{scene}  left out at {stage}: {reason}"
+        more = {"traceback": trace} if trace else {}
+        log(logging.ERROR, "failed", told, scene=scene, stage=stage, reason=reason, **more)
+        with self.lock:
+            self.active.pop(scene, None)
+            self.left_out[scene] = len(self.under_way.pop(scene, []))
+            self.total -= self.stages - self.left_out[scene]
+            self.say_failed(told, trace)
+
+    def died(self, why: str, scenes: Sequence[str]) -> None:
+        """A worker died, with all that it had not told of these scenes."""
+        told = f"a worker died ({why}); its scenes are tried again"
+        log(logging.WARNING, "worker_died", told, reason=why, scenes=list(scenes))
+        with self.lock:
+            self.display.line(told)
+
+    def say_failed(self, told: str, trace: str) -> None:
+        """How people are told that a scene was left out."""
+        self.display.line(told)
         if self.verbose and trace:
-            self.line(trace)
+            self.display.line(trace)
+
+    def line(self, text: str) -> None:
+        """A line that stays, about the whole run."""
+        log(logging.INFO, "note", text)
+        with self.lock:
+            self.display.line(text)
 
     def summary(self) -> None:
         """One line a stage with its time, then the whole."""
-        self._clear()
-        if self.scenes > 1:
-            for stage, runs in self.totals.items():
-                seconds, cached = sum(s for s, c in runs if not c), sum(c for _, c in runs)
-                computed = len(runs) - cached
-                told = [f"{computed} in {seconds:.1f} s" if computed else ""]
-                told.append(f"{cached} cached" if cached else "")
-                self.line(f"{stage:<12} {', '.join(filter(None, told))}")
-        self.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
+        with self.lock:
+            self.display.clear()
+            if self.scenes > 1:
+                for stage, spent in self.spent.items():
+                    told = [f"{spent.computed} in {spent.seconds:.1f} s"] if spent.computed else []
+                    told += [f"{spent.cached} cached"] if spent.cached else []
+                    self.display.line(f"{stage:<12} {', '.join(told)}")
+            self.display.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
 
-    def line(self, text: str) -> None:
-        """A line that stays."""
-        self._clear()
-        self.stream.write(text + "\n")
-        self.stream.flush()
+    def metrics(self, now: float | None = None) -> Metrics:
+        """The run in numbers so far; ``now`` is by ``time.perf_counter``."""
+        elapsed = max(1e-3, (time.perf_counter() if now is None else now) - self.start)
+        spent = self.spent.values()
+        return Metrics(
+            unit=self.unit,
+            done=len(self.whole),
+            failed=len(self.left_out),
+            scenes=self.scenes,
+            steps=self.steps,
+            stages=self.total,
+            computed=sum(stage.computed for stage in spent),
+            cached=sum(stage.cached for stage in spent),
+            rate=60 * len(self.whole) / elapsed,
+            left=self._left(elapsed),
+            memory=self.memory,
+            peak=self.peak,
+        )
+
+    def _went_through(self, scene: str) -> None:
+        mine = self.under_way.pop(scene)
+        self.whole.add(scene)
+        computed = [(stage, seconds) for stage, seconds, cached in mine if not cached]
+        rest = len(mine) - len(computed)
+        told = [" · ".join(f"{stage} {seconds:.1f} s" for stage, seconds in computed)]
+        told += [f"{rest} stages cached"] if rest else []
+        said = f"{scene}  {' · '.join(filter(None, told))}"
+        facts = {"seconds": round(sum(seconds for _, seconds, _ in mine), 3)}
+        log(logging.INFO, "done", said, scene=scene, **facts, computed=len(computed), cached=rest)
+        if not self.verbose and self.scenes > 1:
+            self.display.line(said)
+
+    def _left(self, elapsed: float) -> float | None:
+        """Seconds to go: the stages still to come take as long as their like so far.
+
+        So where those of a kind were in the store, the next are taken to be, too. Of a single scene
+        nothing is known before, as no stage of it is like another.
+        """
+        worked = sum(stage.seconds for stage in self.spent.values())
+        if self.scenes == 1 or not worked:
+            return None
+        left, unseen = 0.0, self.total - self.steps
+        for stage in self.spent.values():
+            runs = stage.computed + stage.cached
+            more = min(unseen, max(0, self.scenes - len(self.left_out) - runs))
+            left += more * stage.seconds / runs
+            unseen -= more
+        left += unseen * worked / sum(stage.computed for stage in self.spent.values())
+        # Workers side by side do more than a second of work a second.
+        return left * elapsed / worked
 
     def _status(self) -> None:
         now = time.perf_counter()
-        if not self.active or (not self.live and now - self.last < REMIND):
+        live = self.display.live
+        if now - (self.drawn if live else self.reminded) < (REDRAW if live else REMIND):
             return
-        self.last = now
-        doing = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())
-        told = f"{self.steps}/{self.total} stages{_rate(self, now)}  {doing}{self.detail}"
-        if self.live:
-            self.stream.write(f"\r\x1b[2K{told[:110]}")
-            self.stream.flush()
-        else:
-            self.line(told)
+        with self.lock:
+            if self.over.is_set():
+                return
+            working = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())
+            working += self.detail
+            if live:
+                self.drawn = now
+                self.display.table(self.metrics(now).cells(), working)
+            else:
+                self.reminded = now
+                self.display.line(f"{self.metrics(now).sentence()}  {working}".rstrip())
 
-    def _clear(self) -> None:
-        if self.live:
-            self.stream.write("\r\x1b[2K")
+    def _tick(self) -> None:
+        logged = time.perf_counter()
+        while not self.over.wait(TICK):
+            self.memory = memory_in_use()
+            self.peak = max(self.memory or 0, self.peak or 0) or None
+            self._status()
+            if time.perf_counter() - logged > REMIND:
+                logged = time.perf_counter()
+                self._log_metrics()
 
-
-def _took(seconds: float, cached: bool) -> str:
-    return "cached" if cached else f"{seconds:.1f} s"
-
-
-def _rate(progress: Progress, now: float) -> str:
-    """How fast, and for how long: the stages still to come take as long as their like so far.
-
-    So where those of a kind were in the store, the next are taken to be, too. Of a single scene
-    nothing is known before, as no stage of it is like another.
-    """
-    totals = progress.totals
-    worked = {stage: sum(s for s, cached in runs if not cached) for stage, runs in totals.items()}
-    if progress.scenes == 1 or not any(worked.values()):
-        return ""
-    elapsed = now - progress.start
-    scenes = progress.scenes - progress.lost
-    left, unseen = 0.0, progress.total - progress.steps
-    for stage, runs in totals.items():
-        more = max(0, scenes - len(runs))
-        left += more * worked[stage] / len(runs)
-        unseen -= more
-    left += max(0, unseen) * sum(worked.values()) / progress.computed
-    # Workers side by side do more than a second of work a second.
-    left *= elapsed / sum(worked.values())
-    return f", {60 * progress.computed / elapsed:.0f} a minute, about {left:.0f} s left"
+    def _log_metrics(self) -> None:
+        with self.lock:
+            metrics, working = self.metrics(), dict(self.active)
+        facts = {k: round(v, 1) if type(v) is float else v for k, v in vars(metrics).items()}
+        log(logging.INFO, "metrics", metrics.sentence(), **facts, working=working)

@@ -55,11 +55,11 @@ def chains(
         if scene.name not in refs:
             continue
         for name, row in rows.items():
-            asked = {"queries": scene.queries, "rules": settings.rules()}
-            named = {"method": name, "dataset": scene.dataset}
+            rules = {**settings.rules(), **row.rules}
+            called = {"method": name, "of": row.method, "own": dict(row.settings)}
             step = Step(
                 STAGE,
-                {**named, "of": row.method, "own": dict(row.settings), **asked},
+                {**called, "rules": rules, **scene.asked},
                 {"sample": "ingest", "truth": "truth", "labels": "masks", "field": "field"},
                 where,
             )

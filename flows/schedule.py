@@ -1,4 +1,4 @@
-"""Retraining by the clock of a Prefect server."""
+"""What a Prefect server and its workers start by the clock: retraining, reports, lessons."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import urllib.request
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ from prefect.runner import Runner
 from prefect.runtime import deployment
 from pydantic import ValidationError
 
-from flows.environment import orchestration
+from flows.commands import perform
+from flows.corpus_settings import read_corpus
+from flows.settings import read_toml
 from flows.training_settings import from_anywhere, read_retraining
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.store import ArtifactStore
+from tasks.shard import Failure
 
 NAME = "slgaussian-retrain"
 
@@ -39,21 +42,39 @@ def scheduled(config: str | None = None, given: dict[str, Any] | None = None) ->
     given : mapping, optional
         Settings that win over it.
     """
+    file = None if config is None else Path(config)
+    learnt, prepared = _performed("retrain", lambda: read_retraining(file, given or {}))
+    return _said(learnt.said, prepared.failures)
+
+
+@flow(name="slgaussian-report", persist_result=False)
+def report(config: str, given: dict[str, Any] | None = None) -> str:
+    """What `slgaussian run` does, likewise: a benchmark and its report."""
+    made = _performed("run", lambda: read_toml(Path(config), given or {}))
+    return _said(f"report: {made.report}" if made.report else "no report", made.failures)
+
+
+@flow(name="slgaussian-supervise", persist_result=False)
+def supervise(config: str, given: dict[str, Any] | None = None) -> str:
+    """What `slgaussian supervise` does, likewise: what is new in a corpus is made into lessons."""
+    made = _performed("supervise", lambda: read_corpus(Path(config), given or {}))
+    return _said(", ".join(f"{n} {stage}" for stage, n in made.rows.items()), made.failures)
+
+
+def _performed(command: str, read: Callable[[], Any]) -> Any:
     if deployment.id is not None:
         threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     try:
-        settings = read_retraining(None if config is None else Path(config), given or {})
-        store = ArtifactStore(settings.store)
-        with orchestration(store) as ready:
-            from flows.retraining import retrain
-
-            ready()
-            said = retrain(settings, store)[0].said
+        return perform(command, read())
     except SLGaussianError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         raise
-    print(said, flush=True)
-    return said
+
+
+def _said(what: str, failures: Sequence[Failure]) -> str:
+    more = f"; left out: {len(failures)}, the first {failures[0].scene}" if failures else ""
+    print(f"{what}{more}", flush=True)
+    return f"{what}{more}"
 
 
 def serve(

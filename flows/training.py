@@ -224,7 +224,10 @@ def _run(
 ) -> Outcome:
     progress = _Course(1, len(steps), verbose=verbose)
     chain = Chain("branch", partial(given, steps), refs, first="train")
-    outcome = run_flow("slgaussian-train", lambda crew: run_chains([chain], crew, progress), store)
+    with progress:
+        outcome = run_flow(
+            "slgaussian-train", lambda crew: run_chains([chain], crew, progress), store
+        )
     progress.summary()
     return outcome
 
@@ -232,8 +235,7 @@ def _run(
 class _Course(Progress):
     """Of one chain, whose failure is raised in the end."""
 
-    def failed(self, scene: str, stage: str, reason: str, trace: str = "") -> None:
+    def say_failed(self, told: str, trace: str) -> None:
         """Say only what the reason leaves out."""
-        self.active.pop(scene, None)
         if self.verbose and trace:
-            self.line(trace)
+            self.display.line(trace)

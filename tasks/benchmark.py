@@ -19,7 +19,7 @@ VERSION = 6
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``scene_result``. Settings: method, queries, rules.
+    """Spec ``scene_result``. Settings: method, dataset, queries, rules; place, if the data have it.
 
     Inputs: sample, truth, labels, field. ``where[key]`` is the file of the encoder that the field's
     settings hold the digest of.

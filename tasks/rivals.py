@@ -28,8 +28,8 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``scene_result``, without pictures. Inputs: sample, truth, labels, field.
 
     Settings: method (its name in tables), of (its name in the registry), own (its settings),
-    dataset, queries, rules. ``where[key]`` is the file of the encoder that the field's settings
-    hold the digest of, ``where["part.key"]`` that of another part.
+    dataset, queries, rules; place, if the data have it. ``where[key]`` is the file of the encoder
+    that the field's settings hold the digest of, ``where["part.key"]`` that of another part.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     of_encoder = {key: place for key, place in call.where.items() if "." not in key}
@@ -68,6 +68,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         queries=queries,
         method=call.settings["method"],
         dataset=call.settings["dataset"],
+        place=call.settings.get("place"),
         rules=Rules(**call.settings["rules"]),
         drawn=False,
     )

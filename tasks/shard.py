@@ -6,6 +6,7 @@ small, plain and picklable; what is large goes through the store.
 
 from __future__ import annotations
 
+import os
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -16,10 +17,25 @@ from typing import Any
 
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
+from prefect.events.clients import NullEventsClient
+from prefect.events.worker import EventsWorker
 
 from slgaussian.errors import SLGaussianError
 from slgaussian.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.stage import StageCall, listening, run_stage
+
+NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
+"""Environment variable that is set if nobody reads the events that Prefect has of every task: they
+cost a worker and the server some 25 ms a task, and the database 25 kB."""
+
+
+def send_no_events() -> None:
+    """Have this process keep Prefect's events to itself."""
+    EventsWorker.set_client_override(NullEventsClient)
+
+
+if NO_EVENTS in os.environ:
+    send_no_events()  # a worker loads this module with its first task, before any event of it
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.bootstrap import DRAWS, compare, interval_of_mean, resamplings
+from slgaussian.bootstrap import DRAWS, compare, interval_of_mean, resamplings, totals
 from slgaussian.errors import InputError
 
 
@@ -49,3 +49,26 @@ def test_the_interval_is_that_of_plain_resampling():
     assert high == pytest.approx(means[round(0.975 * (DRAWS - 1))], abs=1e-3)
     assert resamplings(7).min() == 0 and resamplings(7).max() == 6
     assert not np.array_equal(resamplings(7, seed=1), resamplings(7))
+
+
+def test_groups_are_drawn_whole():
+    """Against plain loops over the same draws of groups."""
+    values = np.random.default_rng(2).random(7)
+    groups = ["b", "a", "b", "c", "c", "b", "a"]
+    order = ["b", "a", "c"]
+    means = []
+    for chosen in resamplings(3).tolist():
+        drawn = [v for k in chosen for v, g in zip(values, groups, strict=True) if g == order[k]]
+        means.append(sum(drawn) / len(drawn))
+    low, high = np.quantile(means, [0.025, 0.975])
+    assert interval_of_mean(values, groups=groups) == pytest.approx((low, high), abs=1e-12)
+    assert totals(values, groups)[1] == pytest.approx(values[1] + values[6])
+
+
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))
+def test_samples_that_are_there_several_times_make_nothing_surer(values, copies):
+    once = compare(values, [0.0] * len(values))
+    groups = [k for k in range(len(values)) for _ in range(copies)]
+    again = compare([v for v in values for _ in range(copies)], [0.0] * len(groups), 0, groups)
+    assert (again.low, again.high) == pytest.approx((once.low, once.high), abs=1e-12)
+    assert (again.samples, again.drawn) == (copies * len(values), len(values))

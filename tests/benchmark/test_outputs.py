@@ -7,7 +7,13 @@ import pytest
 from PIL import Image
 
 from data_specs import load_spec
-from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions, write_samples
+from slgaussian.benchmark.outputs import (
+    clear_predictions,
+    file_name,
+    mask_place,
+    write_predictions,
+    write_samples,
+)
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.errors import InputError
 
@@ -65,6 +71,32 @@ def test_same_results_give_the_same_files(tmp_path, result):
         if path.is_file():
             twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
             assert path.read_bytes() == twin.read_bytes()
+
+
+def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
+    other = [row | {"method": "other"} for row in result.rows]
+    for rows in (result.rows, other):
+        write_predictions(rows, masks_of(result), tmp_path / "predictions")
+    write_samples([*result.rows, *other], tmp_path)
+    before = set(tmp_path.rglob("*.png"))
+    kept = tmp_path / "predictions" / "other" / "notes.txt"
+    kept.write_text("mine")
+    foreign = tmp_path / "predictions" / "yet another" / "a.png"
+    foreign.parent.mkdir()
+    foreign.write_bytes(b"")
+    few = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
+    clear_predictions(few, tmp_path)
+    left = set(tmp_path.rglob("*.png")) - {foreign}
+    assert left == {tmp_path / "predictions" / mask_place(row) for row in few} & before
+    assert left and kept.read_text() == "mine" and foreign.exists()
+    assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
+    # Again, or without a table of samples, nothing happens.
+    clear_predictions(few, tmp_path)
+    for table in (b"no table", None):
+        samples = tmp_path / "samples.parquet"
+        samples.unlink() if table is None else samples.write_bytes(table)
+        clear_predictions([], tmp_path)
+    assert set(tmp_path.rglob("*.png")) - {foreign} == left
 
 
 def test_file_names_are_safe_and_differ():

@@ -66,6 +66,7 @@ def test_conditions_and_samples_are_said_once_and_again_where_they_differ():
     notes = {line.method: line.cells[0].note for line in table.lines}
     assert "share 0.5" in notes["b"] and "n 1" in notes["b"]
     assert "share" not in notes["a"]
+    assert {line.method: line.by for line in table.lines} == {"a": "", "c": "", "b": "share 0.5"}
     cells = {line.method: line.cells[0] for line in table.lines}
     assert cells["a"].interval == "0.500–0.600" and cells["b"].interval == ""
 
@@ -102,6 +103,27 @@ def test_a_difference_is_beyond_noise_or_not(scenes, gain, mark):
 def test_nothing_is_printed_as_less_than_nothing():
     (table,) = difference_tables({"b": (rows_of("a", 0.5), rows_of("b", 0.50001))})
     assert table.lines[0].cells[0].value == "+0.000"
+
+
+def test_what_ends_at_nothing_as_it_is_printed_is_noise():
+    gains = [0.0004, *[0.002] * 20]
+    ours = rows_of("a", *(0.5 + gain for gain in gains))
+    (table,) = difference_tables({"b": (ours, rows_of("b", *[0.5] * len(gains)))})
+    assert table.lines[0].cells[0].mark == "better"
+    small = rows_of("a", *[0.5004] * 6)
+    (table,) = difference_tables({"b": (small, rows_of("b", *[0.5] * 6))})
+    assert table.lines[0].cells[0].mark == "noise"
+
+
+def test_scenes_of_few_places_are_few():
+    ours, theirs = (
+        [row | {"place": "one"} for row in rows_of(name, *[iou] * 6)]
+        for name, iou in (("a", 0.6), ("b", 0.5))
+    )
+    (table,) = difference_tables({"b": (ours, theirs)})
+    assert (table.scenes, table.places) == (6, 1)
+    assert (table.lines[0].cells[0].mark, table.lines[0].cells[0].interval) == ("few", "")
+    assert (table_of(ours).scenes, table_of(ours).places) == (6, 1)
 
 
 def test_less_of_an_error_is_better():

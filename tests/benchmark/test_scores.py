@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 from data_specs import load_spec
 from slgaussian.benchmark.protocols import PROTOCOLS, THRESHOLDS
 from slgaussian.benchmark.scores import (
+    FEW_PLACES,
     FEW_SCENES,
     METRICS,
+    ONE_PLACE,
     ONE_SCENE,
     SCORE_CALIBRATION,
     differences,
@@ -109,6 +111,24 @@ def test_the_interval_is_that_of_the_scenes_and_always_the_same():
     assert row["high"] == pytest.approx(values.mean() + 1.96 * error, abs=0.1 * error)
     assert score_table(rows).equals(score_table(rows))
     assert score(score_table(rows, seed=1), "iou")["low"] != row["low"]
+
+
+def test_scenes_of_one_place_are_drawn_together():
+    places = {"a": "x", "b": "x", "c": "y", "d": "y", "e": "z"}
+    rows = ious(a=[0.1], b=[0.3], c=[0.9], d=[0.5], e=[0.4])
+    score_of = {"score": 0.7, "hit_mask": True}
+    rows = [row | score_of | {"place": places[row["scene"]]} for row in rows]
+    row = score(score_table(rows), "iou")
+    assert row["value"] == pytest.approx(np.mean([0.1, 0.3, 0.9, 0.5, 0.4]))
+    assert (row["scenes"], row["places"], row["note"]) == (5, 3, FEW_PLACES)
+    # A place can be drawn three times: its mean, of all its scenes.
+    assert (row["low"], row["high"]) == (pytest.approx(0.2), pytest.approx(0.7))
+    assert score(score_table(rows), SCORE_CALIBRATION)["places"] == 3
+    one = score(score_table(rows[:2]), "iou")
+    assert (one["low"], one["note"], one["scenes"], one["places"]) == (None, ONE_PLACE, 2, 1)
+    found = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
+    assert (found.samples, found.drawn) == (5, 3)
+    assert (found.low, found.high) == (pytest.approx(0.2), pytest.approx(0.7))
 
 
 def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):

@@ -3,9 +3,9 @@ import numpy as np
 from slgaussian.benchmark import pictures, showcase
 
 
-def row_of(scene, query, iou, hit=True):
+def row_of(scene, query, iou, hit=True, **more):
     row = {"scene": scene, "frame": "f", "query": query, "iou": iou, "protocol": "p@1"}
-    return {**row, "hit_mask": hit, "hit_box": hit}
+    return {**row, "dataset": "d", "hit_mask": hit, "hit_box": hit, **more}
 
 
 def test_the_worst_are_those_of_least_iou_and_then_those_that_point_elsewhere():
@@ -25,6 +25,17 @@ def test_no_scene_takes_all_places_unless_there_is_no_other():
     assert [row["scene"] for row in chosen] == ["a", "a", "b", "c", "d"]
     assert len(showcase.few_a_scene(rows[:6], 5)) == 5
     assert showcase.few_a_scene([], 5) == []
+
+
+def test_every_data_set_has_its_share_and_a_query_is_shown_once_a_scene():
+    rows = [row_of(scene, "q", 0.0) for scene in "abcd"]
+    rows += [row_of(scene, "q", 0.1, dataset="e") for scene in "xy"]
+    assert [row["scene"] for row in showcase.few_a_scene(rows, 4)] == ["a", "b", "x", "y"]
+    # What one data set has not, the other has.
+    assert [row["scene"] for row in showcase.few_a_scene(rows[:5], 4)] == ["a", "b", "c", "x"]
+    again = [row_of("a", "q", 0.0, frame="g"), *rows]
+    assert [row["frame"] for row in showcase.few_a_scene(again, 5)[:2]] == ["g", "f"]
+    assert sum(row["scene"] == "a" for row in showcase.few_a_scene(again, 5)) == 1
 
 
 def test_queries_that_tell_methods_apart():

@@ -12,8 +12,9 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows import pipeline
+from flows import pipeline, rivals
 from flows.labelled import labelled_scenes
+from flows.rooms import room_scene
 from flows.settings import SceneSettings, make_settings
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
@@ -203,6 +204,21 @@ class TestScored:
         mask = found.masks[FRAMES[4]]["sheep"]
         assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
         assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
+
+    def test_pairs_of_one_scene_of_the_data_are_of_one_place(self, lerf, monkeypatch):
+        scenes, _ = self.scenes(lerf, monkeypatch)
+        assert [scene.options["scene"] for scene in scenes] == ["ramen", "teatime"]
+        settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
+        for scene in [*scenes, room_scene(3)]:
+            refs = {scene.name: {}}
+            chains = rivals.chains(settings, [scene], refs)
+            others = [step for chain in chains for step in chain.plan(None)]
+            (own,) = (s for s in pipeline.plan(settings, scene) if s.stage == "benchmark")
+            place = scene.options.get("scene")
+            assert [step.settings.get("place") for step in (own, *others)] == [place] * 3
+            # Each row is asked by its own rules, and its samples say so.
+            absent = [step.settings["rules"]["absent"] for step in (own, *others)]
+            assert absent == ["skip", "skip", "zero"]
 
     def test_another_format_than_that_of_the_index_is_refused(self, lerf, monkeypatch):
         with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):

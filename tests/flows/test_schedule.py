@@ -4,6 +4,7 @@ That they fire is shown by ``benches/schedule.py``: a server, and two times of a
 """
 
 import inspect
+import logging
 import time
 from importlib import import_module
 from pathlib import Path
@@ -55,19 +56,32 @@ def test_times_that_are_none_are_refused(config, monkeypatch, capsys, arguments,
     assert expected in refused(monkeypatch, capsys, config, *arguments)
 
 
-def test_the_deployment_of_the_repository_can_be_loaded():
-    known = yaml.safe_load((ROOT / "prefect.yaml").read_text())
-    (deployment,) = known["deployments"]
-    file, name = deployment["entrypoint"].split(":")
-    loaded = load_flow_from_entrypoint(f"{ROOT / file}:{name}")
+DEPLOYMENTS = yaml.safe_load((ROOT / "prefect.yaml").read_text())["deployments"]
+
+
+@pytest.mark.parametrize("deployment", DEPLOYMENTS, ids=[d["name"] for d in DEPLOYMENTS])
+def test_the_deployments_of_the_repository_can_be_loaded(deployment):
+    loaded = load_flow_from_entrypoint(deployment["entrypoint"])
+    name = deployment["entrypoint"].rpartition(".")[2]
+    from flows import journal, schedule
+
+    own = getattr(schedule, name)
+    assert loaded.name == own.name
+    parameters = inspect.signature(own.fn).parameters
+    assert deployment["parameters"].keys() <= parameters.keys()
+    for clock in deployment.get("schedules", []):
+        CronSchedule(**clock)
+    pool = deployment["work_pool"]
+    assert pool["name"] == "slgaussian"
+    extra = pool["job_variables"]["env"]["PREFECT_LOGGING_EXTRA_LOGGERS"]
+    assert logging.getLogger(extra).handlers  # where that of the runs sends what it hears
+    assert journal._log.name.startswith(f"{extra}.")
+
+
+def test_a_served_flow_is_found_by_its_module():
+    """In a process that knows no path of this one."""
     from flows.schedule import scheduled
 
-    assert loaded.name == scheduled.name
-    parameters = inspect.signature(scheduled.fn).parameters
-    assert deployment["parameters"].keys() <= parameters.keys()
-    for schedule in deployment["schedules"]:
-        CronSchedule(**schedule)
-    # What the served flow is found by, in a process that knows no path of this one.
     assert getattr(import_module(scheduled.__module__), scheduled.__name__) is scheduled
 
 
@@ -77,6 +91,37 @@ def test_what_stops_a_run_is_said_and_fails_it(config, server, capsys):
     with pytest.raises(InputError, match="holds no chunk"):
         scheduled(str(config), {})
     assert "holds no chunk (.torch)" in capsys.readouterr().err
+
+
+def test_other_configurations_are_read_like_those_of_the_commands(config, server, capsys):
+    from flows.schedule import report, supervise
+
+    with pytest.raises(InputError, match=r"retrain.toml: unknown key 'models'"):
+        supervise(str(config))
+    config.write_text(f'chunks = "{config.parent}"\nout = "corpus"\nstore = "store"\n')
+    with pytest.raises(InputError, match="holds no chunk"):
+        supervise(str(config), {"min_overlap": 0.5})
+    with pytest.raises(InputError, match=r"min_overlap 1 is above max_overlap 0.5; no pair"):
+        supervise(str(config), {"min_overlap": 1.0, "max_overlap": 0.5})
+    with pytest.raises(InputError, match="unknown key 'chunks'"):
+        report(str(config))
+    capsys.readouterr()
+
+
+def test_a_report_by_the_clock_is_that_of_the_command(tmp_path, server, capsys):
+    from command import ROOM
+
+    from flows.schedule import report
+
+    config = tmp_path / "report.toml"
+    config.write_text('out = "scores"\nstore = "store"\nsize = "64x96"\n')
+    lost = {**ROOM, "name": "lost", "options": {"seed": 1, "objects": 4, "views": 1}}
+    said = report(str(config), {"scenes": [{**ROOM, "queries": ["red ball"]}, lost]})
+    page = tmp_path / "scores" / "report.html"
+    assert page.is_file() and said == f"report: {page}; left out: 1, the first lost"
+    assert said in capsys.readouterr().out
+    first, *_, last = (tmp_path / "scores" / "log.jsonl").read_text("utf-8").splitlines()
+    assert '"command": "run"' in first and '"how": "finished"' in last
 
 
 def test_the_scheduler_of_the_server_can_plan_runs(server):

@@ -37,10 +37,10 @@ def run_tiny(
 
 
 if __name__ == "__main__":
-    from flows.environment import orchestration
+    from flows.environment import interruptible, orchestration
 
     store, log, sleep, runner = ArtifactStore(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:5]
-    with orchestration(store) as ready:
+    with interruptible(), orchestration(store) as ready:
         ready()
         plans = {f"scene_{i}": chain_plan(10 * i + 4, 1, log, float(sleep)) for i in range(3)}
         run_tiny(store, plans, stream=sys.stderr, runner=runner)

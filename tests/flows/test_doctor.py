@@ -1,0 +1,159 @@
+"""What is wrong with an installation is one line each, and never hides the other lines."""
+
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+import torch
+from command import run
+from packaging.requirements import Requirement
+from test_killed import servers_of, wait_until, with_database
+
+from flows import doctor
+
+NOBODY = "http://127.0.0.1:9/api"
+
+
+def examined(monkeypatch, capsys, *words) -> tuple[int, dict[str, list[str]]]:
+    """Exit status, and what is said by mark: ok, BAD, --."""
+    status = run(monkeypatch, "doctor", *words)
+    told = {"ok": [], "BAD": [], "--": []}
+    for line in capsys.readouterr().out.splitlines():
+        mark, said = line.split(maxsplit=1)
+        told[mark].append(" ".join(said.split()))
+    return status, told
+
+
+def test_a_healthy_installation(server, tmp_path, monkeypatch, capsys):
+    status, told = examined(monkeypatch, capsys, "--store", tmp_path / "store")
+    assert told["BAD"] == [] and status == 0
+    names = [line.split()[0] for line in told["ok"]]
+    assert names == ["slgaussian", "packages", "threads", "store", "server"]
+    assert f"torch {torch.__version__}, numpy {np.__version__}" in told["ok"][1]
+    assert f"server Prefect's server {version('prefect')} answers at {server.url}" in told["ok"]
+    assert "GiB free" in told["ok"][3]
+    assert {"[models]", "[s3]", "[cuda]"} <= {line.split()[0] for line in told["--"]}
+
+
+def test_packages_out_of_bounds_are_named():
+    for needs, said in [
+        ("numpy<1", f"numpy: found {np.__version__}, expected <1"),
+        ("no-such-thing>=2", "no-such-thing is not installed"),
+        ("numpy>=1", None),
+        ("scikit-image", None),
+    ]:
+        assert doctor._wrong(Requirement(needs)) == said
+
+
+def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
+    about = tmp_path / "broken-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (tmp_path / "broken.py").write_text("import no_such_library\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    said = "broken 1.0 cannot be imported (No module named 'no_such_library')"
+    assert doctor._wrong(Requirement("broken")) == said
+
+
+def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("in the way")
+    for store, said in [
+        ("foo://x", "store foo://x: Protocol not known: foo"),
+        (tmp_path / "file" / "store", "cannot write there (Not a directory); choose a writable"),
+    ]:
+        status, told = examined(monkeypatch, capsys, "--store", store)
+        assert status == 1 and len(told["BAD"]) == 1
+        assert said in told["BAD"][0]
+        assert len(told["ok"]) == 4
+
+
+def test_a_bucket_is_looked_at(server, bucket, monkeypatch, capsys):
+    status, told = examined(monkeypatch, capsys, "--store", f"{bucket}/slg")
+    assert status == 0
+    assert f"store {bucket}/slg answers and can be written" in told["ok"]
+    status, told = examined(monkeypatch, capsys, "--store", "s3://slg-no-such-bucket/slg")
+    assert status == 1
+    assert "no bucket 'slg-no-such-bucket'" in told["BAD"][0] and "make it first" in told["BAD"][0]
+
+
+def test_little_room_is_bad(server, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "ROOM", 2**60)
+    status, told = examined(monkeypatch, capsys, "--store", tmp_path)
+    assert status == 1
+    assert "GiB free; make room (`slgaussian store gc`), or" in told["BAD"][0]
+
+
+def test_a_server_that_does_not_answer(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PREFECT_API_URL", NOBODY)
+    status, told = examined(monkeypatch, capsys, "--store", tmp_path)
+    (bad,) = told["BAD"]
+    assert status == 1 and f"PREFECT_API_URL {NOBODY}: no Prefect server answers there" in bad
+    assert "prefect server start" in bad
+
+
+def test_a_server_of_its_own_is_started_and_stopped(server, tmp_path, monkeypatch, capsys):
+    store = with_database(tmp_path / "store", server)
+    monkeypatch.delenv("PREFECT_API_URL")
+    monkeypatch.setenv("PREFECT_HOME", str(store / ".prefect"))
+    status, told = examined(monkeypatch, capsys, "--store", store)
+    assert status == 0
+    assert told["ok"][-1] == "server Prefect's server starts and answers"
+    assert wait_until(lambda: servers_of(store) == [], 10)
+
+
+def test_the_runner_is_looked_at(server, tmp_path, monkeypatch, capsys):
+    status, told = examined(monkeypatch, capsys, "--store", tmp_path, "--runner", "processes")
+    assert status == 0 and told["ok"][-1] == "runner processes can be started"
+    status, told = examined(monkeypatch, capsys, "--store", tmp_path, "--runner", "ray://[::1]:9")
+    assert status == 1 and "runner" in told["BAD"][0]
+
+
+def save_model(folder) -> None:
+    from safetensors.numpy import save_file
+
+    folder.mkdir()
+    (folder / "config.json").write_text('{"model_type": "sam"}')
+    save_file({"weight": np.zeros((4, 4), np.float32)}, folder / "model.safetensors")
+
+
+def test_files_of_models_are_looked_at(server, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("transformers")
+    save_model(tmp_path / "sam")
+    torch.save({"encoder.weight": torch.zeros(3)}, tmp_path / "small.ckpt")
+    np.savez(tmp_path / "names.npz", names=np.array(["a"]), features=np.ones((1, 2)))
+    parts = {
+        "--proposer": "sam", "--sam-model": tmp_path / "sam",
+        "--predictor": "mvsplat", "--mvsplat-checkpoint": tmp_path / "small.ckpt",
+        "--encoder": "named", "--named-table": tmp_path / "names.npz",
+    }  # fmt: skip
+    words = ["--store", tmp_path / "store", *(word for pair in parts.items() for word in pair)]
+    status, told = examined(monkeypatch, capsys, *words)
+    assert told["BAD"] == [] and status == 0
+    assert told["ok"][-3:] == [
+        f"mvsplat checkpoint {tmp_path / 'small.ckpt'}: 1 tensors",
+        f"sam model {tmp_path / 'sam'}: a model",
+        f"named table {tmp_path / 'names.npz'}: a table",
+    ]
+    (tmp_path / "small.ckpt").write_bytes(b"no checkpoint")
+    (tmp_path / "sam" / "model.safetensors").write_bytes(b"\xff" * 20)
+    (tmp_path / "names.npz").unlink()
+    status, told = examined(monkeypatch, capsys, *words)
+    assert status == 1
+    for found, said in zip(
+        told["BAD"],
+        ["small.ckpt: is damaged", "no safetensors file; get it again", "cannot be read (No such"],
+        strict=True,
+    ):
+        assert said in found
+
+
+def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("transformers")
+    words = ["--store", tmp_path, "--predictor", "mvsplat", "--encoder", "clip", "--clip-model"]
+    words += ["no-such-owner/no-such-model", "--lifting", "soft"]
+    status, told = examined(monkeypatch, capsys, *words)
+    lifting, mvsplat, clip = told["BAD"]
+    assert status == 1
+    assert lifting == "lifting found 'soft', expected one of branch, filled, hard"
+    assert mvsplat == "mvsplat its checkpoint is not given; give --mvsplat-checkpoint PLACE"
+    assert "`hf download no-such-owner/no-such-model`" in clip

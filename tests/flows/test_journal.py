@@ -1,0 +1,105 @@
+"""The log of a run: every event is a line of JSON, and nothing that happens to it stops the run."""
+
+import io
+import json
+import logging
+from datetime import datetime
+
+import pytest
+
+from flows.journal import BEFORE, FILE, journal, log
+from flows.progress import Progress
+from slgaussian.errors import InputError
+
+
+def lines_of(file) -> list[dict]:
+    return [json.loads(line) for line in file.read_text("utf-8").splitlines()]
+
+
+def run_one(verbose: bool = False) -> Progress:
+    """Two scenes of two stages, of which one is left out."""
+    with Progress(2, 2, stream=io.StringIO(), verbose=verbose) as told:
+        for stage, cached in (("ingest", True), ("masks", False)):
+            told.started("küche\n", stage)
+            told.finished("küche\n", stage, 0.5, cached)
+        told.died("killed", ["hall"])
+        told.dropped("hall")
+        told.started("hall", "ingest")
+        told.finished("hall", "ingest", 0.25, False)
+        told.went_back("hall", "masks", 1, "a file is gone")
+        told.failed("hall", "masks", "a defect", "Traceback: of it")
+    return told
+
+
+def test_every_event_has_its_line(tmp_path):
+    with journal(tmp_path, {"command": "run", "workers": 2}):
+        run_one()
+    first, *events, last = lines_of(tmp_path / FILE)
+    assert first["event"] == "run" and first["command"] == "run" and first["workers"] == 2
+    assert [event["event"] for event in events] == [
+        "began", "finished", "done", "worker_died", "dropped", "finished", "went_back", "failed",
+        "metrics",
+    ]  # fmt: skip
+    assert (last["event"], last["how"]) == ("ended", "finished")
+    whole = [first, *events, last]
+    assert len({line["run"] for line in whole}) == 1
+    times = [datetime.fromisoformat(line["time"]) for line in whole]
+    assert times == sorted(times) and all(str(time.tzinfo) == "UTC" for time in times)
+    told = {line["event"]: line for line in events}
+    assert told["done"]["scene"] == "küche\n" and told["done"]["cached"] == 1
+    assert told["failed"]["level"] == "error" and told["failed"]["traceback"] == "Traceback: of it"
+    assert told["worker_died"]["scenes"] == ["hall"]
+    assert (told["metrics"]["done"], told["metrics"]["failed"]) == (1, 1)
+
+
+def test_verbose_keeps_also_what_was_found_done(tmp_path):
+    with journal(tmp_path, {}, verbose=True):
+        run_one(verbose=True)
+    told = [line["event"] for line in lines_of(tmp_path / FILE)]
+    assert told.count("started") == 3 and told.count("finished") == 3
+
+
+def test_it_says_how_the_run_ended(tmp_path):
+    ends = [
+        (InputError("no such folder"), "refused", "no such folder"),
+        (ZeroDivisionError("a defect"), "failed", "unexpected ZeroDivisionError: a defect"),
+        (KeyboardInterrupt(), "stopped", "stopped"),
+    ]
+    for error, how, message in ends:
+        with pytest.raises(type(error)), journal(tmp_path, {}):
+            log(logging.INFO, "note", "begun")
+            raise error
+        last = lines_of(tmp_path / FILE)[-1]
+        assert (last["event"], last["how"], last["message"]) == ("ended", how, message)
+        assert ("traceback" in last) == (how == "failed")
+
+
+def test_a_run_that_could_not_begin_leaves_the_log_before_it(tmp_path):
+    with journal(tmp_path, {}):
+        log(logging.INFO, "note", "the first")
+    with pytest.raises(InputError), journal(tmp_path, {}):
+        raise InputError("nothing to do")
+    assert lines_of(tmp_path / FILE)[1]["message"] == "the first"
+    with journal(tmp_path, {}):
+        log(logging.INFO, "note", "the second")
+    assert lines_of(tmp_path / FILE)[1]["message"] == "the second"
+    assert lines_of(tmp_path / BEFORE)[1]["message"] == "the first"
+
+
+def test_what_the_library_logs_is_kept_while_a_run_is_on(tmp_path):
+    own = logging.getLogger("slgaussian.somewhere")
+    with journal(tmp_path, {}):
+        own.info("at %d", 7)
+    own.info("afterwards")
+    assert not own.isEnabledFor(logging.INFO)
+    _, line, _ = lines_of(tmp_path / FILE)
+    assert (line["logger"], line["message"]) == ("slgaussian.somewhere", "at 7")
+
+
+def test_a_log_that_cannot_be_written_is_said_once(tmp_path, capsys):
+    with journal(tmp_path / "gone", {}):
+        told = run_one()
+    assert told.metrics().done == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"{FILE}: cannot be written (No such file or directory); going on without" in said

@@ -1,0 +1,104 @@
+"""The container recipe, which nothing here can build, is true to the repository all the same."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from flows.corpus_settings import read_corpus
+from flows.settings import read_toml
+from flows.training_settings import read_retraining
+
+ROOT = Path(__file__).parents[1]
+DOCKER = ROOT / "docker"
+COMPOSE = yaml.safe_load((DOCKER / "compose.yaml").read_text())
+SERVICES = COMPOSE["services"]
+
+
+def instructions() -> list[tuple[str, str]]:
+    """Instructions of the Dockerfile with their words, lines that go on joined."""
+    lines = (DOCKER / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
+    return [
+        (line.split()[0], line.split(maxsplit=1)[1])
+        for line in lines
+        if line.strip() and not line.startswith("#")
+    ]
+
+
+def copied() -> set[str]:
+    return {path for kind, rest in instructions() if kind == "COPY" for path in rest.split()[:-1]}
+
+
+def test_what_is_copied_is_there_and_not_ignored():
+    ignored = (DOCKER / "Dockerfile.dockerignore").read_text().splitlines()
+    assert {line[1:] for line in ignored if line.startswith("!")} == copied()
+    assert all((ROOT / path).exists() for path in copied())
+    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert packages - {"tests", "benches"} <= copied()
+
+
+def test_it_runs_as_nobody_in_particular_what_the_install_has():
+    kinds = dict(instructions())
+    assert kinds["USER"] == "10001"
+    command = json.loads(kinds["CMD"])[0]
+    assert command in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    assert kinds["FROM"].startswith("python:3.11")
+    assert re.search(r"^torch==", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+
+
+def test_services_depend_on_each_other_as_they_must():
+    assert SERVICES.keys() == {"server", "deploy", "worker", "objects", "bucket"}
+    for service in SERVICES.values():
+        for other, how in service.get("depends_on", {}).items():
+            if how["condition"] == "service_healthy":
+                assert "healthcheck" in SERVICES[other]
+            else:
+                assert how["condition"] == "service_completed_successfully"
+                assert "restart" not in SERVICES[other]
+    build = SERVICES["worker"]["build"]
+    assert (DOCKER / build["context"] / build["dockerfile"]).is_file()
+    args = {rest.split("=")[0] for kind, rest in instructions() if kind == "ARG"}
+    assert build["args"].keys() <= args
+
+
+def test_ports_are_on_loopback_and_volumes_are_known():
+    for service in SERVICES.values():
+        for port in service.get("ports", []):
+            assert port.startswith("127.0.0.1:")
+        for volume in service.get("volumes", []):
+            source = volume.split(":")[0]
+            assert source in COMPOSE["volumes"] or (DOCKER / source).is_dir()
+
+
+def test_credentials_are_in_no_file_of_the_repository():
+    asked = {name for name, _ in re.findall(r"\$\{(AWS_\w+)(:\?[^}]*)\}", yaml.dump(COMPOSE))}
+    assert asked == {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}
+    given = re.findall(r"^(\w+)=(.*)$", (DOCKER / ".env.example").read_text(), re.MULTILINE)
+    assert asked <= {name for name, _ in given} and not any(value for _, value in given)
+    assert ".env" in (ROOT / ".gitignore").read_text().splitlines()
+    secret = {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "MINIO_ROOT_USER"}
+    for service in SERVICES.values():
+        for name, value in service.get("environment", {}).items():
+            assert name not in secret or value.startswith("${")
+
+
+READERS = {
+    "report.toml": lambda file: read_toml(file, {}),
+    "corpus.toml": lambda file: read_corpus(file, {}),
+    "retrain.toml": lambda file: read_retraining(file, {}),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_configurations_of_the_deployments_can_be_read(name):
+    settings = READERS[name](DOCKER / "configs" / name)
+    assert settings.store == "s3://slgaussian/store"
+    assert str(settings.out).startswith("/data/")
+
+
+def test_the_deployments_read_these_configurations():
+    deployments = yaml.safe_load((ROOT / "prefect.yaml").read_text())["deployments"]
+    assert {deployment["parameters"]["config"] for deployment in deployments} == READERS.keys()
