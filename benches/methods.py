@@ -8,6 +8,8 @@ Linux, which says how much memory a process held at most.
 """
 
 import argparse
+import ctypes
+import gc
 import json
 import subprocess
 import sys
@@ -108,6 +110,8 @@ def run_alone(name: str, data: Path) -> None:
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"), classes=classes)
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
     before = kilobytes("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
     answering = ROWS[name].load()(inputs)

@@ -2,34 +2,33 @@
 
 Small made-up rooms, photographs on disk, each through all stages of `slgaussian run` from an empty
 store. Threads with one worker are the second program: every ratio is to them, in the same run. The
-start is that of the Prefect server and of the workers, which a run of hours does not feel, so
-scenes a minute are those after it, and a run of a few scenes is taken off for it.
+start, of the Prefect server and of the workers, is not felt by a run of hours: scenes a minute are
+those from the moment when the workers are there, as the run's own log has it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import pyarrow.parquet as pq
 from machine import machine
-from processes import CLI, Cost, costing
+from processes import CLI, costing
 from small_scenes import HEIGHT, WIDTH, write_rooms
 from tables import Table, count, hundredths
 
-from slgaussian.records import Records
-from slgaussian.store import ArtifactStore
-
 RUNNERS = ("threads", "processes", "dask", "ray")
 FEW = 4
-"""Scenes of the run that is nearly only start."""
+"""Scenes of a run before, in which kernels are compiled."""
 
 
-def once(work: Path, scenes: int, runner: str, workers: int) -> tuple[Cost, float]:
-    """A run from nothing, and the seconds that its stages say they took."""
+def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
+    """A run from nothing."""
     shutil.rmtree(work / "store", ignore_errors=True)
     words = ["run", write_rooms(work / f"rooms-{scenes}", scenes), "-o", work / "out"]
     words += ["--store", work / "store", "--runner", runner, "--workers", workers]
@@ -37,21 +36,18 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> tuple[Cost, floa
     lost = pq.read_table(work / "out" / "failures.parquet").num_rows
     if lost:
         raise SystemExit(f"{runner}: {lost} scenes were left out")
-    records = [r for some in Records(ArtifactStore(work / "store")).all() for r in some]
-    return cost, sum(r.ref.meta["seconds"] for r in records if r.stage != "report")
-
-
-def measured(work: Path, scenes: int, runner: str, workers: int) -> dict:
-    start, _ = once(work, FEW, runner, workers)
-    cost, stages = once(work, scenes, runner, workers)
-    wall = cost.wall - start.wall
+    events = [json.loads(line) for line in (work / "out" / "log.jsonl").open()]
+    begun = moment(next(event for event in events if event["event"] == "began"))
+    stages = [e for e in events if e["event"] == "finished" and e["stage"] != "report"]
+    took = moment([event for event in events if event["event"] == "done"][scenes - 1]) - begun
     row = {
         "runner": runner,
         "workers": workers,
-        "start": start.wall,
-        "rate": 60 * (scenes - FEW) / wall,
-        "cpu": (cost.cpu - start.cpu) / (scenes - FEW),
-        "flow": 1 - stages / (workers * wall),
+        "scenes": scenes,
+        "start": cost.wall - took,
+        "rate": 60 * scenes / took,
+        "cpu": cost.cpu / scenes,
+        "flow": 1 - sum(event["seconds"] for event in stages) / (workers * took),
         "peak": cost.peak,
         "largest": cost.largest,
     }
@@ -59,13 +55,19 @@ def measured(work: Path, scenes: int, runner: str, workers: int) -> dict:
     return row
 
 
+def moment(event: dict) -> float:
+    return datetime.fromisoformat(event["time"]).timestamp()
+
+
 TABLE = Table(
     "Scenes a minute",
     "{scenes} made-up rooms of three photographs, {height}x{width}, from an empty store to their "
-    "report. *start*: a run of {few} scenes, taken off the others. *times*: scenes a minute by "
-    "those of one thread. *not in stages*: share of the workers' time in which no stage ran: "
-    "passing work on, looking into the store, waiting. Memory: all processes together, the server "
-    "among them, and the largest. `python benches/runners.py WORK` on {machine}.",
+    "scores. *start* is all of the command's time that is not between the beginning of the flow, "
+    "whose workers then start, and its last scene: server, imports, report. *times*: scenes a "
+    "minute by those of one thread. *not in stages*: share of the workers' time in which no stage "
+    "ran: starting them, passing work on, looking into the store, waiting. Memory: all processes "
+    "together, the server among them, and the largest. `python benches/runners.py WORK --scenes "
+    "{scenes}` on {machine}.",
     {
         "runner": ("runner", str),
         "workers": ("workers", count),
@@ -92,15 +94,13 @@ def main() -> None:
     work.mkdir(parents=True, exist_ok=True)
     once(work, FEW, "threads", 1)  # compiles the kernels
     rows = [
-        measured(work, asked.scenes, runner, workers)
+        once(work, asked.scenes, runner, workers)
         for workers in asked.workers
         for runner in asked.runners
     ]
     for row in rows:
         row["times"] = row["rate"] / rows[0]["rate"]
-    about = TABLE.about.format(
-        scenes=asked.scenes, height=HEIGHT, width=WIDTH, few=FEW, machine=machine()
-    )
+    about = TABLE.about.format(scenes=asked.scenes, height=HEIGHT, width=WIDTH, machine=machine())
     text = replace(TABLE, about=about).markdown(rows)
     print(text)
     if asked.out is not None:

@@ -9,7 +9,7 @@ from PIL import Image
 
 from slgaussian import datasets
 
-HEIGHT, WIDTH = 96, 128
+HEIGHT, WIDTH = 64, 80
 QUERIES = ("red crate", "wall", "floor")
 
 
@@ -18,7 +18,7 @@ def write_rooms(folder: Path, count: int) -> Path:
     config = folder / "rooms.toml"
     if config.exists():
         return config
-    entries = ["replicas = 1"]
+    entries = ["replicas = 1", "near = 0.8", "far = 12.0"]
     for seed in range(count):
         name = f"room_{seed:04d}"
         _write_room(folder / name, seed)

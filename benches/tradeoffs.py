@@ -427,16 +427,12 @@ def chosen_rows(factors: Sequence[str]) -> list[Row]:
 
 
 def sweep(data: Path, counts: dict[str, int], factors: Sequence[str]) -> list[dict]:
-    """Each row with what every scene gave: ``{"factor", "name", "preset", "scenes"}``.
-
-    ``preset`` is the one with the same settings, or empty.
-    """
+    """Each row with what every scene gave: ``{"factor", "name", "scenes"}``."""
     work = [(kind, number) for kind, most in counts.items() for number in range(most)]
     # What takes longest first.
     work.sort(key=lambda one: (one != ("office", 0), one[0] != "rooms"))
     made: list[dict] = [
-        {"factor": row.factor, "name": row.name, "preset": preset_of(row), "scenes": []}
-        for row in chosen_rows(factors)
+        {"factor": row.factor, "name": row.name, "scenes": []} for row in chosen_rows(factors)
     ]
     with ProcessPoolExecutor(2, get_context("spawn"), threads.share, (threads.cores(),)) as pool:
         done = {pool.submit(sweep_scene, data, *one, factors): one for one in work}
@@ -449,6 +445,7 @@ def sweep(data: Path, counts: dict[str, int], factors: Sequence[str]) -> list[di
 
 
 def preset_of(row: Row) -> str:
+    """The preset with the same settings, or nothing."""
     if row.keep is not None or row.precision is not None:
         return ""
     same = [name for name in PRESETS if method_of({"preset": name}) == method_of(row.values)]
@@ -474,6 +471,8 @@ def main() -> None:
         made = sweep(given.data, {"office": given.scenes, "rooms": given.rooms}, given.only)
         if given.keep:
             given.keep.write_text(json.dumps(made))
+    presets = {(row.factor, row.name): preset_of(row) for row in rows()}
+    made = [{**one, "preset": presets[one["factor"], one["name"]]} for one in made]
     command = f"python benches/tradeoffs.py DATA --scenes {given.scenes} --rooms {given.rooms}"
     text = page(made, command, machine())
     print(text)

@@ -37,6 +37,13 @@ LOOKS = {
 """Colour and marker of a factor."""
 
 
+LABELS = {
+    "fast": ((9, -5), "left"),
+    "balanced": ((-8, -15), "right"),
+    "accurate": ((-8, 5), "right"),
+}
+"""Where the name of a preset stands beside its star, points, and how it is aligned."""
+
 KEPT_SHARE = 0.85
 """Of the defaults' IoU and mIoU that the preset `fast` keeps at least."""
 
@@ -60,10 +67,11 @@ _NAMED = {"factor": ("factor", str), "name": ("row", str)}
 
 COSTS = Table(
     "What every row costs",
-    "Processor seconds by stage, means over all scenes; *build* is their sum, from photographs to "
-    "field, and *of first* what that is of the first row's. *First* is rendering a new view and "
-    "asking one text, *further* one more text in it. *Memory* is the most that a stage took beyond "
-    "what the process held when it began, MB, in the scene that takes most.",
+    "Processor seconds by stage, as others used the machine too; means over all scenes. *Build* is "
+    "their sum, from photographs to field, and *of first* what that is of the first row's. *First* "
+    "is rendering a new view and asking one text, *further* one more text in it. *Memory* is the "
+    "most that a stage took beyond what the process held when it began, MB, in the scene that "
+    "takes most.",
     _NAMED
     | {
         "geometry": ("geometry, s", hundredths),
@@ -119,9 +127,10 @@ DIFFERENCES = Table(
 )
 KEPT = Table(
     "Gaussians kept",
-    "One office pair, as pruning takes long: every Gaussian is tried. No pixel of the two context "
-    "views may change by more than the bound, in colour or in codes. *Field* has the pruning in "
-    "it; errors are those of the view between the two.",
+    "One office pair, as pruning takes long: every Gaussian is tried. No pixel of the views that "
+    "it is given, the two photographs or also one halfway between them, may change by more than "
+    "the bound, in colour or in codes; what they do not see goes, though the view that is asked in "
+    "may show it. *Field* has the pruning in it; errors are those of that view.",
     {"name": ("row", str)}
     | {key: COSTS.columns[key] for key in ("field", "build", "first", "gaussians", "memory")}
     | {
@@ -193,9 +202,9 @@ def page(made: Sequence[dict], command: str, machine: str) -> str:
 
 Made by `{command} -o docs` on {machine}: {kinds.count("office")} office pairs (540 x 360) and
 {kinds.count("rooms")} made-up rooms (720 x 520, by default shrunk to 576 x 416), one setting
-changed at a time from the defaults. Whatever the size that a row works at, its answers are brought
-to the default size and judged there, so that what a small image loses counts. A field's bank holds
-float16 and its Gaussians float32. An office pair has no larger `original`.
+changed at a time from the defaults, and a few together. Whatever the size that a row works at, its
+answers are brought to the default size and judged there, so that what a small image loses counts. A
+field's bank holds float16 and its Gaussians float32. An office pair has no larger `original`.
 
 ![{PICTURE}](tradeoffs.svg)
 
@@ -281,6 +290,15 @@ def presets_said(rows: Sequence[dict]) -> str:
         against = f" Against `balanced`: {lost}." if lost else ""
         wrong = "" if row["preset"] == preset else " **The file of the preset says otherwise.**"
         said.append(f"- `{preset}` is {of}: {costs}.{against}{wrong}")
+    accurate = picked(rows)["accurate"]
+    if accurate["build"] < rows[0]["build"] and "exact" in accurate["name"]:
+        said += [
+            "",
+            "That `accurate` is no slower is no slip: `exact` keeps the number of an object with "
+            "each Gaussian, and nothing is drawn or decoded that could mix. The defaults have the "
+            "paper's ID codes, which a lifting that learns needs, and which cost next to nothing "
+            "in scores.",
+        ]
     return "\n".join(said)
 
 
@@ -340,6 +358,7 @@ def chart(made: Sequence[dict]) -> bytes:
 
 def draw(axes: Axes, rows: Sequence[dict], x: str, y: str, most: bool) -> None:
     axes.grid(color=FAINT)
+    axes.margins(0.09, 0.12)
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
     axes.xaxis.set_major_formatter("{x:g}")
@@ -352,7 +371,11 @@ def draw(axes: Axes, rows: Sequence[dict], x: str, y: str, most: bool) -> None:
             axes.scatter(*zip(*own, strict=True), color=color, marker=marker, s=28, label=factor)
     for name, row in picked(rows).items():
         axes.scatter(row[x], row[y], color=INK, marker="*", s=110, zorder=3)
-        axes.annotate(name, (row[x], row[y]), xytext=(5, 6), textcoords="offset points")
+        beside, side = LABELS[name]
+        axes.annotate(
+            name, (row[x], row[y]), beside, textcoords="offset points", ha=side, zorder=4,
+            bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
+        )  # fmt: skip
 
 
 def best_by_price(

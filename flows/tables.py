@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.score_tables import Table
+from slgaussian.benchmark.score_tables import Table, conditions
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.bootstrap import LEVEL
@@ -25,21 +25,26 @@ def scores_tables(results: Sequence[SceneResult]) -> str:
         own = [result for result in results if result.dataset == dataset]
         leading = own[0].method
         tables.append(_scenes_table([result for result in own if result.method == leading]))
-        if any(result.method != leading for result in own):
-            tables.append(_methods_table(dataset, own))
+        scores = _leading_scores(own)
+        if scores and any(result.method != leading for result in own):
+            tables.append(_methods_table(dataset, scores))
     return "\n\n".join(tables)
 
 
-def _methods_table(dataset: str, results: Sequence[SceneResult]) -> str:
-    """One line a method: the means of its scores over scenes, by the leading protocol."""
-    scores = _leading_scores(results)
+def _methods_table(dataset: str, scores: Sequence[Mapping[str, Any]]) -> str:
+    """One line a method: the means of its scores over scenes, by the leading protocol.
+
+    The first score has its interval; all of them are in the report. Below is what they go by.
+    """
     titles = {m.key: m for m in METRICS if any(s["metric"] == m.key for s in scores)}
-    rows = [[dataset, *(m.title for m in titles.values()), "scenes"]]
+    first, *others = (m.title for m in titles.values())
+    rows = [[dataset, first, f"{100 * LEVEL:.0f} %", *others]]
     for method in dict.fromkeys(score["method"] for score in scores):
         own = {s["metric"]: s for s in scores if s["method"] == method}
-        values = [_number(own[key]["value"], m.digits) for key, m in titles.items()]
-        rows.append([method, *values, str(own[next(iter(titles))]["scenes"])])
-    return _aligned(rows)
+        value, *rest = (_number(own[key]["value"], m.digits) for key, m in titles.items())
+        (key, m), *_ = titles.items()
+        rows.append([method, value, _interval(own[key], m.digits), *rest])
+    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
 
 
 def _scenes_table(results: Sequence[SceneResult]) -> str:
@@ -74,13 +79,10 @@ def _leading_scores(results: Sequence[SceneResult]) -> list[dict[str, Any]]:
 
 
 def _by_what(score: Mapping[str, Any]) -> str:
-    names = "threshold", "share", "filter", "temperature"
-    said = [f"{name} {score[name]}" for name in names if score[name] is not None]
-    how = ", ".join([score["selection"], *said, f"phrases: {score['canonical']}"])
     counts = ((score[f"{what}s"], what) for what in ("sample", "scene"))
     of = " of ".join(f"{n} {what}" if n == 1 else f"{n} {what}s" for n, what in counts)
     note = f"; {score['note']}" if score["note"] else ""
-    return f"by {score['protocol']} ({how}); {of}{note}"
+    return f"by {score['protocol']} ({conditions(score)}); {of}{note}"
 
 
 def _interval(score: Mapping[str, Any] | None, digits: int) -> str:

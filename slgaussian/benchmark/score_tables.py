@@ -123,7 +123,7 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
     """A table a data set of the rows of a table of the spec ``scores``.
 
     A column that no method has is left out. Where a method goes by other conditions than most, or
-    has other samples, its cells say so.
+    has other samples, its cells say so. Of one method alone nothing is best.
     """
     found = []
     for dataset in dict.fromkeys(row["dataset"] for row in scores):
@@ -151,6 +151,7 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
                 said = _most(conditions(score) for score in there)
                 counts.append(_most(f"n {score['samples']}" for score in there))
                 best = max(_printed(score, column) * column.sign for score in there)
+                best = best if len(methods) > 1 else None
                 for method, score in by_method.items():
                     by[method] += [] if score is None else _others(conditions(score), said)
                     cells[method].append(_cell(score, column, best, said, counts[-1]))
@@ -257,7 +258,7 @@ def _printed(score: Row, column: Column) -> float:
     return round(score["value"], column.digits)
 
 
-def _cell(score: Row | None, column: Column, best: float, said: str, count: str) -> Cell:
+def _cell(score: Row | None, column: Column, best: float | None, said: str, count: str) -> Cell:
     if score is None:
         return NOTHING
     ends = score["low"], score["high"]

@@ -37,8 +37,8 @@ def test_the_mean_has_an_interval_and_says_by_what():
         ["95", "%", "0.300-0.900", "-"],
     ]
     assert lines[-1] == (
-        "by slgaussian@1 (near-best, share 0.7, temperature 10.0, phrases: lerf); 3 samples of "
-        "2 scenes; fewer than 6 scenes: a rough interval"
+        "by slgaussian@1 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
+        "3 samples of 2 scenes; fewer than 6 scenes: a rough interval"
     )
 
 
@@ -57,7 +57,12 @@ def test_data_sets_and_methods_are_kept_apart():
     other.rows[:] = [row | {"method": "other"} for row in other.rows]
     first, methods, second = scores_tables([*ours, other]).split("\n\n")
     assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
-    assert [line.split() for line in methods.splitlines()] == [
-        ["x", "IoU", "scenes"], ["m", "0.500", "1"], ["other", "0.250", "1"]
+    *lines, by = methods.splitlines()
+    assert [line.split() for line in lines] == [
+        ["x", "IoU", "95", "%"], ["m", "0.500", "-"], ["other", "0.250", "-"]
     ]  # fmt: skip
+    assert by.startswith("by slgaussian@1 (near-best, share 0.7") and by.endswith("no interval")
     assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]
+    # Nothing to compare methods by.
+    bare = [replace(result, rows=[]) for result in (ours[0], other)]
+    assert len(scores_tables(bare).split("\n\n")) == 1
