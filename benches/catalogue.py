@@ -37,6 +37,7 @@ CLIPS = 14
 """Of a chunk: 67,000 clips of RealEstate10K are 500 GB in chunks of 100 MB."""
 VIEWS, HEIGHT, WIDTH = 6, 180, 320
 SETTINGS = {"size": "16x16", "near": 1.0, "far": 8.0, "replicas": 1}
+COMMANDS = (("ingest", "threads", 1), ("supervise", "threads", 1), ("supervise", "processes", 2))
 CHECKED = 5
 """Chunks that are made for real as well."""
 
@@ -218,10 +219,9 @@ def main() -> None:
     work = asked.work.resolve()
     prepare(work, chunks)
     rows = listing(work)
-    for name in ("ingest", "supervise"):
-        for runner, workers in (("threads", 1), ("threads", 2), ("processes", 2)):
-            rows.append(command(work, name, runner, workers))
-            print(rows[-1], file=sys.stderr, flush=True)
+    for name, runner, workers in COMMANDS:
+        rows.append(command(work, name, runner, workers))
+        print(rows[-1], file=sys.stderr, flush=True)
     size = sum(file.stat().st_size for file in (work / "chunks").iterdir()) / 1e9
     about = TABLE.about.format(
         clips=f"{chunks * CLIPS:,}", chunks=f"{chunks:,}", size=size, machine=machine()

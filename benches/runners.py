@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -32,7 +33,9 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
     shutil.rmtree(work / "store", ignore_errors=True)
     words = ["run", write_rooms(work / f"rooms-{scenes}", scenes), "-o", work / "out"]
     words += ["--store", work / "store", "--runner", runner, "--workers", workers]
-    cost = costing([*CLI, *words])
+    # A core a worker: one worker would use all that it is let.
+    cores = sorted(os.sched_getaffinity(0))[:workers]
+    cost = costing([*CLI, *words], preexec_fn=lambda: os.sched_setaffinity(0, cores))
     lost = pq.read_table(work / "out" / "failures.parquet").num_rows
     if lost:
         raise SystemExit(f"{runner}: {lost} scenes were left out")
@@ -62,12 +65,12 @@ def moment(event: dict) -> float:
 TABLE = Table(
     "Scenes a minute",
     "{scenes} made-up rooms of three photographs, {height}x{width}, from an empty store to their "
-    "scores. *start* is all of the command's time that is not between the beginning of the flow, "
-    "whose workers then start, and its last scene: server, imports, report. *times*: scenes a "
-    "minute by those of one thread. *not in stages*: share of the workers' time in which no stage "
-    "ran: starting them, passing work on, looking into the store, waiting. Memory: all processes "
-    "together, the server among them, and the largest. `python benches/runners.py WORK --scenes "
-    "{scenes}` on {machine}.",
+    "scores, all processes of a run on as many cores as it has workers. *start* is what is not "
+    "between the beginning of the flow, whose workers then start, and its last scene: server, "
+    "imports, report. *times*: scenes a minute by those of the first row. *not in stages*: share "
+    "of the workers' time in which no stage ran: starting them, passing work on, looking into the "
+    "store, waiting. Memory: all processes together, the server among them, and the largest. "
+    "`python benches/runners.py WORK --scenes {scenes}` on {machine}.",
     {
         "runner": ("runner", str),
         "workers": ("workers", count),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
@@ -19,8 +21,18 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 from data_specs import load_spec
 from flows.progress import Progress
 from flows.runners import abandon, started, without_interrupts
+from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.store import ArtifactRef, ArtifactStore
-from tasks.shard import Chain, Event, Failure, Shard, StoppedError, shard_task, watching
+from tasks.shard import (
+    Chain,
+    Event,
+    Failure,
+    Shard,
+    StoppedError,
+    roll_call,
+    shard_task,
+    watching,
+)
 
 Made = TypeVar("Made")
 
@@ -30,6 +42,9 @@ MOST = 500
 LONG = 20.0
 """Seconds after which a worker begins no other chain of its shard: what a worker that dies has not
 told of is little, and the end of the run is shared out well."""
+
+PATIENCE = 120.0
+"""Seconds that the workers of a cluster may take to begin."""
 
 DEATHS = 4
 """So often a chain may be in a shard whose worker dies before it is left out."""
@@ -68,6 +83,27 @@ class Crew:
             abandon(self.runner)
         self.stack.close()
 
+    def call(self, runner: str) -> None:
+        """Wait for a worker that can do the work; InputError if one cannot, or there is none."""
+        probe = f".probe-{uuid.uuid4().hex}"
+        self.store.write(probe, b"")
+        task = roll_call(self.store.root, probe, os.environ["PREFECT_API_URL"])
+        try:
+            self.runner.submit(task, {}).result(timeout=PATIENCE)
+        except TimeoutError as error:
+            raise InputError(
+                f"runner: no worker of {runner} took on any work within {PATIENCE:.0f} s; start "
+                "one, or wait until one is free"
+            ) from error
+        except Exception as error:  # each runner has its own
+            raise InputError(
+                f"runner: a worker of {runner} cannot do the work ({one_line(str(error))}); it "
+                "needs the packages that are installed here, and the same store and server within "
+                "its reach"
+            ) from error
+        finally:
+            self.store.remove([probe])
+
     @property
     def busy(self) -> int:
         """How many shards are under way."""
@@ -76,8 +112,15 @@ class Crew:
     def submit(self, shard: list[Chain]) -> None:
         """Have a worker take this shard on."""
         task = shard_task(self.store.root, shard, self.workers, LONG)
-        with without_interrupts():
-            future = self.runner.submit(task, {})
+        try:
+            with without_interrupts():
+                future = self.runner.submit(task, {})
+        except Exception as error:  # each runner has its own
+            said = one_line(f"{type(error).__name__}: {error}")
+            raise SLGaussianError(
+                f"runner: takes on no more work ({said}); what was made is in the store: if the "
+                "cluster has gone, start it, and the same command goes on"
+            ) from error
         self.running[future] = self.runner, shard
         future.add_done_callback(self.news.put)
 
@@ -132,6 +175,8 @@ def run_flow(
     @flow(name=name, persist_result=False, validate_parameters=False)
     def run() -> Made:
         with Crew(store, workers) as crew:
+            if "://" in runner:
+                crew.call(runner)
             return here.work(crew)
 
     with started(runner, workers, store) as task_runner:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import secrets
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -36,14 +37,25 @@ def prepare(home: Path) -> None:
         "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
         # Never Prefect's own embedded server: it stays behind when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
-        # Ray, should it be the runner: offline, and on loopback. Prefect may import it any time.
+    }
+    for name, value in (variables | _for_ray()).items():
+        os.environ.setdefault(name, value)
+
+
+def _for_ray() -> dict[str, str]:
+    """What Ray must know if it is the runner; Prefect may import it at any time."""
+    variables = {
         "RAY_USAGE_STATS_ENABLED": "0",
+        # Without clusters of several machines, a cluster of ours listens on loopback only.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
         # It hides all GPUs from tasks that do not book one.
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+        # Who reaches it can have it run code. Left alone, it keeps a token for all to read.
+        "RAY_AUTH_MODE": "token",
     }
-    for name, value in variables.items():
-        os.environ.setdefault(name, value)
+    if "RAY_AUTH_TOKEN_PATH" in os.environ or Path("~/.ray/auth_token").expanduser().exists():
+        return variables
+    return variables | {"RAY_AUTH_TOKEN": secrets.token_hex(32)}
 
 
 def home_of(store: ArtifactStore) -> Path:

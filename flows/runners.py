@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import multiprocessing
 import os
-import secrets
-import shutil
 import signal
 import socket
-import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
-from pathlib import Path
 from types import ModuleType
 from urllib.parse import urlsplit
 
+from prefect.events.worker import EventsWorker
+from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
+from flows.cluster import last_line, local_cluster
 from flows.server import LOOPBACK
-from slgaussian.errors import InputError, one_line
+from slgaussian.errors import InputError
 from slgaussian.store import ArtifactStore
-from tasks.shard import NO_EVENTS
+from tasks.shard import NO_EVENTS, send_no_events
 
-CONNECT = 10.0
+CONNECT = 5.0
 """Seconds to wait for a cluster that is said to run."""
-
-SCRATCH = "slg-cluster-"
-"""How the temporary folders of clusters begin."""
 
 
 def check_runner(runner: str, store: ArtifactStore) -> None:
@@ -90,7 +86,7 @@ def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRun
     if kind == "threads":
         yield _Threads(max_workers=workers)
     elif kind == "processes":
-        yield _Processes(max_workers=workers, initializer=leave_with_parent)
+        yield _Processes(max_workers=workers, initializer=become_worker)
     else:
         cluster = {"dask": _dask, "ray": _ray}[kind]
         with cluster(address, workers) as task_runner:
@@ -118,8 +114,17 @@ def without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def leave_with_parent() -> None:
-    """End this process of a pool once its parent is gone, however that died."""
+def become_worker() -> None:
+    """Have this process of a pool end once its parent is gone, however that died.
+
+    And tell Prefect's server itself what it has to tell. Prefect has it told to the parent by a
+    queue: a worker that is killed may hold its lock, and then the parent never ends.
+    """
+    if NO_EVENTS not in os.environ:
+        EventsWorker.set_client_override(None)
+    else:
+        send_no_events()
+    set_api_log_sink(None)
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -144,37 +149,17 @@ class _Processes(ProcessPoolTaskRunner):
 
 @contextmanager
 def _dask(address: str, workers: int) -> Iterator[TaskRunner]:
-    import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    if address:
-        url = f"tcp://{address}"
+    with ExitStack() as stack:
+        url = f"tcp://{address}" if address else stack.enter_context(local_cluster("dask", workers))
         try:
             Client(url, timeout=CONNECT, set_as_default=False).close()
         except (OSError, ValueError) as error:
             raise InputError(_nobody(f"dask://{address}", error)) from error
         yield DaskTaskRunner(address=url)
-        return
-    # Chains whose worker died are tried again by us, one by one.
-    settings = {"distributed.scheduler.allowed-failures": 0}
-    with ExitStack() as stack:
-        folder = stack.enter_context(_scratch())
-        stack.enter_context(dask.config.set(settings))
-        with without_interrupts():
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host=LOOPBACK,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-                local_directory=folder,
-                # As of threads and processes: a share of the memory would end what needs more.
-                memory_limit=0,
-            )
-        yield DaskTaskRunner(address=stack.enter_context(cluster).scheduler_address)
 
 
 @contextmanager
@@ -183,73 +168,45 @@ def _ray(address: str, workers: int) -> Iterator[TaskRunner]:
     from prefect_ray import RayTaskRunner
     from prefect_ray.context import remote_options
 
-    quiet = {"log_to_driver": False, "logging_level": "CRITICAL", "namespace": "slgaussian"}
-    terminated = signal.getsignal(signal.SIGTERM)
     with ExitStack() as stack:
+        url = f"ray://{address}" if address else stack.enter_context(local_cluster("ray", workers))
+        variables = {name: os.environ[name] for name in (NO_EVENTS,) if name in os.environ}
+        connect = partial(
+            ray.init,
+            url,
+            namespace="slgaussian",
+            # Workers of a cluster of ours have it all.
+            runtime_env={"env_vars": variables} if address else None,
+            log_to_driver=False,
+            logging_level="CRITICAL",
+        )
         try:
-            if address:
-                own = {name: "1" for name in (NO_EVENTS,) if name in os.environ}
-                with warnings.catch_warnings(action="ignore"):
-                    ray.init(f"ray://{address}", runtime_env={"env_vars": own}, **quiet)
-            else:
-                # Who reaches Ray can have it run code, and others may on loopback; without this, it
-                # keeps a token in the home folder for all to read.
-                stack.enter_context(_environment("RAY_AUTH_TOKEN", secrets.token_hex(32)))
-                ray.init(
-                    "local",
-                    num_cpus=workers,
-                    include_dashboard=False,
-                    _node_ip_address=LOOPBACK,
-                    _temp_dir=stack.enter_context(_scratch()),
-                    # Nothing large goes through it, and it would take a third of the memory.
-                    object_store_memory=100 * 2**20,
-                    **quiet,
-                )
+            with _own_signals(), warnings.catch_warnings(action="ignore"):
+                try:
+                    connect()
+                except ConnectionAbortedError:
+                    # Now and then its server looks at a process that it begins before that is one.
+                    connect()
         except Exception as error:  # Ray's own, and any
-            what = f"the cluster at ray://{address} refuses us" if address else "Ray cannot start"
-            raise InputError(f"runner: {what} ({one_line(error)})") from error
-        finally:
-            signal.signal(signal.SIGTERM, terminated)  # which Ray takes for itself
+            said = last_line(str(error))
+            raise InputError(
+                f"runner: the Ray cluster at {url} refuses us ({said}); if it wants a token, give "
+                "it in RAY_AUTH_TOKEN"
+            ) from error
         stack.callback(ray.shutdown)
-        # As with Dask, we try again ourselves.
+        # Whose worker died is tried again by us, chain by chain.
         stack.enter_context(remote_options(max_retries=0))
         yield RayTaskRunner()
 
 
 @contextmanager
-def _environment(name: str, value: str) -> Iterator[None]:
-    before = os.environ.get(name)
-    os.environ[name] = value
+def _own_signals() -> Iterator[None]:
+    """Keep what SIGTERM does, which Ray takes for itself."""
+    before = signal.getsignal(signal.SIGTERM)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
-
-
-@contextmanager
-def _scratch() -> Iterator[str]:
-    """A temporary folder for a cluster; what killed programs left of theirs is removed, too."""
-    for left in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
-        with suppress(OSError), _locked(left):
-            shutil.rmtree(left)
-    # Its path is short, as Ray has its sockets in it.
-    made = tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True)
-    with made as folder, _locked(folder):
-        yield folder
-
-
-@contextmanager
-def _locked(folder: str | Path) -> Iterator[None]:
-    """Hold a folder; BlockingIOError if a living program does. Who dies, lets go."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
+        signal.signal(signal.SIGTERM, before)
 
 
 def _imported(module: str, extra: str) -> ModuleType:

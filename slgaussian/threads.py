@@ -33,6 +33,9 @@ def kernel_folder() -> Path:
 
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
+# NumPy's linear algebra has a pool of its own, whose threads spin while they wait: two workers side
+# by side lost a fifth of their time to it, and nothing here is large enough to gain by it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "NUMBA_CACHE_DIR" not in os.environ:
     # Without a home that can be written, Numba keeps its own default, beside the sources.
     with contextlib.suppress(OSError):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 import traceback
+import urllib.request
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -20,9 +21,13 @@ from prefect.cache_policies import NO_CACHE
 from prefect.events.clients import NullEventsClient
 from prefect.events.worker import EventsWorker
 
-from slgaussian.errors import SLGaussianError
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.remote import masked
 from slgaussian.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.stage import StageCall, listening, run_stage
+
+ANSWER = 10.0
+"""Seconds that the Prefect server may take to answer a worker."""
 
 NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
 """Environment variable that is set if nobody reads the events that Prefect has of every task: they
@@ -225,6 +230,36 @@ def shard_task(root: str, chains: Sequence[Chain], workers: int, seconds: float)
         cache_policy=NO_CACHE,
         persist_result=False,
     )
+
+
+def roll_call(root: str, probe: str, server: str) -> Task:
+    """The Prefect task that fails with InputError where a worker could not do its work.
+
+    Parameters
+    ----------
+    root : str
+        The store.
+    probe : str
+        A file that is in it.
+    server : str
+        URL of the Prefect server's API.
+    """
+
+    def work() -> None:
+        store = ArtifactStore(root)
+        try:
+            store.check_there(probe)
+        except DamagedError as error:
+            raise InputError(f"it has another store at {store.root}") from error
+        store.check_writable()
+        try:
+            urllib.request.urlopen(f"{server}/health", timeout=ANSWER).close()
+        except OSError as error:
+            raise InputError(
+                f"it does not reach the server at {masked(server)}: {error}"
+            ) from error
+
+    return Task(work, name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 
 
 def _failure(scene: str, stage: str, error: Exception) -> Failure:

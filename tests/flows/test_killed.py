@@ -1,17 +1,112 @@
-"""Runs that are killed: nothing is lost, nothing is redone, nothing is left running."""
+"""Runs that are stopped: nothing is lost, nothing is redone, nothing is left running."""
 
 import os
+import re
 import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from process_family import LOOPBACK, PROC, below, listening, living
+from tiny_run import run_tiny, three_plans
+
+from slgaussian.store import ArtifactStore
 
 HERE = Path(__file__).parent
+FOREVER = 3600.0
+"""Seconds that the stage at hand would take."""
+
+pytestmark = [
+    pytest.mark.skipif(not (PROC / "self/stat").exists(), reason="asks the kernel in /proc"),
+    pytest.mark.usefixtures("server"),
+]
+
+ENDS = {
+    "kill -9": (signal.SIGKILL, False),
+    "SIGTERM": (signal.SIGTERM, False),
+    "Ctrl-C": (signal.SIGINT, True),  # as a terminal sends it, to all processes of the program
+    "SIGINT": (signal.SIGINT, False),
+}
+QUICK = {
+    ("threads", "kill -9"),
+    ("threads", "SIGTERM"),
+    ("threads", "Ctrl-C"),
+    ("processes", "Ctrl-C"),
+    ("dask", "SIGTERM"),
+    ("ray", "kill -9"),
+}
+"""Those that are tried every time: a cluster takes many seconds to start."""
+
+
+def cases():
+    for runner in ("threads", "processes", "dask", "ray"):
+        for end in ENDS:
+            thorough = (runner, end) in QUICK or os.environ.get("SLG_TEST_THOROUGH")
+            skip = pytest.mark.skipif(not thorough, reason="needs SLG_TEST_THOROUGH=1")
+            yield pytest.param(runner, end, marks=skip, id=f"{runner}-{end}")
+
+
+@pytest.mark.parametrize(("runner", "end"), list(cases()))
+def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, runner, end):
+    imported(runner)
+    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
+    process = start(home, store, log, FOREVER, runner)
+    # The second scene is being worked on, so the first is done and recorded.
+    assert wait_until(lambda: log.exists() and "scene_1 make" in log.read_text(), 120)
+    begun = below(process.pid)
+    assert len(begun) >= 1
+    places = [place for number in (process.pid, *begun) for place in listening(number)]
+    assert places and all(address.partition(":")[0] in LOOPBACK for _, address in places)
+
+    number, everyone = ENDS[end]
+    if everyone:
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+    # Its output are pipes: a process left behind would hold them open.
+    _, messages = process.communicate(timeout=60)
+    assert process.returncode == -number
+    wait_until(lambda: not living(begun), 30)
+    assert living(begun) == []
+    assert left_in(home) == []
+    if end != "kill -9":
+        assert lines_of(messages) == ["scene_0", "stopped"]
+
+    before = log.read_text().splitlines()
+    outcome = run_tiny(ArtifactStore(store), three_plans(log))
+    after = log.read_text().splitlines()[len(before) :]
+    assert sorted(outcome.refs) == ["scene_0", "scene_1", "scene_2"]
+    assert not any(line.startswith("scene_0") for line in after)
+    assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
+    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_plans(tmp_path / "other log"))
+    assert whole.refs == outcome.refs
+
+
+@pytest.mark.parametrize("runner", ["dask", "ray"])
+def test_a_cluster_of_our_own_is_quiet_and_makes_the_same(tmp_path, home, server, runner):
+    imported(runner)
+    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
+    process = start(home, store, log, 0.0, runner)
+    printed, messages = process.communicate(timeout=180)
+    assert process.returncode == 0, messages.decode()
+    assert printed == b""
+    stages = ["make", "halve", "add", "all"]
+    assert lines_of(messages) == ["scene_0", "scene_1", "scene_2", *stages]
+    assert left_in(home) == []
+    again = run_tiny(ArtifactStore(store), three_plans(log))
+    assert len(log.read_text().splitlines()) == 9
+    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_plans(tmp_path / "other log"))
+    assert whole.refs == again.refs
+
+
+def imported(runner: str) -> None:
+    if runner in ("dask", "ray"):
+        pytest.importorskip(f"prefect_{runner}", reason=f"needs the extra `{runner}`")
 
 
 def with_database(store: Path, server) -> Path:
@@ -26,25 +121,33 @@ def with_database(store: Path, server) -> Path:
     return store
 
 
-def start(store: Path, log: Path, sleep: float, runner: str = "threads") -> subprocess.Popen:
+def start(home: Path, store: Path, log: Path, sleep: float, runner: str) -> subprocess.Popen:
     hidden = ("PREFECT_API_URL", "PREFECT_HOME")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
+    env |= {"HOME": str(home), "TMPDIR": str(home)}
     env["PYTHONPATH"] = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
     command = [sys.executable, str(HERE / "tiny_run.py"), str(store), str(log), str(sleep), runner]
-    return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, env=env, **pipes, start_new_session=True)
 
 
-def servers_of(store: Path) -> list[int]:
-    """Processes that have the store's Prefect home in their environment, from the kernel."""
-    wanted = f"PREFECT_HOME={store}/.prefect".encode()
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and wanted in (entry / "environ").read_bytes().split(b"\0"):
-                found.append(int(entry.name))
-        except OSError:
-            continue
-    return found
+@pytest.fixture
+def home():
+    """Home and temporary folder of the program; the paths of Ray's sockets must be short."""
+    with tempfile.TemporaryDirectory(prefix="slg-") as folder:
+        yield Path(folder)
+
+
+def left_in(home: Path) -> list[str]:
+    """What is there but caches, or in shared memory but the semaphores of other programs."""
+    shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith("sem.")]
+    return shared + [p.name for p in home.iterdir() if p.name != ".cache"]
+
+
+def lines_of(messages: bytes) -> list[str]:
+    """How each line begins that was said."""
+    lines = filter(None, messages.decode().splitlines())
+    return [re.split(r"[\s;]", line, maxsplit=1)[0] for line in lines]
 
 
 def wait_until(condition, seconds: float) -> bool:
@@ -54,35 +157,3 @@ def wait_until(condition, seconds: float) -> bool:
             return True
         time.sleep(0.05)
     return False
-
-
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="counts processes in /proc")
-@pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_run_resumes_and_leaves_no_server(tmp_path, server, kind):
-    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
-    process = start(store, log, sleep=0.8)
-    # The third stage has begun, so a first one has ended and is recorded.
-    assert wait_until(lambda: log.exists() and "add" in log.read_text(), 120)
-    assert len(servers_of(store)) >= 1
-    process.send_signal(kind)
-    # Standard output is a pipe here: a process left behind would hold it open.
-    process.communicate(timeout=60)
-    assert process.returncode == -kind
-    assert wait_until(lambda: servers_of(store) == [], 30)
-    if kind == signal.SIGTERM:
-        return  # resuming is the same
-
-    before = log.read_text().splitlines()
-    finished = {line for line in before if line.endswith("make")} & {
-        line.replace("halve", "make") for line in before if line.endswith("halve")
-    }
-    assert finished
-    again = start(store, log, sleep=0.0)
-    _, messages = again.communicate(timeout=120)
-    assert again.returncode == 0, messages.decode()
-    after = log.read_text().splitlines()[len(before) :]
-    assert not finished & set(after)
-    assert {line.split()[0] for line in before + after} == {"scene_0", "scene_1", "scene_2"}
-    assert wait_until(lambda: servers_of(store) == [], 30)
-    assert b"Traceback" not in messages
-    assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]

@@ -9,10 +9,11 @@ from flows.progress import Progress
 from slgaussian.store import ArtifactStore
 
 
-def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0):
+def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0, **where: str):
+    """The steps of a scene; ``where`` is as :func:`tiny_stages.note` reads it."""
     from tasks.shard import Step
 
-    where = {"log": str(log), "sleep": str(sleep)}
+    where = {"log": str(log), "sleep": str(sleep), **where}
     return [
         Step("make", {"value": value}, {}, where, "tiny_stages"),
         Step("halve", {}, {"made": "make"}, where, "tiny_stages"),
@@ -21,13 +22,18 @@ def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0):
 
 
 def run_tiny(
-    store: ArtifactStore, plans: dict, workers: int = 2, stream=None, runner: str = "threads"
+    store: ArtifactStore,
+    plans: dict,
+    workers: int = 2,
+    stream=None,
+    runner: str = "threads",
+    progress: Progress | None = None,
 ):
     """Run ``{scene: its steps}``; returns the outcome."""
     from flows.chains import run_chains, run_flow
     from tasks.shard import Chain, given
 
-    progress = Progress(len(plans), 3, stream=stream or io.StringIO())
+    progress = progress or Progress(len(plans), 3, stream=stream or io.StringIO())
     chains = [Chain(scene, partial(given, plan), first="make") for scene, plan in plans.items()]
     outcome = run_flow(
         "tiny", lambda crew: run_chains(chains, crew, progress), store, runner, workers
@@ -36,11 +42,19 @@ def run_tiny(
     return outcome
 
 
+def three_plans(log: Path, sleep: float = 0.0) -> dict:
+    """Three scenes, the second one slow."""
+    slow = {"scene_1": sleep}
+    names = ("scene_0", "scene_1", "scene_2")
+    return {
+        name: chain_plan(10 * i + 4, 1, log, slow.get(name, 0.0)) for i, name in enumerate(names)
+    }
+
+
 if __name__ == "__main__":
     from flows.environment import interruptible, orchestration
 
     store, log, sleep, runner = ArtifactStore(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:5]
     with interruptible(), orchestration(store) as ready:
         ready()
-        plans = {f"scene_{i}": chain_plan(10 * i + 4, 1, log, float(sleep)) for i in range(3)}
-        run_tiny(store, plans, stream=sys.stderr, runner=runner)
+        run_tiny(store, three_plans(log, float(sleep)), 1, sys.stderr, runner)

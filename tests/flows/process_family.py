@@ -1,0 +1,63 @@
+"""What the kernel knows of processes: who began them, who lives, who listens where."""
+
+import os
+import re
+from collections import defaultdict
+from pathlib import Path
+
+PROC = Path("/proc")
+LISTENING = "0A"
+LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000")
+"""127.0.0.1 as the kernel writes it, the same as IPv6 knows it, and ::1."""
+
+
+def below(process: int) -> dict[int, str]:
+    """All that a process began, and all that those began: when each began, by number."""
+    children = defaultdict(list)
+    begun = {}
+    for number in map(int, filter(str.isdigit, os.listdir(PROC))):
+        if (fields := stat_of(number)) is not None:
+            children[int(fields[1])].append(number)
+            begun[number] = fields[19]
+    found, waiting = {}, [process]
+    while waiting:
+        for child in children[waiting.pop()]:
+            found[child] = begun[child]
+            waiting.append(child)
+    return found
+
+
+def living(processes: dict[int, str]) -> list[str]:
+    """Those of :func:`below` that live still: their command lines."""
+    found = []
+    for number, begun in processes.items():
+        fields = stat_of(number)
+        if fields is not None and fields[19] == begun and fields[0] not in "ZX":
+            found.append((PROC / f"{number}/cmdline").read_bytes().replace(b"\0", b" ").decode())
+    return found
+
+
+def listening(process: int) -> list[tuple[str, str]]:
+    """Where a process listens: the protocol, and the address with its port, as the kernel has it.
+
+    All of it, and not only what was meant.
+    """
+    own = set()
+    for entry in (PROC / f"{process}/fd").iterdir():
+        found = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry))
+        own |= {found[1]} if found else set()
+    places = []
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for line in (PROC / f"{process}/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if words[9] in own and (words[3] == LISTENING or table.startswith("udp")):
+                places.append((table, words[1]))
+    return places
+
+
+def stat_of(process: int) -> list[str] | None:
+    """The fields after the name, state and parent first; None if there is no such process."""
+    try:
+        return (PROC / f"{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
