@@ -48,6 +48,8 @@ def _for_ray() -> dict[str, str]:
         "RAY_USAGE_STATS_ENABLED": "0",
         # Without clusters of several machines, a cluster of ours listens on loopback only.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+        # It would say so whenever a process begins another.
+        "GRPC_VERBOSITY": "ERROR",
         # It hides all GPUs from tasks that do not book one.
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
         # Who reaches it can have it run code. Left alone, it keeps a token for all to read.
