@@ -1,13 +1,15 @@
 """What is wrong with an installation is one line each, and never hides the other lines."""
 
+from contextlib import suppress
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from command import run
 from packaging.requirements import Requirement
-from test_killed import servers_of, wait_until, with_database
+from test_killed import wait_until, with_database
 
 from flows import doctor
 
@@ -157,3 +159,14 @@ def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch
     assert lifting == "lifting found 'soft', expected one of branch, filled, hard"
     assert mvsplat == "mvsplat its checkpoint is not given; give --mvsplat-checkpoint PLACE"
     assert "`hf download no-such-owner/no-such-model`" in clip
+
+
+def servers_of(store):
+    """Processes that have the store's Prefect home in their environment, from the kernel."""
+    wanted = f"PREFECT_HOME={store}/.prefect".encode()
+    found = []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError):
+            if entry.name.isdigit() and wanted in (entry / "environ").read_bytes().split(b"\0"):
+                found.append(int(entry.name))
+    return found
