@@ -19,6 +19,7 @@ from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 
 from data_specs import load_spec
+from flows.cluster import last_line
 from flows.progress import Progress
 from flows.runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
@@ -97,7 +98,7 @@ class Crew:
             ) from error
         except Exception as error:  # each runner has its own
             raise InputError(
-                f"runner: a worker of {runner} cannot do the work ({one_line(str(error))}); it "
+                f"runner: a worker of {runner} cannot do the work ({last_line(str(error))}); it "
                 "needs the packages that are installed here, and the same store and server within "
                 "its reach"
             ) from error
@@ -220,7 +221,10 @@ def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outco
     def lost(chain: Chain, why: str) -> None:
         deaths[chain.scene] += 1
         if deaths[chain.scene] == DEATHS:
-            reason = f"its worker died, {DEATHS} times; the last time: {why}"
+            reason = (
+                f"its worker died {DEATHS} times, the last with nothing beside it ({why}); it may "
+                "need more memory than there is: try it with --workers 1"
+            )
             failure = Failure(chain.scene, chain.first, "WorkerDied", reason)
             outcome.failures.append(failure)
             progress.failed(chain.scene, chain.first, reason)
@@ -258,7 +262,7 @@ def _result(future: PrefectFuture) -> Shard | str:
         made = error
     if isinstance(made, Shard):
         return made
-    return " ".join(str(made).split()) or type(made).__name__
+    return last_line(str(made) or type(made).__name__)
 
 
 def failures_table(failures: Sequence[Failure]) -> pa.Table:

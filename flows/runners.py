@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -149,14 +150,20 @@ class _Processes(ProcessPoolTaskRunner):
 
 @contextmanager
 def _dask(address: str, workers: int) -> Iterator[TaskRunner]:
-    from distributed import Client
+    from distributed.comm import connect
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         url = f"tcp://{address}" if address else stack.enter_context(local_cluster("dask", workers))
+
+        async def greet() -> None:
+            comm = await connect(url, timeout=CONNECT)
+            await comm.close()
+
         try:
-            Client(url, timeout=CONNECT, set_as_default=False).close()
+            # Dask's clients wait for ever for the first words of what is no scheduler.
+            asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
         except (OSError, ValueError) as error:
             raise InputError(_nobody(f"dask://{address}", error)) from error
         yield DaskTaskRunner(address=url)

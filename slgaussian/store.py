@@ -7,6 +7,7 @@ versions.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -346,6 +347,8 @@ class ArtifactStore:
     def _failed(self, verb: str, error: Exception) -> InputError:
         why = explained(error, self.path)
         do = "; choose a writable folder with --store" if self.local and verb == "write" else ""
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            do = "; make room there (`slgaussian store gc`), and run again"
         return InputError(f"store {self.root}: cannot {verb} there ({why}){do}")
 
 

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 BIN = Path(sys.executable).parent
@@ -33,9 +33,12 @@ def dask_cluster(workers: int = 1) -> Iterator[str]:
     with (
         tempfile.TemporaryDirectory(prefix="slg-") as folder,
         Path(folder, "log").open("wb") as log,
-        begun(log, "dask", "scheduler", *common, "--port", port),
-        begun(log, "dask", "worker", f"tcp://{place}", *common, *work, "--local-directory", folder),
+        ExitStack() as stack,
     ):
+        stack.enter_context(begun(log, "dask", "scheduler", *common, "--port", port))
+        if workers:
+            own = [f"tcp://{place}", *common, *work, "--local-directory", folder]
+            stack.enter_context(begun(log, "dask", "worker", *own))
         wait_for(place)
         yield f"dask://{place}"
 
