@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import queue
 import threading
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import pyarrow as pa
+from httpx import HTTPError
 from prefect import flow
 from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
@@ -20,9 +22,11 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 
 from data_specs import load_spec
 from flows.cluster import last_line
+from flows.journal import log
 from flows.progress import Progress
 from flows.runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
+from slgaussian.remote import masked
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.shard import (
     Chain,
@@ -170,22 +174,37 @@ def run_flow(
     ------
     InputError
         As :func:`flows.runners.started`.
+    SLGaussianError
+        If the Prefect server fails during the run.
     """
     here = _Here(work)
 
     @flow(name=name, persist_result=False, validate_parameters=False)
-    def run() -> Made:
+    def run() -> None:
         with Crew(store, workers) as crew:
             if "://" in runner:
                 crew.call(runner)
-            return here.work(crew)
+            here.made.append(here.work(crew))
 
     with started(runner, workers, store) as task_runner:
-        return run.with_options(task_runner=task_runner)()
+        try:
+            run.with_options(task_runner=task_runner)()
+        except HTTPError as error:  # as when it was killed, or its disk is full
+            url, home = masked(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+            failed = f"the Prefect server at {url} failed ({error})"
+            if not here.made:
+                raise SLGaussianError(
+                    f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; "
+                    f"one of our own may need room on the disk of {home}; what was made is in the "
+                    "store, and the same command goes on"
+                ) from error
+            said = f"{failed} when all was done; it may show this run as running for ever"
+            log(logging.WARNING, "server_failed", said)
+    return here.made[0]
 
 
 class _Here:
-    """Work that stays in this process.
+    """Work that stays in this process, and what it made.
 
     Prefect sends the flow along with every shard, though workers never call it, and with it all
     that its function refers to: here every scene of the run, and who is told of it.
@@ -193,6 +212,7 @@ class _Here:
 
     def __init__(self, work: Callable[[Crew], Any] | None = None) -> None:
         self.work = work
+        self.made: list[Any] = []
 
     def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
         return _Here, ()

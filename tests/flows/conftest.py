@@ -1,6 +1,9 @@
 """One Prefect server for all flow tests; its address is set before anything imports Prefect."""
 
 import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -9,9 +12,6 @@ from flows.server import LocalServer
 
 
 def pytest_configure(config):
-    import tempfile
-    from pathlib import Path
-
     home = Path(tempfile.mkdtemp(prefix="slg-flows-"))
     prepare(home)
     config.slg_server = LocalServer(home)
@@ -26,3 +26,10 @@ def server(request):
     server.wait()
     yield server
     server.stop()
+
+
+@pytest.fixture
+def home() -> Iterator[Path]:
+    """Home and temporary folder of a program; the paths of Ray's sockets must be short."""
+    with tempfile.TemporaryDirectory(prefix="slg-") as folder:
+        yield Path(folder)

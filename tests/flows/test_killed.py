@@ -1,23 +1,16 @@
 """Runs that are stopped: nothing is lost, nothing is redone, nothing is left running."""
 
 import os
-import re
 import signal
-import sqlite3
-import subprocess
-import sys
-import tempfile
-import time
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from process_family import LOOPBACK, PROC, below, listening, living
+from tiny_program import lines_of, start, wait_until, with_database
 from tiny_run import run_tiny, three_plans
 
 from slgaussian.store import ArtifactStore
 
-HERE = Path(__file__).parent
 FOREVER = 3600.0
 """Seconds that the stage at hand would take."""
 
@@ -109,51 +102,7 @@ def imported(runner: str) -> None:
         pytest.importorskip(f"prefect_{runner}", reason=f"needs the extra `{runner}`")
 
 
-def with_database(store: Path, server) -> Path:
-    """Give the store the database of the test server: making a new one takes ten seconds."""
-    home = store / ".prefect"
-    home.mkdir(parents=True)
-    with (
-        closing(sqlite3.connect(server.home / "prefect.db")) as source,
-        closing(sqlite3.connect(home / "prefect.db")) as copy,
-    ):
-        source.backup(copy)
-    return store
-
-
-def start(home: Path, store: Path, log: Path, sleep: float, runner: str) -> subprocess.Popen:
-    hidden = ("PREFECT_API_URL", "PREFECT_HOME")
-    env = {name: value for name, value in os.environ.items() if name not in hidden}
-    env |= {"HOME": str(home), "TMPDIR": str(home)}
-    env["PYTHONPATH"] = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
-    command = [sys.executable, str(HERE / "tiny_run.py"), str(store), str(log), str(sleep), runner]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen(command, env=env, **pipes, start_new_session=True)
-
-
-@pytest.fixture
-def home():
-    """Home and temporary folder of the program; the paths of Ray's sockets must be short."""
-    with tempfile.TemporaryDirectory(prefix="slg-") as folder:
-        yield Path(folder)
-
-
 def left_in(home: Path) -> list[str]:
     """What is there but caches, or in shared memory but the semaphores of other programs."""
     shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith("sem.")]
     return shared + [p.name for p in home.iterdir() if p.name != ".cache"]
-
-
-def lines_of(messages: bytes) -> list[str]:
-    """How each line begins that was said."""
-    lines = filter(None, messages.decode().splitlines())
-    return [re.split(r"[\s;]", line, maxsplit=1)[0] for line in lines]
-
-
-def wait_until(condition, seconds: float) -> bool:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.05)
-    return False

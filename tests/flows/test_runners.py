@@ -12,7 +12,7 @@ import pytest
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import chain_plan, run_tiny
 
-from flows import chains
+from flows import chains, runners
 from flows.chains import failures_table
 from flows.progress import Progress
 from flows.settings import make_settings
@@ -162,7 +162,8 @@ def test_a_cluster_that_is_not_there_is_named(kind, tmp_path):
 
 
 @needs["dask"]
-def test_something_else_at_the_address_is_told(server, tmp_path):
+def test_something_else_at_the_address_is_told(server, tmp_path, monkeypatch):
+    monkeypatch.setattr(runners, "CONNECT", 1.0)
     place = urlsplit(server.url)
     with pytest.raises(InputError, match="no Dask scheduler answers at"):
         run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://{place.netloc}")

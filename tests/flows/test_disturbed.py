@@ -1,0 +1,117 @@
+"""Other runs on the same store, a disk that fills, a server that dies, a clock that jumps."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from process_family import PROC, below
+from tiny_program import HERE, lines_of, start, wait_until, with_database
+from tiny_run import run_tiny, three_plans
+
+from slgaussian.store import ArtifactStore
+
+pytestmark = pytest.mark.usefixtures("server")
+
+NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
+"""A program begun with these may mount disks that nobody else sees."""
+
+
+@pytest.fixture(scope="module")
+def whole(server, tmp_path_factory):
+    """The refs of a run that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    return run_tiny(ArtifactStore(folder / "store"), three_plans(folder / "log")).refs
+
+
+def check_nothing_is_left_to_do(store: Path, log: Path, whole: dict) -> None:
+    assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
+    before = log.read_text()
+    assert run_tiny(ArtifactStore(store), three_plans(log)).refs == whole
+    assert log.read_text() == before
+
+
+def test_two_runs_on_one_store_at_once(tmp_path, home, server, whole):
+    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
+    both = [start(home, store, log, 1.0, runner) for runner in ("threads", "processes")]
+    for process in both:
+        _, messages = process.communicate(timeout=120)
+        assert process.returncode == 0, messages.decode()
+        stages = ["make", "halve", "add", "all"]
+        assert lines_of(messages) == ["scene_0", "scene_1", "scene_2", *stages]
+    done = log.read_text().splitlines()
+    assert len(set(done)) == 9 and len(done) <= 18
+    check_nothing_is_left_to_do(store, log, whole)
+
+
+def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, whole):
+    try:
+        subprocess.run([*NAMESPACE, "true"], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"needs to mount a small disk: {error}")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = [*NAMESPACE, sys.executable, HERE / "full_disk.py", disk]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent.parent)])}
+    run = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    full, part, room = json.loads(run.stdout)
+    assert full["refs"] == {} and len(full["failures"]) == 3
+    assert 0 < len(part["failures"]) < 3
+    assert room["failures"] == []
+    wanted = {s: {stage: r.digest for stage, r in made.items()} for s, made in whole.items()}
+    assert room["refs"] == wanted
+    for told in (full, part, room):
+        assert told["unfinished"] == []
+        assert told["refs"].items() <= wanted.items()
+        assert all("(No space left on device); make room" in why for why in told["failures"])
+
+
+@pytest.mark.skipif(not (PROC / "self/stat").exists(), reason="asks the kernel in /proc")
+def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, whole):
+    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
+    retries = {"PREFECT_CLIENT_MAX_RETRIES": "0"}  # each takes many seconds
+    process = start(home, store, log, 2.0, "threads", **retries)
+    assert wait_until(lambda: log.exists() and "scene_1 make" in log.read_text(), 120)
+    lines = {number: (PROC / f"{number}/cmdline").read_bytes() for number in below(process.pid)}
+    (itself,) = [number for number, line in lines.items() if b"flows.server" in line]
+    os.kill(itself, signal.SIGKILL)
+    _, messages = process.communicate(timeout=120)
+    assert process.returncode == 0, messages.decode()
+    check_nothing_is_left_to_do(store, log, whole)
+
+
+@pytest.mark.parametrize("runner", ["threads", "processes"])
+def test_a_clock_that_jumps(runner, tmp_path, home, server, whole):
+    """By hours, by years, ahead and back, while scenes are worked on."""
+    found = importlib.util.find_spec("libfaketime")
+    if found is None:
+        pytest.skip("needs another clock: pip install libfaketime")
+    (library,) = Path(found.origin).parent.rglob("libfaketime.so.1")
+    jump = tmp_path / "jump"
+    jump.write_text("+0")
+    clock = {
+        "LD_PRELOAD": str(library),
+        "FAKETIME_TIMESTAMP_FILE": str(jump),
+        "FAKETIME_NO_CACHE": "1",
+        "DONT_FAKE_MONOTONIC": "1",  # no jump of a real clock changes that one
+    }
+    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
+    process = start(home, store, log, 1.0, runner, **clock)
+    offsets = ("-3h", "+40d", "-400d", "+10y")
+
+    def begun() -> int:
+        return len(log.read_text().splitlines()) if log.exists() else 0
+
+    for stages, offset in enumerate(offsets, 3):
+        assert wait_until(lambda stages=stages: begun() >= stages, 120)
+        jump.write_text(offset)
+    _, messages = process.communicate(timeout=120)
+    assert process.returncode == 0, messages.decode()
+    assert lines_of(messages)[:3] == ["scene_0", "scene_1", "scene_2"]
+    assert begun() == 9
+    check_nothing_is_left_to_do(store, log, whole)
