@@ -49,7 +49,8 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
         "scenes": scenes,
         "start": cost.wall - took,
         "rate": 60 * scenes / took,
-        "cpu": cost.cpu / scenes,
+        # Ray ends its workers in a way that nobody is told what they took.
+        "cpu": None if runner == "ray" else cost.cpu / scenes,
         "flow": 1 - sum(event["seconds"] for event in stages) / (workers * took),
         "peak": cost.peak,
         "largest": cost.largest,
@@ -77,7 +78,7 @@ TABLE = Table(
         "start": ("start, s", hundredths),
         "rate": ("scenes a minute", count),
         "times": ("times", hundredths),
-        "cpu": ("CPU s a scene", hundredths),
+        "cpu": ("CPU s a scene", lambda cpu: "" if cpu is None else hundredths(cpu)),
         "flow": ("not in stages", lambda share: f"{100 * share:.0f} %"),
         "peak": ("MB", count),
         "largest": ("largest MB", count),

@@ -37,7 +37,7 @@ def check_nothing_is_left_to_do(store: Path, log: Path, whole: dict) -> None:
 
 def test_two_runs_on_one_store_at_once(tmp_path, home, server, whole):
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
-    both = [start(home, store, log, 1.0, runner) for runner in ("threads", "processes")]
+    both = [start(home, store, log, 0.5, runner) for runner in ("threads", "processes")]
     for process in both:
         _, messages = process.communicate(timeout=120)
         assert process.returncode == 0, messages.decode()
@@ -75,7 +75,7 @@ def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, 
 def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, whole):
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
     retries = {"PREFECT_CLIENT_MAX_RETRIES": "0"}  # each takes many seconds
-    process = start(home, store, log, 2.0, "threads", **retries)
+    process = start(home, store, log, 0.7, "threads", **retries)
     assert wait_until(lambda: log.exists() and "scene_1 make" in log.read_text(), 120)
     lines = {number: (PROC / f"{number}/cmdline").read_bytes() for number in below(process.pid)}
     (itself,) = [number for number, line in lines.items() if b"flows.server" in line]
