@@ -16,6 +16,7 @@ def pytest_configure(config):
     prepare(home)
     config.slg_server = LocalServer(home)
     os.environ["PREFECT_API_URL"] = config.slg_server.url
+    os.environ["SLGAUSSIAN_NO_EVENTS"] = "1"  # as in a run with a server of its own
 
 
 @pytest.fixture(scope="session")

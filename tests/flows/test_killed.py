@@ -27,7 +27,6 @@ ENDS = {
 }
 QUICK = {
     ("threads", "kill -9"),
-    ("threads", "Ctrl-C"),
     ("processes", "Ctrl-C"),
     ("dask", "SIGTERM"),
     ("ray", "kill -9"),
