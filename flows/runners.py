@@ -192,7 +192,7 @@ def _ray(address: str, workers: int) -> Iterator[TaskRunner]:
                 try:
                     connect()
                 except ConnectionAbortedError:
-                    # Now and then its server looks at a process that it begins before that is one.
+                    # A process that its head forks for a client may die at once, of gRPC's threads.
                     connect()
         except Exception as error:  # Ray's own, and any
             said = last_line(str(error))

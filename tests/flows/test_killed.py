@@ -101,6 +101,7 @@ def imported(runner: str) -> None:
 
 
 def left_in(home: Path) -> list[str]:
-    """What is there but caches, or in shared memory but the semaphores of other programs."""
-    shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith("sem.")]
+    """What is there but caches, or in shared memory but what other programs share there."""
+    theirs = ("sem.", "faketime_")
+    shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith(theirs)]
     return shared + [p.name for p in home.iterdir() if p.name != ".cache"]

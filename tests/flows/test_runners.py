@@ -18,7 +18,7 @@ from flows.progress import Progress
 from flows.settings import make_settings
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.store import ArtifactStore
-from tasks.shard import roll_call
+from tasks.shard import NO_EVENTS, roll_call
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -88,8 +88,12 @@ def expected(server, tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", ANY)
-def test_every_runner_makes_the_same_of_it_though_a_worker_dies(kind, clusters, expected, tmp_path):
+def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
+    kind, clusters, expected, tmp_path, monkeypatch
+):
     """One scene kills its worker the first time; its neighbours are in the same shard."""
+    # Workers tell the server of all that they do, as if it were the user's.
+    monkeypatch.delenv(NO_EVENTS)
     store = ArtifactStore(tmp_path / "store")
     plans = plans_of(tmp_path, **{"deadly once": str(tmp_path / "died")})
     told = Progress(len(plans), 3, stream=io.StringIO())
@@ -133,6 +137,7 @@ def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_pa
     assert log.read_text().count("killer make") == 1
 
 
+@needs["dask"]
 def test_work_that_cannot_be_sent_is_told(tmp_path):
     """As when the cluster of a run has gone."""
     plans = {"a": chain_plan(6, 1, tmp_path / "log", lock=threading.Lock())}

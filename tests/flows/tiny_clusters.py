@@ -22,7 +22,7 @@ def environment() -> dict[str, str]:
     own = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
     path = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
     variables = {
-        # With it, one in ten servers that Ray's head forks for a client dies at once.
+        # With it, some servers that Ray's head forks for its clients die at once.
         "GRPC_ENABLE_FORK_SUPPORT": "0",
         # So often Dask itself tries what its worker died of; three times, if not told.
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",

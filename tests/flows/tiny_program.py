@@ -16,7 +16,7 @@ def start(
     home: Path, store: Path, log: Path, sleep: float, runner: str, **variables: str
 ) -> subprocess.Popen:
     """Begin it; ``variables`` are of its environment."""
-    hidden = ("PREFECT_API_URL", "PREFECT_HOME")
+    hidden = ("PREFECT_API_URL", "PREFECT_HOME", "SLGAUSSIAN_NO_EVENTS")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env |= {"HOME": str(home), "TMPDIR": str(home), **variables}
     env["PYTHONPATH"] = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
