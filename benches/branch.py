@@ -1,6 +1,6 @@
 """Whether a trained branch earns its place: label IoU of novel views, and what training costs.
 
-    python benches/branch.py CACHE --data FOLDER -o docs/branch.md
+    python benches/branch.py CACHE --data FOLDER -o docs/measured/branch.md
 
 makes the rooms (a few seconds each, kept in CACHE), trains (a training that was interrupted goes
 on), judges and writes the page. FOLDER holds real pairs, as for the other benches.

@@ -1,4 +1,6 @@
-"""ID codes: label error against time. ``python benches/codes.py -o docs/codes.md [--data DIR]``
+"""ID codes: label error against time.
+
+``python benches/codes.py -o docs/measured/codes.md [--data DIR]``
 
 Writes the page and, beside it, its picture. DATA is a folder with ``transforms.json``,
 ``pairs.json`` (scene -> context and target views) and LERF-OVS labels of the targets in
@@ -337,7 +339,7 @@ def run(out: Path, rooms: int, data: Path | None, command: str) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path, default=Path("docs/codes.md"))
+    parser.add_argument("-o", "--out", type=Path, default=Path("docs/measured/codes.md"))
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--data", type=Path, help=DATA_HELP)
     given = parser.parse_args()

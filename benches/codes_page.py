@@ -1,4 +1,4 @@
-"""The words and the picture of ``docs/codes.md``."""
+"""The words and the picture of ``docs/measured/codes.md``."""
 
 import io
 

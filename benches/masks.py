@@ -1,4 +1,4 @@
-"""Masks measured, as a page: ``python benches/masks.py [DATA] [-o docs]``.
+"""Masks measured, as a page: ``python benches/masks.py [DATA] [-o docs/measured]``.
 
 Proposals that fit objects (``best_regions.py``), ids that agree across views (``association.py``),
 and the suppression of overlapping masks (``masks_nms.py``): about half an hour with 50 pairs.
@@ -54,9 +54,8 @@ def main() -> None:
         if given.look:
             pairs_picture(list(looked_at.values())).save(given.look)
     rows["nms"] = list(masks_nms.rows())
-    command = (
-        f"python benches/masks.py{' DATA' if given.data else ''} --pairs {given.pairs} -o docs"
-    )
+    words = ["python benches/masks.py", *["DATA"] * bool(given.data), f"--pairs {given.pairs}"]
+    command = " ".join([*words, "-o docs/measured"])
     text = page(rows, given.pairs, command, machine())
     print(text)
     if given.out:

@@ -1,4 +1,4 @@
-"""The words of ``docs/masks.md``: what its tables hold, and how to read them."""
+"""The words of ``docs/measured/masks.md``: what its tables hold, and how to read them."""
 
 from tables import Table, count, hundredths, thousandths
 

@@ -1,4 +1,4 @@
-"""The pictures of ``docs/masks.md``: pairs with their ids, and a chart of the tables."""
+"""The pictures of ``docs/measured/masks.md``: pairs with their ids, and a chart of the tables."""
 
 import io
 

@@ -1,6 +1,6 @@
 """What every method of the table answers, and what it costs, as a page:
 
-python benches/methods.py OUT DATA [-o docs] [--only METHOD ...]
+python benches/methods.py OUT DATA [-o docs/measured] [--only METHOD ...]
 
 OUT is what a benchmark with ``--against`` left: scores and times are its own. DATA holds
 ``office``; memory is measured on its first pair, in a process of its own for each method. Needs
@@ -155,7 +155,7 @@ def main() -> None:
         "# Methods, measured",
         "Made by `slgaussian benchmark --data DATA/office --pairs DATA/office/pairs.json --labels "
         "DATA/office/labels --rooms 0-19 --against all -o OUT` and `python benches/methods.py OUT "
-        f"DATA -o docs` on {machine()}: {sets.count('office')} office pairs, "
+        f"DATA -o docs/measured` on {machine()}: {sets.count('office')} office pairs, "
         f"{sets.count('procedural')} procedural rooms, photographs of at most 416 x 576, encoder "
         f"`{about['encoder']}`, proposer `{about['proposer']}`.",
         "**Query times side by side**: a first query in a new view takes "
@@ -169,7 +169,7 @@ def main() -> None:
     page = "\n\n".join(lines)
     print(page)
     if given.out:
-        (given.out / "methods_measured.md").write_text(page.rstrip("\n") + "\n")
+        (given.out / "methods.md").write_text(page.rstrip("\n") + "\n")
 
 
 if __name__ == "__main__":

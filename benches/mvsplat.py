@@ -1,7 +1,7 @@
 """Speed, memory and error of MVSplat's settings: a table, and a page of it.
 
 python benches/mvsplat.py [CHECKPOINT]             weights by a recipe if none are given
-python benches/mvsplat.py [CHECKPOINT] -o docs     also writes docs/mvsplat.md
+python benches/mvsplat.py [CHECKPOINT] -o docs/measured     also writes mvsplat.md there
 """
 
 import argparse
@@ -118,7 +118,7 @@ def errors(found: Path, exact: Path) -> dict[str, float]:
 
 
 def page(table: str, weights: str, given: bool) -> str:
-    command = " ".join(["python benches/mvsplat.py", *["CHECKPOINT"] * given, "-o docs"])
+    command = " ".join(["python benches/mvsplat.py", *["CHECKPOINT"] * given, "-o docs/measured"])
     return f"""# MVSplat, measured
 
 Made by `{command}` on {machine()}.

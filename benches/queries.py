@@ -1,7 +1,7 @@
 """Speed of queries, and errors where numbers and texts are hard: tables, or a page of them.
 
-python benches/queries.py                    print the tables
-python benches/queries.py DATA -o docs       with real CLIP text vectors; writes docs/queries.md
+python benches/queries.py                           print the tables
+python benches/queries.py DATA -o docs/measured     with real CLIP text vectors; writes queries.md
 
 DATA holds clip_text/lvis_names_clip_text.npz: names, and unit vectors of them as features.
 """
@@ -216,7 +216,7 @@ def run(options: argparse.Namespace) -> None:
     if options.out is None:
         print("\n".join(TABLES[key].markdown(found) for key, found in rows.items()))
     else:
-        command = "python benches/queries.py DATA -o docs"
+        command = "python benches/queries.py DATA -o docs/measured"
         write_atomic(options.out / "queries.md", page(rows, command, machine()).encode())
 
 

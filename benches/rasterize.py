@@ -1,7 +1,7 @@
 """Speed, error, memory and start-up of the rasteriser: tables, and a page with a picture.
 
-python benches/rasterize.py                  a made-up room
-python benches/rasterize.py DATA -o docs     photographs; also writes docs/rasterizer.md and .svg
+python benches/rasterize.py                           a made-up room
+python benches/rasterize.py DATA -o docs/measured     photographs; also writes rasterizer.md, .svg
 """
 
 import argparse
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> None:
 def write(options: argparse.Namespace, rows: dict[str, list[dict]], chosen: str) -> None:
     shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
     drawn = picture(*(rows[key] for key in shown))
-    words = ["python benches/rasterize.py", *["DATA"] * bool(options.data), "-o docs"]
+    words = ["python benches/rasterize.py", *["DATA"] * bool(options.data), "-o docs/measured"]
     made = page(rows, chosen, " ".join(words), machine())
     write_atomic(options.out / "rasterizer.svg", drawn)
     write_atomic(options.out / "rasterizer.md", made.encode())

@@ -1,4 +1,4 @@
-"""The words of ``docs/rasterizer.md``: what its tables hold, and how to read them."""
+"""The words of ``docs/measured/rasterizer.md``: what its tables hold, and how to read them."""
 
 import prune
 from sweeps import EXACT_PART

@@ -1,4 +1,4 @@
-"""The picture of ``docs/rasterizer.md``: error against time, and time against what is drawn."""
+"""The picture of ``docs/measured/rasterizer.md``: error and what is drawn, against time."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Speed against error, setting by setting: ``python benches/tradeoffs.py DATA [-o docs]``.
+"""Speed against error, setting by setting: ``python benches/tradeoffs.py DATA [-o docs/measured]``.
 
 DATA holds ``office``. One setting is changed at a time, from the defaults; a few rows change
 several. The presets are picked among the rows by the rules of ``tradeoffs_page``. Two processes

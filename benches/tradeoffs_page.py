@@ -1,4 +1,4 @@
-"""The words, tables and chart of ``docs/tradeoffs.md``."""
+"""The words, tables and chart of ``docs/measured/tradeoffs.md``."""
 
 from __future__ import annotations
 
@@ -200,7 +200,8 @@ def page(made: Sequence[dict], command: str, machine: str) -> str:
     kept = KEPT.markdown(few) if few else ""
     return f"""# Speed against error
 
-Made by `{command} -o docs` on {machine}: {kinds.count("office")} office pairs (540 x 360) and
+Made by `{command} -o docs/measured` on {machine}:
+{kinds.count("office")} office pairs (540 x 360) and
 {kinds.count("rooms")} made-up rooms (720 x 520, by default shrunk to 576 x 416), one setting
 changed at a time from the defaults, and a few together. Whatever the size that a row works at, its
 answers are brought to the default size and judged there, so that what a small image loses counts. A

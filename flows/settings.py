@@ -234,7 +234,7 @@ AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "accurate")
 """Named settings, each a file in `presets`. `benches/tradeoffs.py` measures them and picks them by
-the rules that `docs/tradeoffs.md` states."""
+the rules that `docs/measured/tradeoffs.md` states."""
 
 PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
 """The settings that name a part of the method."""

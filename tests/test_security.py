@@ -1,4 +1,4 @@
-"""What ``docs/security.md`` promises and damaged files alone do not show."""
+"""What ``docs/guides/security.md`` promises and damaged files alone do not show."""
 
 import ast
 import io

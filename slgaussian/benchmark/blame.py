@@ -2,7 +2,7 @@
 
 A replacement keeps all those made before it. The first one that mends the miss names the stage that
 lost it: with everything after that stage true it was still a miss, with the stage itself true it is
-none. In plain words, with its limits, it is in `docs/failures.md`.
+none. In plain words, with its limits, it is in `docs/reference/failures.md`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Numbers of different protocols do not compare, even where they share a name: LangSplat scores 51.4
 mIoU by its own and 9.7 by that of OpenGaussian. So a protocol has a version, which is raised when
 anything that it computes changes, and every row of scores says ``name@version``. In plain words
-they are in `docs/protocols.md`.
+they are in `docs/reference/protocols.md`.
 
 A method answers a frame once, and each protocol scores these answers: what a protocol needs beyond
 the relevancy image it makes from that image alone, the same for all methods.

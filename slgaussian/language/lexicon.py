@@ -16,7 +16,7 @@ silent. Two more axes make this work with cosines:
 
 What cannot be seen is not claimed: an unknown word is left out and named, never guessed, unless a
 model of synonyms is given, and then what it is taken for is said. The words
-and how each is measured are listed in docs/lexicon.md.
+and how each is measured are listed in docs/reference/lexicon.md.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ MIN_MATCHES = 12
 MIN_CANDIDATES = 32
 MAX_CANDIDATES = 144
 """Fewest that a sub-pixel fit is asked to interpolate, and most unless another number is asked for:
-more gain nothing that time and memory are worth (`docs/tradeoffs.md`)."""
+more gain nothing that time and memory are worth (`docs/measured/tradeoffs.md`)."""
 
 MAX_DEPTH = 1e4
 """Farthest estimated depth in baselines, where even a long lens sees no parallax."""

@@ -1,6 +1,6 @@
 """Relevancy where it is hard to compute, and texts that are hard to read: a test a case.
 
-Cases are those of ``benches/hard_texts.py``, whose tables are in ``docs/queries.md``.
+Cases are those of ``benches/hard_texts.py``, whose tables are in ``docs/measured/queries.md``.
 """
 
 import numpy as np

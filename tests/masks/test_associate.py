@@ -158,7 +158,7 @@ def test_objects_of_a_room_keep_their_ids(swapped):
             ]
             hits.append(main[0] == main[1])
     assert len(hits) >= 8
-    assert np.mean(hits) >= 0.75  # at half the usual size; docs/masks.md has the rest
+    assert np.mean(hits) >= 0.75  # at half the usual size; docs/measured/masks.md has the rest
     assert (maps.labels > 0).mean() > 0.99
 
 

@@ -2,7 +2,7 @@
 
 A name that ends in "like" is not the original: it keeps what the original is known for, on the same
 photographs, Gaussians and encoder as everything else here. What each is, and what it lacks, is in
-docs/methods.md.
+docs/reference/methods.md.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from slgaussian.masks import load_proposer
 from slgaussian.parts import described, places
 from slgaussian.predict import load_predictor
 
-DOCS = Path(__file__).parents[3] / "docs" / "methods.md"
+DOCS = Path(__file__).parents[3] / "docs" / "reference" / "methods.md"
 
 
 PLAIN = "yellow wall"

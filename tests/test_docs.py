@@ -1,0 +1,130 @@
+"""The words of the documentation against the repository: links, files, commands and options."""
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+import typer
+
+from flows.cli import app
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], key=lambda page: page.as_posix()
+)
+COMMANDS = typer.main.get_command(app)
+USAGE_ERROR = typer.BadParameter.__base__
+"""Of Click, which Typer brings along or imports, depending on its version."""
+
+FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+HEADING = re.compile(r"^#+ +(.+?)\s*$", re.MULTILINE)
+OWN_FILE = re.compile(
+    r"(?<![\w./-])(?:slgaussian|flows|tasks|data_specs|tests|benches|docs|docker)/[\w./*-]+"
+    r"\.(?:py|toml|md|yaml|yml|j2|jpg|png|svg|css|ipynb)\b"
+)
+
+
+def read(page: Path) -> str:
+    return page.read_text("utf-8")
+
+
+def name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def prose(page: Path) -> str:
+    return FENCE.sub("", read(page))
+
+
+def anchor(heading: str) -> str:
+    """The fragment that GitHub gives a heading, and the site too."""
+    plain = re.sub(r"[`*]|\[([^\]]*)\]\([^)]*\)", r"\1", heading)
+    return re.sub(r"[^\w\- ]", "", plain.lower()).replace(" ", "-")
+
+
+def leads_somewhere(link: str, page: Path) -> bool:
+    path, _, fragment = link.partition("#")
+    target = (page.parent / path).resolve() if path else page
+    if not (target.is_relative_to(ROOT) and target.exists()):
+        return False
+    return not fragment or fragment in map(anchor, HEADING.findall(prose(target)))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_to_files_and_headings(page):
+    local = [link for link in LINK.findall(prose(page)) if "://" not in link]
+    assert [link for link in local if not leads_somewhere(link, page)] == []
+
+
+def test_every_page_is_in_the_index():
+    index = ROOT / "docs" / "index.md"
+    linked = {
+        (index.parent / link.partition("#")[0]).resolve() for link in LINK.findall(read(index))
+    }
+    pages = {page for page in PAGES if page.is_relative_to(index.parent)} - {index}
+    assert sorted(name(page) for page in pages - linked) == []
+
+
+def tracked(*suffixes: str) -> list[Path]:
+    """Files of the repository, by git where there is one and by folder where there is none."""
+    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    listed = [ROOT / found for found in done.stdout.decode().split("\0") if found]
+    if not listed:
+        folders = ("slgaussian", "flows", "tasks", "data_specs", "tests", "benches", "docs")
+        listed = [file for folder in folders for file in (ROOT / folder).rglob("*")]
+    return [file for file in listed if file.suffix in suffixes and file.exists()]
+
+
+def test_files_that_are_named_exist():
+    missing = {}
+    for file in {*PAGES, *tracked(".py", ".toml", ".yaml")} - {Path(__file__)}:
+        for found in OWN_FILE.findall(read(file)):
+            if not any(ROOT.glob(found)) and not (file.parent / found).exists():
+                missing.setdefault(name(file), []).append(found)
+    assert missing == {}
+
+
+def commands(page: Path) -> list[str]:
+    """Every ``slgaussian ...`` of a page's code, with lines that go on joined."""
+    text = read(page)
+    lines = [
+        line
+        for _, language, code in FENCE.findall(text)
+        if language in ("sh", "")
+        for line in code.replace("\\\n", " ").splitlines()
+    ]
+    lines += re.findall(r"`(slgaussian [^`\n]+)`", FENCE.sub("", text))
+    parts = [part for line in lines for part in re.split(r"&&|\|\||[|;>]", line)]
+    return [found[0] for part in parts if (found := re.findall(r"\bslgaussian [\w-].*", part))]
+
+
+def problem(line: str) -> str | None:
+    """What the command line would not take of ``line``; values of options are not looked at."""
+    words = shlex.split(line, comments=True)[1:]
+    command, path = COMMANDS, "slgaussian"
+    while hasattr(command, "commands") and words:
+        path += f" {words[0]}"
+        if (command := command.commands.get(words.pop(0))) is None:
+            return f"no command {path!r}"
+    try:
+        context = command.context_class(command, info_name=path)
+        command.make_parser(context).parse_args(words)
+    except USAGE_ERROR as error:
+        return error.format_message()
+    return None
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=name)
+def test_commands_and_their_options_exist(page):
+    lines = [line for line in commands(page) if not line.startswith("slgaussian --")]
+    assert {line: found for line in lines if (found := problem(line))} == {}
+
+
+def test_a_wrong_command_line_is_noticed():
+    assert problem('slgaussian query field/ "red ball" -o hit.png  # a picture') is None
+    assert "fielt" in problem("slgaussian fielt a.jpg")
+    assert "--camera-file" in problem("slgaussian field a.jpg b.jpg --camera-file c.json")
+    assert "--out" in problem("slgaussian field a.jpg b.jpg --out")
