@@ -38,9 +38,10 @@ def with_database(store: Path, server) -> Path:
 
 
 def lines_of(messages: bytes) -> list[str]:
-    """How each line begins that was said."""
+    """How each line begins that was said, but for those that tell how far a slow run has come."""
     lines = filter(None, messages.decode().splitlines())
-    return [re.split(r"[\s;]", line, maxsplit=1)[0] for line in lines]
+    begun = [re.split(r"[\s;]", line, maxsplit=1)[0] for line in lines]
+    return [word for word in begun if not re.fullmatch(r"\d+/\d+", word)]
 
 
 def wait_until(condition, seconds: float) -> bool:
