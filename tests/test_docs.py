@@ -26,6 +26,9 @@ OWN_FILE = re.compile(
     r"\.(?:py|toml|md|yaml|yml|j2|jpg|png|svg|css|ipynb)\b"
 )
 
+TO_BE_WRITTEN = {"slgaussian/language/mine.py", "tests/language/test_mine.py"}
+"""What a reader of the architecture page is shown how to add."""
+
 
 def read(page: Path) -> str:
     return page.read_text("utf-8")
@@ -81,7 +84,7 @@ def tracked(*suffixes: str) -> list[Path]:
 def test_files_that_are_named_exist():
     missing = {}
     for file in {*PAGES, *tracked(".py", ".toml", ".yaml")} - {Path(__file__)}:
-        for found in OWN_FILE.findall(read(file)):
+        for found in set(OWN_FILE.findall(read(file))) - TO_BE_WRITTEN:
             if not any(ROOT.glob(found)) and not (file.parent / found).exists():
                 missing.setdefault(name(file), []).append(found)
     assert missing == {}
