@@ -4,11 +4,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.exceptions import TyperException
 
 from flows.corpus_settings import CorpusSettings, IndexSettings, PackSettings
+from flows.helping import App, told
 from flows.housekeeping import store_app
 from flows.options import with_options
 from flows.training_settings import RetrainSettings, TrainSettings
+from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError
 
 METHOD = (
@@ -35,15 +38,32 @@ SUPERVISE = (
 )  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="Two posed photographs in, a 3D scene of Gaussians that answers words out. Start with "
-    "`slgaussian demo`; `slgaussian COMMAND --help` has examples.",
+PARTS = ("predictor", "proposer", "tracker", "encoder")
+ENGINE = ("store", "runner", "workers")
+COMMON = {
+    "demo": ("preset", "size", *PARTS, "seed", *ENGINE),
+    "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
+    "run": ("preset", "size", *PARTS, "seed", *ENGINE),
+    "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
+    "field": ("preset", "size", *PARTS, "lifting", "seed"),
+    "query": ("protocol", "threshold", "canonical"),
+    "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
+    "supervise": ("size", *PARTS[:3], "most", *ENGINE),
+    "train": ("steps", "rate", "codes", "seed", "store"),
+    "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", *ENGINE),
+    "doctor": ("store", "runner", *PARTS, "lifting"),
+}
+"""The settings that most people need of a command: `--help` shows these, `--help-all` the rest."""
+
+FIELDS, SCORES = "Build a field and ask it", "Score it"
+CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"
+"""The headings of the commands."""
+
+app = App(
+    help="Two posed photographs in, a 3D scene of Gaussians that answers words out. Begin with "
+    "`slgaussian demo`. Every command has a --help with examples.",
 )
-app.add_typer(store_app, name="store")
+app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
 
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for every stage.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -57,8 +77,26 @@ Chunks = Annotated[
 ]
 
 
-@app.command()
-@with_options(*RUN)
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"slgaussian {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def slgaussian(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_say_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """What all commands have."""
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RUN, common=COMMON["demo"])
 def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) -> None:
     """Run the whole job on scenes that ship with the installation, and write a report.
 
@@ -76,8 +114,8 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
     _run("demo", make_settings(given, "demo"), verbose)
 
 
-@app.command()
-@with_options(*RUN, "data", "pairs", "labels", "format", "rooms")
+@app.command(rich_help_panel=SCORES)
+@with_options(*RUN, "data", "pairs", "labels", "format", "rooms", common=COMMON["benchmark"])
 def benchmark(
     settings: dict,
     against: Annotated[
@@ -107,7 +145,7 @@ def benchmark(
     _run("benchmark", make_settings(given, "benchmark"), verbose)
 
 
-@app.command()
+@app.command(rich_help_panel=SCORES)
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Folder that a run wrote.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
@@ -130,8 +168,8 @@ def compare(
     typer.echo(compared(first, second, out))
 
 
-@app.command()
-@with_options(*IndexSettings.model_fields, of=IndexSettings)
+@app.command(rich_help_panel=SCORES)
+@with_options(*IndexSettings.model_fields, of=IndexSettings, common=COMMON["pairs"])
 def pairs(
     settings: dict,
     data: Annotated[Path, typer.Argument(help="Folder of the data, as its format has it.")],
@@ -167,8 +205,8 @@ def pairs(
     typer.echo(f"{len(index.pairs)} pairs  {out}")
 
 
-@app.command()
-@with_options(*RUN)
+@app.command(rich_help_panel=SCORES)
+@with_options(*RUN, common=COMMON["run"])
 def run(
     settings: dict,
     config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
@@ -195,8 +233,8 @@ def run(
     _run("run", read_toml(config, given), verbose)
 
 
-@app.command()
-@with_options(*BUILD)
+@app.command(rich_help_panel=FIELDS)
+@with_options(*BUILD, common=COMMON["field"])
 def field(
     settings: dict,
     photos: Annotated[list[str], typer.Argument(help="Two or more photographs.")],
@@ -215,8 +253,8 @@ def field(
     typer.echo(made)
 
 
-@app.command()
-@with_options(*RULES, *PLACES)
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RULES, *PLACES, common=COMMON["query"])
 def query(
     settings: dict,
     field: Folder,
@@ -271,7 +309,7 @@ def query(
         typer.echo(f"picture  {out}")
 
 
-@app.command()
+@app.command(rich_help_panel=FIELDS)
 def words() -> None:
     """List the words that the lexicon knows, by family, synonyms in brackets.
 
@@ -285,7 +323,7 @@ def words() -> None:
         typer.echo(f"{family}: {', '.join(listed)}")
 
 
-@app.command()
+@app.command(rich_help_panel=FIELDS)
 def render(
     source: Annotated[
         Path,
@@ -313,7 +351,7 @@ def render(
     typer.echo(out)
 
 
-@app.command()
+@app.command(rich_help_panel=FIELDS)
 def export(
     field: Folder,
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file.")],
@@ -334,7 +372,7 @@ def export(
     typer.echo(out)
 
 
-@app.command()
+@app.command(rich_help_panel=CORPORA)
 @with_options(*PackSettings.model_fields, of=PackSettings)
 def pack(
     settings: dict,
@@ -366,8 +404,8 @@ def pack(
         raise typer.Exit(1)
 
 
-@app.command()
-@with_options(*INGEST, of=CorpusSettings)
+@app.command(rich_help_panel=CORPORA)
+@with_options(*INGEST, of=CorpusSettings, common=COMMON["ingest"])
 def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Look at every view of a corpus of RealEstate10K chunks and choose samples to learn from.
 
@@ -382,8 +420,8 @@ def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -
     _prepare("ingest", {**settings, "chunks": chunks, "out": out}, verbose)
 
 
-@app.command()
-@with_options(*SUPERVISE, of=CorpusSettings)
+@app.command(rich_help_panel=CORPORA)
+@with_options(*SUPERVISE, of=CorpusSettings, common=COMMON["supervise"])
 def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Predict Gaussians and label all views of every sample of a corpus: lessons for training.
 
@@ -397,8 +435,8 @@ def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False
     _prepare("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
 
 
-@app.command()
-@with_options(*TRAIN, "store", of=TrainSettings)
+@app.command(rich_help_panel=CORPORA)
+@with_options(*TRAIN, "store", of=TrainSettings, common=COMMON["train"])
 def train(
     settings: dict,
     lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
@@ -434,8 +472,10 @@ def train(
     typer.echo(f"report   {chosen.out / FILES['report']}")
 
 
-@app.command()
-@with_options("chunks", "out", "models", *TRAIN, *SUPERVISE, of=RetrainSettings)
+@app.command(rich_help_panel=CORPORA)
+@with_options(
+    "chunks", "out", "models", *TRAIN, *SUPERVISE, of=RetrainSettings, common=COMMON["retrain"]
+)
 def retrain(
     settings: dict,
     config: Annotated[
@@ -490,7 +530,7 @@ def retrain(
     typer.echo(learnt.said)
 
 
-@app.command()
+@app.command(rich_help_panel=CORPORA)
 def versions(
     models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
     use: Annotated[int | None, typer.Option(help="Put the version of this number to use.")] = None,
@@ -522,8 +562,8 @@ def versions(
     typer.echo(versions_table(known.values(), kept.current()) if known else f"{models}: no version")
 
 
-@app.command()
-@with_options("store", "runner", *FILES)
+@app.command(rich_help_panel=UPKEEP)
+@with_options("store", "runner", *FILES, common=COMMON["doctor"])
 def doctor(settings: dict) -> None:
     """Check what a run needs: packages, threads, store, Prefect server, and what options name.
 
@@ -551,10 +591,14 @@ def doctor(settings: dict) -> None:
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
     try:
-        app()
+        status = app(prog_name="slgaussian", standalone_mode=False)
+    except TyperException as error:
+        typer.echo(f"error: {told(error)}", err=True)
+        raise SystemExit(error.exit_code) from None
     except SLGaussianError as error:
         typer.echo(f"error: {error}", err=True)
         raise SystemExit(2) from None
+    raise SystemExit(status or 0)
 
 
 def _run(command: str, settings: Any, verbose: bool) -> None:

@@ -28,7 +28,7 @@ Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
 class PackSettings(BaseModel):
     """How made-up rooms are photographed, and how large chunks are."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(title="The clips", extra="forbid", frozen=True, allow_inf_nan=False)
 
     views: int = Field(12, ge=2, description="Views of each made-up room, evenly on an arc.")
     baseline: float = Field(
@@ -50,7 +50,9 @@ imported here as it takes OpenCV with it."""
 class PairSettings(BaseModel):
     """What is asked of two context views."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        title="Which context views are taken", extra="forbid", frozen=True, allow_inf_nan=False
+    )
 
     min_overlap: float = Field(
         0.6, ge=0, le=1, description="Least share that context views see in common."
@@ -83,6 +85,8 @@ class PairSettings(BaseModel):
 class IndexSettings(PairSettings):
     """By which rule the index of a labelled set is made."""
 
+    model_config = ConfigDict(title="Which context views are taken")
+
     format: str = Field("nerfstudio", description="Of the data, such as lerf_ovs or ovs3d.")
     min_cover: float = Field(
         0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."
@@ -98,6 +102,8 @@ class IndexSettings(PairSettings):
 
 class CorpusSettings(PairSettings, Engine, Method):
     """What views, samples and lessons depend on, and where they go."""
+
+    model_config = ConfigDict(title="The corpus")
 
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."

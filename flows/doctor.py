@@ -23,7 +23,8 @@ from packaging.requirements import Requirement
 
 from flows.settings import Settings
 from slgaussian import __version__, threads
-from slgaussian.errors import InputError, SLGaussianError, one_line
+from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_line
+from slgaussian.registry import names_of
 from slgaussian.remote import masked
 
 PACKAGE = "slgaussian"
@@ -218,18 +219,13 @@ def _runner(settings: Settings, store: Any) -> Findings:
 
 def _models(settings: Settings) -> Findings:
     """The files that the chosen parts need, as far as their headers."""
-    from slgaussian.language import CODES, ENCODERS
-    from slgaussian.masks import PROPOSERS, TRACKERS
     from slgaussian.parts import DIGESTS
-    from slgaussian.predict import PREDICTORS
-    from slgaussian.semantic import LIFTINGS
 
-    registries = {"predictor": PREDICTORS, "proposer": PROPOSERS, "tracker": TRACKERS}
-    registries |= {"encoder": ENCODERS, "codes": CODES, "lifting": LIFTINGS}
     for kind, part in settings.part_names().items():
-        if part not in registries[kind]:
-            known = ", ".join(sorted(registries[kind]))
-            yield Finding(kind, f"found {part!r}, expected one of {known}", False)
+        known = names_of(kind)
+        if part not in known:
+            said = f"found {part!r}, expected one of {', '.join(sorted(known))}"
+            yield Finding(kind, said + did_you_mean(part, known), False)
     for part, own in settings.part_settings().items():
         for name in DIGESTS.keys() & own.keys():
             place = own[name]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from flows.helping import App
 from flows.options import with_options
 from slgaussian.errors import InputError
 
@@ -16,9 +17,7 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode=None,
+store_app = App(
     help="Look after a store: what may go, what is damaged, how much there is.",
 )
 

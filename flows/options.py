@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
+from pathlib import Path
 from typing import Any
 
 import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from flows.settings import TABLES, Settings
+from slgaussian.registry import PARTS, names_of
 
 
-def with_options(*names: str, of: type[BaseModel] = Settings) -> Callable[[Callable], Callable]:
+def with_options(
+    *names: str, of: type[BaseModel] = Settings, common: Collection[str] | None = None
+) -> Callable[[Callable], Callable]:
     """Give a command an option for each named setting, and for each key of one that is a table.
 
     The settings are those of the model ``of``. A name such as ``clip.model`` stands for one key of
-    a table, whose default is not said.
+    a table, whose default is not said. Those that are not ``common`` get a heading, by which
+    :class:`flows.helping.Command` knows that they are for `--help-all`; otherwise all are common.
 
     Those that the user set arrive as one dict in the parameter ``settings``, as a configuration
     file would have them; the others are left out of it, so that defaults and such files have their
@@ -51,7 +57,10 @@ def with_options(*names: str, of: type[BaseModel] = Settings) -> Callable[[Calla
                     table[path[-1]] = value
             return command(**values, settings=chosen)
 
-        extra = [_option("_".join(path), field) for path, field in fields.items()]
+        extra = []
+        for path, field in fields.items():
+            rare = common is not None and ".".join(path) not in common
+            extra.append(_option(path, field, _heading(path, of) if rare else None))
         wrapper.__signature__ = own.replace(parameters=[*kept, *extra])
         hints = {p.name: p.annotation for p in (*kept, *extra)}
         wrapper.__annotations__ = {**hints, "return": None}
@@ -60,15 +69,43 @@ def with_options(*names: str, of: type[BaseModel] = Settings) -> Callable[[Calla
     return decorate
 
 
-def _option(name: str, field: FieldInfo) -> inspect.Parameter:
-    kind = {int: int, float: float, float | None: float}.get(field.annotation, str)
+def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> inspect.Parameter:
+    name = "_".join(path)
+    kinds = {int: int, int | None: int, float: float, float | None: float}
+    kind = kinds.get(field.annotation, str)
+    help_text = field.description
+    choices = field.examples or []
+    if name in PARTS:
+        choices = names_of(name)
+        help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
     value = field.default
-    shown = "x".join(map(str, value)) if isinstance(value, tuple) else value
-    default_text = "" if value is None else f" [default: {shown}]"
-    help_text = field.description + default_text
-    flag = f"--{name.replace('_', '-')}"
-    default = typer.Option(None, flag, help=help_text, show_default=False)
-    kind_or_none = kind | None
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind_or_none
+    if value is not None and value is not PydanticUndefined:
+        shown = "x".join(map(str, value)) if isinstance(value, tuple) else value
+        help_text += f" [default: {shown}]"
+    metavar = "<path>" if field.annotation in (Path, Path | None) else "<name>" if choices else None
+    default = typer.Option(
+        None,
+        f"--{name.replace('_', '-')}",
+        help=help_text,
+        show_default=False,
+        metavar=metavar,
+        autocompletion=(lambda: choices) if choices else None,
+        rich_help_panel=heading,
     )
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind | None
+    )
+
+
+def _heading(path: tuple[str, ...], of: type[BaseModel]) -> str:
+    """Which part a key of a table belongs to, or what the model that declares a setting is of."""
+    if len(path) > 1:
+        part = path[0].replace("_", "-")
+        kind = next(kind for kind in PARTS if part in names_of(kind))
+        return f"The {kind} {part}"
+    owner = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
+    return owner.model_config["title"]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -17,7 +17,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from slgaussian import threads
+from slgaussian import registry, threads
 from slgaussian.errors import InputError
 from slgaussian.remote import check_url
 
@@ -236,44 +236,20 @@ PRESETS = ("fast", "balanced", "accurate")
 """Named settings, each a file in `presets`. `benches/tradeoffs.py` measures them and picks them by
 the rules that `docs/measured/tradeoffs.md` states."""
 
-PARTS = {"predictor", "proposer", "tracker", "encoder", "codes", "lifting"}
+PARTS = set(registry.PARTS)
 """The settings that name a part of the method."""
 
-RULES = {"protocol", "threshold", "share", "temperature", "canonical", "absent"}
-"""The settings of a query."""
 
+class QueryRules(BaseModel):
+    """How queries are answered."""
 
-class Method(BaseModel):
-    """The parts of the method and their settings: what a result depends on."""
+    model_config = ConfigDict(
+        title="How queries are answered", extra="forbid", frozen=True, allow_inf_nan=False
+    )
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    size: Size = Field(
-        "auto",
-        description="Height and width, as 416x576; 'original'; 'at most 312x432': shrunk to as "
-        "many pixels if larger; or 'auto': at most 416x576.",
-    )
-    near: float | None = Field(
-        None,
-        gt=0,
-        description="Least depth in scene units, found from the photographs if left out.",
-    )
-    far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
-    predictor: str = Field(
-        "planesweep",
-        description="What makes Gaussians of photographs: planesweep, or mvsplat with its weights.",
-    )
-    proposer: str = Field("regions", description="What proposes object masks.")
-    tracker: str = Field("geometric", description="What carries masks from view to view.")
-    encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
-    codes: str = Field(
-        "separated",
-        description="How ID codes are chosen: grid, as in the paper, separated, or exact for none.",
-    )
-    lifting: str = Field("hard", description="How Gaussians get their ID codes.")
-    replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     protocol: str = Field(
         "slgaussian",
+        examples=["slgaussian", "langsplat"],
         description="How masks and points are made: slgaussian, of whole objects, or langsplat, of "
         "the smoothed relevancy.",
     )
@@ -294,8 +270,47 @@ class Method(BaseModel):
         "own if left out.",
     )
     absent: str = Field(
-        "skip", description="What a view says of an object it does not hold: skip, or zero."
+        "skip",
+        examples=["skip", "zero"],
+        description="What a view says of an object it does not hold: skip, or zero.",
     )
+
+
+RULES = set(QueryRules.model_fields)
+"""The settings of a query."""
+
+
+class Method(QueryRules):
+    """The parts of the method and their settings: what a result depends on."""
+
+    model_config = ConfigDict(
+        title="How a field is built", extra="forbid", frozen=True, allow_inf_nan=False
+    )
+
+    size: Size = Field(
+        "auto",
+        description="Height and width, as 416x576; 'original'; 'at most 312x432': shrunk to as "
+        "many pixels if larger; or 'auto': at most 416x576.",
+    )
+    near: float | None = Field(
+        None,
+        gt=0,
+        description="Least depth in scene units, found from the photographs if left out.",
+    )
+    far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
+    predictor: str = Field(
+        "planesweep",
+        description="What makes Gaussians of photographs.",
+    )
+    proposer: str = Field("regions", description="What proposes object masks.")
+    tracker: str = Field("geometric", description="What carries masks from view to view.")
+    encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
+    codes: str = Field(
+        "separated",
+        description="How objects get their ID codes; grid is the paper's, exact uses none.",
+    )
+    lifting: str = Field("hard", description="How Gaussians get their ID codes.")
+    replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     seed: int = Field(0, ge=0, description="Seed of everything random.")
     planesweep: PlaneSweepTable = PlaneSweepTable()
     mvsplat: MVSplatTable = MVSplatTable()
@@ -388,9 +403,12 @@ class SceneSettings(BaseModel):
 class Engine(BaseModel):
     """Who does the work, and where it is kept."""
 
+    model_config = ConfigDict(title="Who does the work")
+
     store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
     runner: Runner = Field(
         "threads",
+        examples=list(RUNNERS),
         description="Who does the work: threads, processes, dask or ray, or the workers of a "
         "cluster that runs, dask://host:port or ray://host:port.",
     )
@@ -402,8 +420,11 @@ class Engine(BaseModel):
 class Settings(Engine, Method):
     """A whole run."""
 
+    model_config = ConfigDict(title="The run")
+
     preset: str | None = Field(
         None,
+        examples=list(PRESETS),
         description="Settings to begin from, over which those that are given win: "
         f"{', '.join(PRESETS)}.",
     )

@@ -14,7 +14,9 @@ from flows.settings import Method, anchored, checked, read_values, refuse_idle
 class Training(BaseModel):
     """What a training is besides its lessons, codes and seed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        title="The training", extra="forbid", frozen=True, allow_inf_nan=False
+    )
 
     steps: int = Field(1500, ge=1, description="Steps of training, one lesson each.")
     rate: float = Field(3e-3, gt=0, description="Highest learning rate.")
@@ -29,6 +31,8 @@ class Training(BaseModel):
 class TrainSettings(Training):
     """A training on lessons that are there already."""
 
+    model_config = ConfigDict(title="The training")
+
     codes: str = Field("separated", description="How ID codes are drawn: separated or grid.")
     seed: int = Method.model_fields["seed"]
     store: str = CorpusSettings.model_fields["store"]
@@ -41,6 +45,8 @@ class TrainSettings(Training):
 
 class RetrainSettings(Training, CorpusSettings):
     """A corpus that grows, and the weights that are kept of it."""
+
+    model_config = ConfigDict(title="The training")
 
     models: Path = Field(description="Folder of the versions of the weights.")
 

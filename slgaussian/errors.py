@@ -4,7 +4,9 @@ Anything else that escapes the library is a defect of the library. The command l
 without a traceback and exits with status 2; a batch records them in ``failures.parquet``.
 """
 
+import difflib
 import re
+from collections.abc import Iterable
 
 _LONG = re.compile(r"[^\s/]{256,}")  # no file has such a name
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
@@ -27,6 +29,21 @@ class InputError(SLGaussianError, ValueError):
 
 class SpecError(SLGaussianError):
     """A stored artifact that is missing, damaged or not what its spec says."""
+
+
+def did_you_mean(found: object, known: Iterable[str]) -> str:
+    """The end of a sentence about a name that is none: the known name that is nearest to it.
+
+    ``"; did you mean 'field'?"`` for ``"feild"``, and ``""`` if no known name is near. Case counts
+    for nothing, and neither does the difference between a hyphen and an underscore.
+    """
+    plain = {_plain(name): name for name in known}
+    near = difflib.get_close_matches(_plain(str(found)), plain, n=1)
+    return f"; did you mean {plain[near[0]]!r}?" if near else ""
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("_", "-")
 
 
 def one_line(message: str) -> str:

@@ -1,13 +1,17 @@
 """One reader a format, each returning a Scene in the project's one camera convention."""
 
+from __future__ import annotations
+
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slgaussian.errors import InputError
 from slgaussian.registry import resolve
-from slgaussian.scene import Scene
+
+if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
+    from slgaussian.scene import Scene
 
 READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",

@@ -1,13 +1,17 @@
 """Words and regions in one space: encoders, ID codes, the memory bank, relevancy and queries."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-
-from slgaussian.labels import LabelMaps
-from slgaussian.language.room import Surroundings
 from slgaussian.registry import resolve
+
+if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
+    import numpy as np
+
+    from slgaussian.labels import LabelMaps
+    from slgaussian.language.room import Surroundings
 
 ENCODERS = {
     "lexicon": "slgaussian.language.lexicon:Lexicon",

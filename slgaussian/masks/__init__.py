@@ -1,12 +1,16 @@
 """From photographs to label maps: proposers, trackers, association and the replication vote."""
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.registry import resolve
-from slgaussian.scene import View
+
+if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
+    import numpy as np
+
+    from slgaussian.scene import View
 
 PROPOSERS = {
     "regions": "slgaussian.masks.regions:Regions",

@@ -1,10 +1,14 @@
 """From context photographs to Gaussians: the predictors and how to get one by name."""
 
-from typing import Any, Protocol
+from __future__ import annotations
 
-from slgaussian.gaussians import Gaussians
+from typing import TYPE_CHECKING, Any, Protocol
+
 from slgaussian.registry import resolve
-from slgaussian.scene import Sample
+
+if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
+    from slgaussian.gaussians import Gaussians
+    from slgaussian.scene import Sample
 
 PREDICTORS = {
     "planesweep": "slgaussian.predict.planesweep:PlaneSweep",

@@ -1,11 +1,15 @@
 """Give every Gaussian its semantic feature: the liftings and how to get one by name."""
 
-from typing import Any, Protocol
+from __future__ import annotations
 
-from slgaussian.gaussians import Gaussians
-from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
+from typing import TYPE_CHECKING, Any, Protocol
+
 from slgaussian.registry import resolve
+
+if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits for torch
+    from slgaussian.gaussians import Gaussians
+    from slgaussian.labels import LabelMaps
+    from slgaussian.language.bank import MemoryBank
 
 LIFTINGS = {
     "hard": "slgaussian.semantic.hard:HardIndex",

@@ -1,0 +1,151 @@
+"""Help that fits a screen: what people need at once, and the rest under headings when asked."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Callable, Iterable
+from itertools import groupby
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.exceptions import TyperException
+
+from slgaussian.errors import did_you_mean
+
+ALL = "--help-all"
+
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+"""Of the context of every command."""
+
+
+class App(typer.Typer):
+    """A Typer whose commands and groups are those of this module."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(
+            cls=Group,
+            context_settings=SETTINGS,
+            no_args_is_help=True,
+            pretty_exceptions_enable=False,
+            rich_markup_mode=None,
+            **settings,
+        )
+
+    def command(self, *args: Any, **settings: Any) -> Callable[[Callable], Callable]:
+        """As of Typer; ``rich_help_panel`` is the heading under which a group lists it."""
+        return super().command(*args, cls=Command, **settings)
+
+
+class Command(TyperCommand):
+    """A command whose examples have a heading, and whose special options wait for `--help-all`.
+
+    Special is what has a heading of its own, in Typer's terms a ``rich_help_panel``.
+    """
+
+    _all: Any = None
+
+    def get_params(self, ctx: typer.Context) -> list:
+        """The command's own, `--help` and `--help-all`."""
+        if self._all is None:
+            self._all = copy.copy(self.get_help_option(ctx))
+            self._all.name, self._all.opts = "help_all", [ALL]
+            self._all.help = "Show every option, by what it belongs to, and exit."
+            self._all.callback = _show_all
+        return [*super().get_params(ctx), self._all]
+
+    def format_help_text(self, ctx: typer.Context, formatter: Any) -> None:
+        """What the command does, then its examples: the lines that begin with the program."""
+        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")
+        examples = [p for p in paragraphs if _is_example(p)]
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text("\n\n".join(p for p in paragraphs if not _is_example(p)))
+        if examples:
+            with formatter.section("Examples"):
+                formatter.write_text("\n\n".join(examples))
+
+    def format_options(self, ctx: typer.Context, formatter: Any) -> None:
+        """Arguments and options; with `--help-all` the special ones too, under their headings."""
+        params = self.get_params(ctx)
+        special = [param for param in params if _heading(param)]
+        common = [p for p in params if not _heading(p) and (special or p is not self._all)]
+        arguments = [p for p in common if p.param_type_name == "argument"]
+        _write(ctx, formatter, "Arguments", arguments)
+        _write(ctx, formatter, "Options", [p for p in common if p not in arguments])
+        if ctx.meta.get(ALL):
+            for heading, under in groupby(sorted(special, key=_order(special)), _heading):
+                _write(ctx, formatter, heading, under)
+
+    def format_epilog(self, ctx: typer.Context, formatter: Any) -> None:
+        """How to see what is not shown."""
+        hidden = sum(_heading(param) is not None for param in self.get_params(ctx))
+        if hidden and not ctx.meta.get(ALL):
+            formatter.write_paragraph()
+            formatter.write_text(f"{hidden} more options: {ctx.command_path} {ALL}")
+
+
+class Group(TyperGroup):
+    """A group that lists its commands under their headings, and knows the nearest name."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        """Show the help where no command is given."""
+        if not args and self.no_args_is_help and not ctx.resilient_parsing:
+            typer.echo(ctx.get_help(), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple:
+        """The command of that name; a usage error that says which is nearest if there is none."""
+        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            ctx.fail(f"no such command {args[0]!r}{did_you_mean(args[0], self.commands)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:
+        """The first sentence of each command, whole."""
+        shown = [command for command in self.commands.values() if not command.hidden]
+        wide = max(len(command.name) for command in shown)
+        for heading, under in groupby(sorted(shown, key=_order(shown)), _heading):
+            with formatter.section(heading or "Commands"):
+                rows = [(c.name.ljust(wide), c.get_short_help_str(1000)) for c in under]
+                formatter.write_dl(rows)
+
+
+def told(error: TyperException) -> str:
+    """A usage error as one sentence, with the command whose help says more."""
+    said = error.format_message().removesuffix(".")
+    context = getattr(error, "ctx", None)
+    if hasattr(error, "possibilities"):
+        names = [n for p in context.command.get_params(context) for n in (*p.opts,)]
+        said = f"no such option {error.option_name}{did_you_mean(error.option_name, names)}"
+    said = said[0].lower() + said[1:]
+    return said if context is None else f"{said} (see `{context.command_path} --help`)"
+
+
+def _show_all(ctx: typer.Context, _: Any, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.meta[ALL] = True
+        typer.echo(ctx.get_help())
+        ctx.exit()
+
+
+def _is_example(paragraph: str) -> bool:
+    return paragraph.startswith("\b\nslgaussian ")
+
+
+def _heading(shown: Any) -> str | None:
+    return shown.rich_help_panel or None
+
+
+def _order(shown: Iterable[Any]) -> Callable[[Any], int]:
+    """Sorts by heading, in the order in which headings first appear."""
+    headings = list(dict.fromkeys(map(_heading, shown)))
+    return lambda one: headings.index(_heading(one))
+
+
+def _write(ctx: typer.Context, formatter: Any, heading: str | None, params: Iterable[Any]) -> None:
+    rows = [row for param in params if (row := param.get_help_record(ctx))]
+    if rows:
+        with formatter.section(heading):
+            formatter.write_dl(rows)
