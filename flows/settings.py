@@ -18,7 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slgaussian import registry, threads
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.remote import check_url
 
 SIDES = range(16, 8193)
@@ -81,7 +81,7 @@ def _parse_runner(value: Any) -> str:
     raise PydanticCustomError(
         "runner",
         "expected threads, processes, dask or ray, or for a cluster that runs dask://host:port or "
-        "ray://host:port",
+        f"ray://host:port{did_you_mean(kind, RUNNERS)}",
     )
 
 
@@ -533,6 +533,7 @@ def over_preset(preset: Any, values: dict[str, Any], source: str) -> dict[str, A
     if preset not in PRESETS:
         raise InputError(
             f"{source}: preset: found {preset!r}, expected one of {', '.join(PRESETS)}"
+            f"{did_you_mean(preset, PRESETS)}"
         )
     file = Path(__file__).parent / "presets" / f"{preset}.toml"
     return _layered(tomllib.loads(file.read_text("utf-8")), values)
@@ -601,7 +602,9 @@ def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
         model = {"scenes": SceneSettings, **TABLES}.get(place[0], whole)
-        return f"unknown key {key!r}; the keys are {', '.join(model.model_fields)}"
+        listed = ", ".join(model.model_fields)
+        near = did_you_mean(place[-1], model.model_fields)
+        return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
     if first["type"] == "missing":
         return f"{key} is missing"
     if first["type"] in SAID:
