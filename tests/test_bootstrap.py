@@ -52,17 +52,34 @@ def test_the_interval_is_that_of_plain_resampling():
 
 
 def test_groups_are_drawn_whole():
-    """Against plain loops over the same draws of groups."""
-    values = np.random.default_rng(2).random(7)
-    groups = ["b", "a", "b", "c", "c", "b", "a"]
-    order = ["b", "a", "c"]
-    means = []
-    for chosen in resamplings(3).tolist():
-        drawn = [v for k in chosen for v, g in zip(values, groups, strict=True) if g == order[k]]
-        means.append(sum(drawn) / len(drawn))
+    """Against plain loops over the same draws of groups, each value of which counts alike.
+
+    Of so many groups no end of the interval is that of one group drawn again and again, whose mean
+    is its own however values are weighed.
+    """
+    groups = list("babccbadefgggggg")
+    values = np.random.default_rng(2).random(len(groups)) + (np.array(groups) == "g")
+    order = list("bacdefg")
+    own = {name: values[np.array(groups) == name] for name in order}
+    means, unweighted = [], []
+    for chosen in resamplings(7).tolist():
+        drawn = np.concatenate([own[order[k]] for k in chosen])
+        means.append(drawn.mean())
+        unweighted.append(np.mean([own[order[k]].mean() for k in chosen]))
     low, high = np.quantile(means, [0.025, 0.975])
     assert interval_of_mean(values, groups=groups) == pytest.approx((low, high), abs=1e-12)
+    assert abs(high - np.quantile(unweighted, 0.975)) > 0.1
     assert totals(values, groups)[1] == pytest.approx(values[1] + values[6])
+
+
+def test_a_difference_is_that_of_every_sample_and_its_interval_that_of_groups():
+    gains = [0.9] * 6 + [0.0, 0.1, 0.2, 0.0, 0.1, 0.2]
+    groups = ["large"] * 6 + list("abcdef")
+    found = compare(gains, np.zeros(12), groups=groups)
+    assert found.difference == pytest.approx(np.mean(gains))
+    assert (found.low, found.high) == interval_of_mean(np.array(gains), groups=groups)
+    alone = compare(gains, np.zeros(12))
+    assert found.high - found.low > 1.3 * (alone.high - alone.low)
 
 
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))

@@ -19,7 +19,7 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.bootstrap import LEAST, LEVEL, compare
+from slgaussian.bootstrap import LEAST, LEVEL, compare, resamplings
 from slgaussian.errors import InputError
 
 COLUMNS = dict.fromkeys(load_spec("samples").columns)
@@ -129,6 +129,46 @@ def test_scenes_of_one_place_are_drawn_together():
     found = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
     assert (found.samples, found.drawn) == (5, 3)
     assert (found.low, found.high) == (pytest.approx(0.2), pytest.approx(0.7))
+
+
+def test_every_scene_and_sample_of_a_drawn_place_counts_alike():
+    """Against plain loops: the mean of all scenes drawn, and the calibration of all samples drawn.
+
+    Of so many places no end of an interval is that of one place drawn again and again, whose score
+    is its own however places are weighed.
+    """
+    rng = np.random.default_rng(4)
+    rows, ious_of, samples_of = [], {}, {}
+    for place, scenes in enumerate((1, 1, 2, 1, 5, 1, 1)):
+        name = f"place {place}"
+        # The place of many scenes and samples is the best by far, and the least calibrated.
+        for scene in range(scenes):
+            iou = rng.random() / 4 + (scenes > 2)
+            told_ = [(0.6 + 0.3 * (scenes > 2), bool(k % 2)) for k in range(scenes**2)]
+            ious_of.setdefault(name, []).append(iou)
+            samples_of.setdefault(name, []).extend(told_)
+            rows += [
+                sample(f"s{place}{scene}", f"q{k}", place=name, iou=iou, score=s, hit_mask=h)
+                for k, (s, h) in enumerate(told_)
+            ]
+    places = list(ious_of)
+    means, errors = [], []
+    for chosen in resamplings(7).tolist():
+        means.append(np.mean([iou for k in chosen for iou in ious_of[places[k]]]))
+        drawn = [one for k in chosen for one in samples_of[places[k]]]
+        gaps = {}
+        for s, h in drawn:  # each of the two scores has a bin of its own
+            gaps[s] = gaps.get(s, 0) + s - h
+        errors.append(sum(map(abs, gaps.values())) / len(drawn))
+    table = score_table(rows)
+    for metric, drawn in (("iou", means), (SCORE_CALIBRATION, errors)):
+        row = score(table, metric)
+        ends = np.quantile(drawn, [0.025, 0.975])
+        assert (row["low"], row["high"]) == pytest.approx(tuple(ends), abs=1e-9)
+        assert row["places"] == 7 and row["note"] == ""
+    others = [row | {"iou": 0.0} for row in rows]
+    gain = gain_of(differences(rows, others)).gain
+    assert (gain.low, gain.high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])))
 
 
 def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):

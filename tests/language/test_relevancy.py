@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.language.relevancy import SOFT, Scorer, relevancy
+from slgaussian.language.relevancy import Scorer, relevancy
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -157,7 +157,10 @@ def test_bad_vectors_and_settings_are_refused(case):
 
 
 def softly(features, present, queries, canonical, levels):
-    """The gap over an object and its groups as the module has it, by loops."""
+    """The gap over an object and its groups as the module has it, by loops.
+
+    A lead that is 0.05 greater counts e times as much: chosen by measurement, written out here.
+    """
     out = np.full((len(queries), levels.shape[1]), -np.inf)
     for q, query in enumerate(queries):
         for n in range(levels.shape[1]):
@@ -167,7 +170,7 @@ def softly(features, present, queries, canonical, levels):
                 for v in np.flatnonzero(present[row])
             ]
             if leads:
-                weights = [np.exp(lead / SOFT) for lead in leads]
+                weights = [np.exp(lead / 0.05) for lead in leads]
                 out[q, n] = np.average(leads, weights=weights)
     return out
 
@@ -195,6 +198,16 @@ def test_groups_count_as_the_formula_says(nested):
     np.testing.assert_array_equal(got[:, 9], alone[:, 9])  # one view, no group: one lead
     zeros = Scorer(features, present, canonical, "zero", levels).gaps(queries)
     assert np.isfinite(zeros).all() and (zeros[:, 8] == 0).all()
+
+
+def test_of_two_leads_the_greater_by_a_twentieth_counts_e_times_as_much():
+    """By hand: leads of 0.30 and 0.25, of the object itself and of its group."""
+    axes = np.eye(4)
+    leads = np.array([0.30, 0.25])
+    features = leads[:, None] * axes[0] + np.sqrt(1 - leads**2)[:, None] * axes[2]
+    scorer = Scorer(features[:, None], np.ones((2, 1), bool), axes[1:2], levels=np.array([[1]]))
+    expected = (np.e * 0.30 + 0.25) / (np.e + 1)
+    assert scorer.gaps(axes[:1])[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_group_in_which_all_is_alone_or_the_same_changes_nothing(nested):

@@ -193,6 +193,34 @@ def test_merge_splits_a_region_that_was_known_as_two_objects():
     assert merge(carried, np.ones_like(carried), 9).tolist() == [[5, 5, 5, 5, 6, 6, 6, 6]]
 
 
+def row(**lengths):
+    """One row of labels: ``row(a5=3, b0=2)`` is three pixels of 5 and two of 0."""
+    return grid([[int(name[1:]) for name, count in lengths.items() for _ in range(count)]])
+
+
+@pytest.mark.parametrize(
+    ("carried", "detected", "expected"),
+    [
+        # 6 of its 10 pixels are 5, which has 14 more: IoU 6 / 24, so 6 keeps its own.
+        (row(a5=6, b6=4, c5=14), row(a1=10, b0=14), row(a5=6, b6=4, c5=14)),
+        # 5 lies in it whole, and is a fifth of it: IoU 4 / 20, a new object.
+        (row(a5=4, b0=16), row(a1=20), row(a9=20)),
+        # 6 of its 10 pixels are the whole of 5: IoU 6 / 10, so all of it is 5.
+        (row(a5=6, b6=3, c0=1), row(a1=10), row(a5=10)),
+        # IoU 6 / 12 is not more than half.
+        (row(a5=6, b6=4, c5=2), row(a1=10, b0=2), row(a5=6, b6=4, c5=2)),
+        # 7 of 10 known pixels are not nearly all of them, 8 are.
+        (row(a5=7, b6=3, c5=9), row(a1=10, b0=9), row(a5=7, b6=3, c5=9)),
+        (row(a5=8, b6=2, c5=9), row(a1=10, b0=9), row(a5=10, c5=9)),
+        # 7 of 20 pixels are too few to know it by, 8 will do.
+        (row(a5=7, b0=13, c5=9), row(a1=20, b0=9), row(a9=20, c5=9)),
+        (row(a5=8, b0=12, c5=9), row(a1=20, b0=9), row(a5=20, c5=9)),
+    ],
+)
+def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expected):
+    assert merge(carried, detected, 9).tolist() == expected.tolist()
+
+
 def test_merge_keeps_what_no_region_covers():
     assert merge(grid([[5, 0, 6]]), grid([[0, 0, 0]]), 9).tolist() == [[5, 0, 6]]
 

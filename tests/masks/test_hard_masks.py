@@ -193,6 +193,25 @@ def test_the_way_back_joins_what_the_way_forth_took_for_two():
     np.testing.assert_array_equal(labels[1], halves(1, 5, 6, 7))
 
 
+@pytest.mark.parametrize(
+    ("carried", "first", "joined"),
+    [
+        ([5, 5, 5, 0], [2, 2, 2, 2], True),  # IoU 3 / 4
+        ([5, 0, 0, 0], [2, 2, 2, 2], False),  # 1 / 4, though 5 lies in it whole
+        ([5, 5, 5, 5], [2, 1, 1, 1], False),  # 1 / 4, though all of 2 is covered
+        ([5, 5, 0, 0], [2, 2, 2, 2], False),  # 1 / 2 is not more than half
+        ([5, 5, 5, 1], [1, 2, 2, 2], False),  # 2 / 4
+        ([5, 5, 5, 5, 1, 1], [2, 2, 2, 1, 2, 1], True),  # 3 / 5, of 7 and of 8 pixels together
+    ],
+)
+def test_the_way_back_goes_by_the_intersection_over_the_union(carried, first, joined):
+    size = len(carried)
+    views = [view(np.zeros((4, 4 * size, 3)), name) for name in "ab"]
+    labels = np.stack([halves(*first), halves(*[5] * (size - 1), 1)])
+    found = reconcile(views, [None, None], labels, Told(a=halves(*carried)))
+    assert np.unique(found[1]).tolist() == ([1, 2] if joined else [1, 5])
+
+
 def test_the_way_back_is_part_of_the_association():
     views, proposer, depths = scene([RED, BLUE], [RED, BLUE])
     blind = Told(b=np.zeros(SIZE, np.int32), a=np.zeros(SIZE, np.int32))

@@ -44,6 +44,20 @@ def test_only_a_gain_beyond_noise_is_one(step):
     assert f"{step:.4f} IoU (".lstrip("-") in found.why and "on 8 held-out clips" in found.why
 
 
+def test_a_gain_within_noise_is_none():
+    """Weights come into use by this: a mean above 0 is not enough, the whole interval must be."""
+    noise = [0.03, -0.03, 0.02, -0.02, 0.025, -0.025, 0.01, -0.01]  # standard error 0.0075
+    found = {}
+    for step in (0.005, 0.01, 0.03):
+        scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
+        table = judged(scores, list("abcdefgh"))
+        told, by = verdict(table, "hard", "no branch"), gain(table, "hard")
+        assert by.difference > 0 and told.better == (by.low > 0)
+        found[step] = told
+    assert [told.better for told in found.values()] == [False, False, True]
+    assert found[0.01].why.startswith("no gain over no branch beyond noise: +0.0100 IoU (-0.00")
+
+
 def test_few_clips_never_are_enough():
     clips = list("abcdefgh")[: LEAST - 1]
     scores = {"branch": [0.9] * len(clips), "hard": [0.1] * len(clips)}
