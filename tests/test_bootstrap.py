@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.bootstrap import DRAWS, compare, interval_of_mean, resamplings, totals
+from slgaussian.bootstrap import (
+    DRAWS,
+    LEAST,
+    LEVEL,
+    compare,
+    interval_of_mean,
+    resamplings,
+    totals,
+)
 from slgaussian.errors import InputError
 
 
@@ -49,6 +57,12 @@ def test_the_interval_is_that_of_plain_resampling():
     assert high == pytest.approx(means[round(0.975 * (DRAWS - 1))], abs=1e-3)
     assert resamplings(7).min() == 0 and resamplings(7).max() == 6
     assert not np.array_equal(resamplings(7, seed=1), resamplings(7))
+
+
+def test_fewer_samples_than_are_needed_can_all_gain_by_chance():
+    """What is as often worse as better gains n times of n once in 2^n: five are too few."""
+    assert LEVEL == 0.95
+    assert 2.0**-LEAST <= (1 - LEVEL) / 2 < 2.0 ** (1 - LEAST)
 
 
 def test_groups_are_drawn_whole():
