@@ -61,6 +61,12 @@ class Drawn:
     def unknown_words(self, text: str) -> tuple[str, ...]:
         return ()
 
+    def unused_words(self, text: str) -> dict[str, str]:
+        return {}
+
+    def read_as(self, text: str) -> str:
+        return text
+
     def taken_for(self, text: str) -> dict[str, tuple[str, float]]:
         return {}
 

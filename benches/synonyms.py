@@ -40,7 +40,7 @@ TABLE = Table(
 
 def known(vocabulary: Vocabulary, word: str) -> bool:
     try:
-        return not vocabulary.read(word).left_out
+        return not vocabulary.read(word).unknown
     except InputError:
         return False
 

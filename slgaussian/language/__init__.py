@@ -49,6 +49,12 @@ class Encoder(Protocol):
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that the encoder does not know and leaves out."""
 
+    def unused_words(self, text: str) -> Mapping[str, str]:
+        """Words of ``text`` that may be known and yet do not count, with the reason."""
+
+    def read_as(self, text: str) -> str:
+        """What is left of ``text``, in words of the encoder."""
+
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """Unknown words of ``text`` that count as others: the other one, and how alike they are."""
 

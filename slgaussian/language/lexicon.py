@@ -134,8 +134,16 @@ class Lexicon:
         return vectors.astype(np.float32)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that are left out; InputError as in :meth:`encode_text`."""
-        return self._vocabulary.read(text, self._guess).left_out
+        """The words of ``text`` that are not known; InputError as in :meth:`encode_text`."""
+        return self._vocabulary.read(text, self._guess).unknown
+
+    def unused_words(self, text: str) -> Mapping[str, str]:
+        """Other words of ``text`` that do not count, with the reason."""
+        return self._vocabulary.read(text, self._guess).unused
+
+    def read_as(self, text: str) -> str:
+        """The words of ``text`` that count, as the vocabulary spells them."""
+        return " ".join(word.name for word in self._vocabulary.read(text, self._guess).words)
 
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """Unknown words of ``text`` that count as known ones, with these and their similarity."""

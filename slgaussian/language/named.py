@@ -90,6 +90,14 @@ class Named:
         self._vector(text)
         return ()
 
+    def unused_words(self, text: str) -> Mapping[str, str]:
+        """None: every word counts."""
+        return {}
+
+    def read_as(self, text: str) -> str:
+        """The text itself."""
+        return text
+
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """None: words are what they are."""
         return {}

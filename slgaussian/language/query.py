@@ -114,6 +114,28 @@ class Rules:
         return "near-best" if self.threshold is None else "threshold"
 
 
+@dataclass(frozen=True)
+class Understood:
+    """What an encoder makes of the words of a text.
+
+    Attributes
+    ----------
+    read_as : str
+        Those that count, in words of the encoder.
+    unknown : tuple of str
+        Those that it does not know and leaves out.
+    unused : {word: why}
+        Others that do not count, though it may know them: "plant" of "plant pot".
+    taken_for : {word: (other, similarity)}
+        Those that it does not know and takes for others.
+    """
+
+    read_as: str
+    unknown: tuple[str, ...]
+    unused: Mapping[str, str]
+    taken_for: Mapping[str, tuple[str, float]]
+
+
 class TextReader:
     """An encoder that remembers what it read.
 
@@ -141,19 +163,23 @@ class TextReader:
         """The canonical phrases that ``rules`` ask for."""
         return rules.phrases or tuple(self.encoder.canonical)
 
-    def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that the encoder leaves out."""
+    def understood(self, text: str) -> Understood:
+        """What counts of ``text`` and what does not; InputError if the encoder cannot use it."""
         return self._read(text)[1]
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """The words of ``text`` that the encoder leaves out, as it does not know them."""
+        return self._read(text)[1].unknown
 
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """The words of ``text`` that count as others: the other one, and how alike they are."""
-        return self._read(text)[2]
+        return self._read(text)[1].taken_for
 
-    def _encode(
-        self, text: str
-    ) -> tuple[np.ndarray, tuple[str, ...], Mapping[str, tuple[str, float]]]:
+    def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         encoder = self.encoder
-        return encoder.encode_text([text])[0], encoder.unknown_words(text), encoder.taken_for(text)
+        vector = encoder.encode_text([text])[0]
+        said = (encoder.read_as, encoder.unknown_words, encoder.unused_words, encoder.taken_for)
+        return vector, Understood(*(one(text) for one in said))
 
 
 class BankReader(TextReader):
@@ -192,16 +218,13 @@ class QueryResult:
     text : str
     scores : float64 [N]
         Relevancy of every object of the bank in [0, 1], whether the image shows it or not.
-    unknown : tuple of str
-        Words of the text that the encoder left out.
-    taken_for : {word: (other, similarity)}
-        Words that it does not know and took for others.
+    understood : Understood
+        Which words of the text count.
     """
 
     text: str
     scores: np.ndarray
-    unknown: tuple[str, ...]
-    taken_for: Mapping[str, tuple[str, float]]
+    understood: Understood
     _ids: np.ndarray = field(repr=False)
     _seen: ObjectMap = field(repr=False)
     _ranked: np.ndarray = field(repr=False)
@@ -210,6 +233,16 @@ class QueryResult:
     """How many of those, from the first, are about as good as the first."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: what the rules select, visible or not."""
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Words of the text that the encoder does not know and left out."""
+        return self.understood.unknown
+
+    @property
+    def taken_for(self) -> Mapping[str, tuple[str, float]]:
+        """Words that it does not know and took for others: {word: (other, similarity)}."""
+        return self.understood.taken_for
 
     @property
     def score(self) -> float:
@@ -234,6 +267,11 @@ class QueryResult:
     def mask(self) -> np.ndarray:
         """bool [H, W]: the pixels of the selected objects."""
         return self._seen.spread(self._chosen)
+
+    @property
+    def found(self) -> bool:
+        """Whether anything is selected; without it, the point is no more than the best guess."""
+        return bool(self.mask.any())
 
     @property
     def point(self) -> tuple[int, int] | None:
@@ -315,9 +353,8 @@ def ask(
         else:
             chosen = (gaps > 0) & (gaps >= rules.share * best)
         scores = expit(rules.temperature * gaps)
-        said = reader.unknown_words(text), reader.taken_for(text)
         found = ranked, as_good, chosen
-        results.append(kind(text, scores, *said, reader.bank.ids, seen, *found))
+        results.append(kind(text, scores, reader.understood(text), reader.bank.ids, seen, *found))
     return results
 
 

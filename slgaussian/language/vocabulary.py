@@ -39,14 +39,17 @@ class Reading:
     ----------
     words : tuple of Word
         Those that count, in reading order.
-    left_out : tuple of str
-        Those that do not.
+    unknown : tuple of str
+        Spellings that are no word of the vocabulary.
+    unused : {spelling: why}
+        Those that do not count although they may be known.
     taken_for : {spelling: (name, similarity)}
         Unknown ones that were taken for known ones, and count as these.
     """
 
     words: tuple[Word, ...]
-    left_out: tuple[str, ...]
+    unknown: tuple[str, ...]
+    unused: Mapping[str, str]
     taken_for: Mapping[str, tuple[str, float]]
 
 
@@ -81,10 +84,11 @@ class Vocabulary:
         """Understand a text as one noun and what describes it.
 
         Case, accents' encoding and plurals do not matter, stop words are dropped, a repeated word
-        counts once. Left out are unknown words, everything from the first relation word on ("on
-        the table" describes another object, while "on the left" is a place and counts), and nouns
-        before the last noun (a plant pot is a pot). ``guess`` is asked for a known word in place of
-        an unknown one.
+        counts once. Left out are unknown words; everything from the first relation word on ("on the
+        table" describes another object, while "on the left" is a place and counts); and all nouns
+        but one: the last, as a plant pot is a pot, or the last before "of", as a picture of a plant
+        is a picture. A few compounds are one word, as a trash can is a bin. ``guess`` is asked for
+        a known word in place of an unknown one.
 
         Raises
         ------
@@ -107,23 +111,39 @@ class Vocabulary:
         guesses = {s: found for s, found in guesses.items() if found}
         known = [(s, guesses[s][0] if s in guesses else self._look_up(s)) for s in meant]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
-        counts = [w is not None and i not in nouns[:-1] for i, (_, w) in enumerate(known)]
+        # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
+        whole = len(meant)
+        if "of" in spelled[:end]:
+            whole = sum(s not in self.stop for s in spelled[: spelled.index("of")])
+        head = next((i for i in reversed(nouns) if i < whole), nouns[-1] if nouns else None)
         words = {
-            word.name: word for (_, word), counted in zip(known, counts, strict=True) if counted
+            word.name: word
+            for i, (_, word) in enumerate(known)
+            if word is not None and (i == head or i not in nouns)
         }
         words |= {word.name: word for word in places}
-        left_out = [s for s, word in known if word is None or word.name not in words]
-        left_out += [s for s in spelled[end:] if s not in self.stop]
+        left_out = [(s, word) for s, word in known if word is None or word.name not in words]
+        elsewhere = [s for s in spelled[end:] if s not in self.stop]
         if not words:
-            unused = _short(", ".join(left_out)) or "they carry no meaning here"
+            unused = _short(", ".join([s for s, _ in left_out] + elsewhere))
             raise InputError(
-                f"query {_short(text)!r}: none of its words can be used ({unused}); use the "
-                "lexicon's words, which `slgaussian words` lists"
+                f"query {_short(text)!r}: none of its words can be used "
+                f"({unused or 'they carry no meaning here'}); use the lexicon's words, which "
+                "`slgaussian words` lists"
             )
-        taken_for = {
-            s: (word.name, likeness) for s, (word, likeness) in guesses.items() if s not in left_out
+        # A guess that does not count leaves its word as unknown as it was.
+        unknown = [s for s, word in left_out if word is None or s in guesses]
+        unused = {
+            s: f"another thing, while {known[head][0]!r} is looked for"
+            for s, _ in left_out
+            if s not in unknown
         }
-        return Reading(tuple(words.values()), tuple(dict.fromkeys(left_out)), taken_for)
+        after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
+        unused |= dict.fromkeys(elsewhere, after)
+        taken_for = {
+            s: (word.name, likeness) for s, (word, likeness) in guesses.items() if s not in unknown
+        }
+        return Reading(tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, taken_for)
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
         """Every word that counts by family, with its synonyms."""
@@ -138,28 +158,32 @@ class Vocabulary:
     def _take_phrases(self, spelled: list[str]) -> tuple[list[str], list[Word]]:
         """The spellings without those of phrases, and the phrases' words.
 
-        After a relation ("on the table on the left") a phrase may be said of the other object, and
-        before "of" ("to the left of the door") it is a relation itself.
+        A phrase for a thing becomes one spelling among the others. After a relation ("on the table
+        on the left") a phrase may be said of the other object, and before "of" ("to the left of the
+        door") it is a relation itself.
         """
         left, found, start = [], [], 0
         while start < len(spelled):
-            lengths = (
-                n for n in self._lengths if tuple(spelled[start : start + n]) in self.phrases
-            )
-            length = next(lengths, 0)
+            word, length = self._phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]
-            if length and then != ["of"] and self.relations.isdisjoint(left):
-                found.append(self.phrases[tuple(spelled[start : start + length])])
-            else:
+            if word is None or then == ["of"] or not self.relations.isdisjoint(left):
                 left.append(spelled[start])
                 length = 1
+            elif word.family in NOUNS:
+                left.append(word.name)
+            else:
+                found.append(word)
             start += length
         return left, found
 
-    @property
-    def _lengths(self) -> list[int]:
-        """How many spellings a phrase may have, the most first."""
-        return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
+    def _phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
+        """The longest phrase that begins there, which may be a plural, and how long it is."""
+        for length in sorted({len(phrase) for phrase in self.phrases}, reverse=True):
+            *first, last = spelled[start : start + length]
+            for form in _singulars(last):
+                if (*first, form) in self.phrases:
+                    return self.phrases[*first, form], length
+        return None, 0
 
     def _look_up(self, spelling: str) -> Word | None:
         for form in _singulars(spelling):

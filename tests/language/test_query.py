@@ -277,6 +277,8 @@ def test_a_text_is_encoded_once_and_alone(scene, lexicon):
         name, canonical = lexicon.name, lexicon.canonical
         unknown_words = staticmethod(lexicon.unknown_words)
         taken_for = staticmethod(lexicon.taken_for)
+        unused_words = staticmethod(lexicon.unused_words)
+        read_as = staticmethod(lexicon.read_as)
 
         def __init__(self):
             self.seen = []

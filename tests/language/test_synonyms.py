@@ -82,7 +82,7 @@ def test_no_word_is_taken_for_a_place_or_a_size(lexicon_with, word):
 
 
 def test_what_is_left_out_anyway_is_not_said_to_be_taken(lexicon_with):
-    assert lexicon_with.unknown_words("ball on the chesterfield") == ("on", "chesterfield")
+    assert tuple(lexicon_with.unused_words("ball on the chesterfield")) == ("on", "chesterfield")
     assert lexicon_with.taken_for("ball on the chesterfield") == {}
     # Nouns before the last one.
     assert lexicon_with.taken_for("chesterfield ball") == {}
