@@ -23,11 +23,11 @@ from recipe import recipe_weights
 from tables import Table, count, error, hundredths
 
 from slgaussian import datasets, threads
-from slgaussian.benchmark.evaluate import camera_between
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
 from slgaussian.store import write_atomic
+from slgaussian.trajectories import between
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")
@@ -83,7 +83,7 @@ def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
     means = gaussians.means.numpy().reshape(2, -1, 3)
     centres = np.stack([camera.center for camera in cameras])
     distance = np.linalg.norm(means - centres[:, None], axis=-1)
-    pixel = rasterize(gaussians, None, camera_between(*cameras, 0.5)).values.clamp(0, 1).numpy()
+    pixel = rasterize(gaussians, None, between(*cameras, 0.5)).values.clamp(0, 1).numpy()
     np.savez(out, distance=distance, pixel=pixel)
     print(json.dumps(row))
 

@@ -32,9 +32,9 @@ from machine import machine
 from tradeoffs_page import DEFAULT, NOISE, PRUNED, chart, page
 
 from flows.settings import PRESETS, Method, Settings, make_settings
-from slgaussian import datasets, threads
+from slgaussian import datasets, threads, trajectories
 from slgaussian.benchmark import metrics
-from slgaussian.benchmark.evaluate import camera_between, truth_from_instances
+from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.labels import read_truth
 from slgaussian.build import label_views, lift_field, remember
@@ -268,7 +268,7 @@ class Stages:
             made = lift_field(sample, gaussians, labels, bank, chosen.lifting, about)
             if row.keep is not None:
                 cameras = [view.camera for view in sample.context]
-                cameras += [camera_between(*cameras[:2], 0.5)] * row.between
+                cameras += [trajectories.between(*cameras[:2], 0.5)] * row.between
                 made = made.changed(gaussians=prune(made.gaussians, cameras, row.keep).gaussians)
             return made if row.precision is None else PRECISIONS[row.precision](made)
 

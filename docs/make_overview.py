@@ -7,14 +7,14 @@ import numpy as np
 
 import slgaussian as slg
 from slgaussian.benchmark import pictures
-from slgaussian.benchmark.evaluate import camera_between
+from slgaussian.trajectories import between
 
 
 def row(sample: slg.Sample, queries: tuple[str, str]) -> np.ndarray:
     """Two photographs in; a new viewpoint, its objects and two answers out."""
     field = slg.build_field(sample)
     first, second = (view.camera for view in sample.context)
-    seen = field.render(camera_between(first, second, 0.5))
+    seen = field.render(between(first, second, 0.5))
     panels = [(f"photograph {i + 1}", view.image) for i, view in enumerate(sample.context)]
     panels += [
         ("a viewpoint between them", seen.rgb),

@@ -32,7 +32,9 @@ _PUBLIC = {
     "SpecError": "slgaussian.errors",
     "SLGaussianError": "slgaussian.errors",
 }
-_MODULES = {"datasets", "benchmark", "masks", "language", "predict", "semantic", "store"}
+_MODULES = {
+    "benchmark", "datasets", "language", "masks", "predict", "semantic", "store", "trajectories",
+}  # fmt: skip
 
 __all__ = sorted([*_PUBLIC, *_MODULES, "__version__"])
 

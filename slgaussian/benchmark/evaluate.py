@@ -10,7 +10,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from data_specs import load_spec
 from slgaussian.benchmark import metrics, pictures
@@ -22,7 +21,8 @@ from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Sample, View
+from slgaussian.trajectories import between
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Viewpoints between the first two context cameras that are drawn, by frame name. Queries without
@@ -184,7 +184,7 @@ def evaluate(
         if not drawn and not (queries and frame == "halfway"):
             continue
         with record.stage("render"):
-            view = field.render(camera_between(first, second, step))
+            view = field.render(between(first, second, step))
         if drawn:
             record.draw_view(view, frame)
         if frame == "halfway" and queries:
@@ -373,18 +373,6 @@ class _Record:
             pictures=self.pictures,
             times=self.seconds | medians,
         )
-
-
-def camera_between(a: Camera, b: Camera, t: float) -> Camera:
-    """The camera at share ``t`` of the way from ``a`` to ``b``: straight path, slerped rotation.
-
-    Intrinsics are interpolated too; the image size is that of ``a``.
-    """
-    turn = Slerp([0, 1], Rotation.from_matrix([a.c2w[:3, :3], b.c2w[:3, :3]]))
-    c2w = np.eye(4)
-    c2w[:3, :3] = turn(t).as_matrix()
-    c2w[:3, 3] = (1 - t) * a.center + t * b.center
-    return replace(a, K=(1 - t) * a.K + t * b.K, c2w=c2w)
 
 
 def _depth_pictures(

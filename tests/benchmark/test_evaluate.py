@@ -9,7 +9,6 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.evaluate import (
     ALONG_THE_WAY,
     NOT_UNDERSTOOD,
-    camera_between,
     evaluate,
     truth_from_instances,
 )
@@ -337,16 +336,3 @@ def test_a_frame_of_which_nothing_is_understood_or_labelled(room):
     assert found.scene_metrics["miou"] == found.scene_metrics["iou"] == 0.0
     empty = room.evaluate({"view_01": {"red sofa": np.zeros_like(some)}})
     assert len(empty.rows) == 1 and "iou" not in empty.scene_metrics
-
-
-def test_the_camera_between_starts_and_ends_at_the_two(room):
-    a, b = (view.camera for view in room.sample.context)
-    for t, end in ((0.0, a), (1.0, b)):
-        camera = camera_between(a, b, t)
-        assert camera.c2w == pytest.approx(end.c2w, abs=1e-9)
-        assert pytest.approx(end.K, abs=1e-9) == camera.K
-    middle = camera_between(a, b, 0.5)
-    assert middle.center == pytest.approx((a.center + b.center) / 2, abs=1e-12)
-    # Half the turn, made twice, is the whole turn.
-    half = middle.c2w[:3, :3] @ a.c2w[:3, :3].T
-    assert half @ half == pytest.approx(b.c2w[:3, :3] @ a.c2w[:3, :3].T, abs=1e-9)
