@@ -118,8 +118,6 @@ class Shard:
         By scene and stage, those of the scenes that went through.
     failures : list of Failure
         The scenes that did not.
-    begun : dict
-        As ``refs``, what was made of those before they failed.
     undone : int
         How many of the last chains it did not come to.
     events : list of Event
@@ -128,7 +126,6 @@ class Shard:
 
     refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
-    begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     undone: int = 0
     events: list[Event] = field(default_factory=list)
 
@@ -160,19 +157,18 @@ def run_shard(root: str, chains: Sequence[Chain], workers: int, seconds: float) 
         if done and time.perf_counter() > end:
             shard.undone = len(chains) - done
             break
-        made, failure = run_chain(store, chain, workers, listener)
-        if failure is None:
-            shard.refs[chain.scene] = made
+        made = run_chain(store, chain, workers, listener)
+        if isinstance(made, Failure):
+            shard.failures.append(made)
         else:
-            shard.failures.append(failure)
-            shard.begun[chain.scene] = made
+            shard.refs[chain.scene] = made
     return shard
 
 
 def run_chain(
     store: ArtifactStore, chain: Chain, workers: int, listener: Listener
-) -> tuple[dict[str, ArtifactRef], Failure | None]:
-    """The refs of all its stages, or of those before the one that failed, and what stopped it.
+) -> dict[str, ArtifactRef] | Failure:
+    """The refs of all its stages, or what stopped it.
 
     A damaged artifact that a stage finds is made again, once, by the stage that made it.
     """
@@ -209,8 +205,8 @@ def run_chain(
         known = isinstance(error, SLGaussianError)
         trace = "" if known else "".join(traceback.format_exception(error)).rstrip()
         happened("failed", failure.reason, trace)
-        return refs, failure
-    return refs, None
+        return failure
+    return refs
 
 
 class StoppedError(SLGaussianError):
