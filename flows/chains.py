@@ -59,10 +59,14 @@ DEATHS = 4
 
 @dataclass
 class Outcome:
-    """What a run made: refs by scene and stage of the scenes that went through, and the others."""
+    """What a run made: refs by scene and stage of the scenes that went through, and the others.
+
+    ``begun`` has the refs of the others, of the stages before the one that failed.
+    """
 
     refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
 
 
 class Crew:
@@ -274,6 +278,7 @@ def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outco
             if isinstance(made, Shard):
                 outcome.refs |= made.refs
                 outcome.failures += made.failures
+                outcome.begun |= made.begun
                 waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
             else:
                 progress.died(made, [chain.scene for chain in shard])

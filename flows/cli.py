@@ -612,6 +612,9 @@ def _run(command: str, settings: Any, verbose: bool) -> None:
     if finished.failures:
         left_out = ", ".join(failure.scene for failure in finished.failures)
         typer.echo(f"left out: {left_out}; see {settings.out / 'failures.parquet'}", err=True)
+    if finished.ready:
+        typer.echo(finished.ready)
+    if finished.failures:
         raise typer.Exit(1)
 
 

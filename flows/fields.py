@@ -16,7 +16,8 @@ from slgaussian import datasets, harmonics
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
-from slgaussian.field import FieldView, SemanticField, check_target
+from slgaussian.field import FieldView, SemanticField
+from slgaussian.field_folder import check_target
 from slgaussian.language.query import QueryResult, Rules
 from slgaussian.ply import load_ply, save_ply
 from slgaussian.rasterize import rasterize

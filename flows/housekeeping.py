@@ -97,7 +97,7 @@ def verify(
     from slgaussian.housekeeping import verify as look
 
     store, watch = _open(settings), _Watch()
-    found = look(store, remove, watch)
+    found = look(store, remove, _versions(), watch)
     watch.end()
     for why in found.damaged.values():
         typer.echo(f"damaged: {why}")
@@ -106,6 +106,11 @@ def verify(
     if found.missing:
         typer.echo(
             f"{found.missing} artifacts are not there any more; a run that needs one makes it"
+        )
+    if found.superseded:
+        typer.echo(
+            f"{found.superseded} artifacts were made by other versions of the stages, and nothing "
+            "reads them any more; `slgaussian store gc --superseded` removes them"
         )
     if found.damaged and not remove:
         typer.echo("give --remove to delete them: the next run makes them again")

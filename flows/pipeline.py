@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,7 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from data_specs import load_spec
-from flows import rivals
+from flows import kept, rivals
 from flows.chains import Crew, Outcome, failures_table, run_chains, run_flow
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
@@ -48,16 +49,17 @@ LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run leaves: results in the order of the scenes, ours first in each, and who was left
-    out."""
+    """What a run leaves: results in the order of the scenes, ours first in each, who was left out,
+    and ``ready``, a command that asks the field of one of the scenes; empty if none has a field."""
 
     results: list[SceneResult]
     failures: list[Failure]
     report: Path | None
+    ready: str
 
 
 def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Finished:
-    """Run the pipeline and write its tables, masks and report to ``settings.out``.
+    """Run the pipeline; write its tables, masks, fields and report to ``settings.out``.
 
     Needs Prefect to be ready (:func:`flows.environment.orchestration`).
 
@@ -73,6 +75,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     Rules(**settings.rules())
     store.check_writable()
     check_folder(settings.out)
+    kept.check_places([scene.name for scene in scenes], settings.out)
     progress = Progress(len(scenes), len(STAGES), verbose=verbose)
     for text in (f"with {', '.join(parts.values())}", *said):
         progress.line(text)
@@ -86,7 +89,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         ) from error
     progress.summary()
     written = None if made.report is None else settings.out / "report.html"
-    return Finished(results, made.failures, written)
+    return Finished(results, made.failures, written, _ready(made, settings.out))
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -235,7 +238,30 @@ def _write(settings: Settings, store: ArtifactStore, made: _Made) -> list[SceneR
         else:
             # That of an earlier run is not about these scenes.
             (out / name).unlink(missing_ok=True)
+    of_encoder = places(settings.part_settings().get(settings.encoder, {}))
+    kept.write_fields(store, made.fields, of_encoder, out)
     return results
+
+
+def _ready(made: _Made, out: Path) -> str:
+    """A command that asks a field something, as it can be pasted.
+
+    Of the first scene whose answer is known to be right, or else of the first that has one. A field
+    without is drawn.
+    """
+    asked = {
+        scene: ref.meta["example"] for scene, ref in made.answers.items() if scene in made.fields
+    }
+    examples = {scene: example for scene, example in asked.items() if example is not None}
+    known = [scene for scene, example in examples.items() if example["iou"] is not None]
+    scene = next(iter([*known, *examples, *made.fields]), None)
+    if scene is None:
+        return ""
+    folder = str(kept.place(scene, out))
+    if scene not in examples:
+        return shlex.join(["slgaussian", "render", folder, "-o", "picture.png"])
+    text = examples[scene]["text"]
+    return shlex.join(["slgaussian", "query", folder, text, "-o", "hit.png"])
 
 
 def _json(content: dict[str, Any]) -> bytes:
@@ -246,10 +272,13 @@ def _json(content: dict[str, Any]) -> bytes:
 class _Made:
     """What the flow made.
 
-    By scene: ``answers`` are our results, ``others`` by method those of other methods, ``truths``
-    what they were scored against, and ``blames`` what lost ours. ``seconds`` are those that all
-    took by stage when they were made, which for cached ones is long ago.
+    By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
+    ``others`` by method those of other methods, ``truths`` what they were scored against, and
+    ``blames`` what lost ours. ``seconds`` are those that all took by stage when they were made,
+    which for cached ones is long ago.
     """
+
+    fields: dict[str, ArtifactRef]
 
     answers: dict[str, ArtifactRef]
     others: dict[str, dict[str, ArtifactRef]]
@@ -318,7 +347,14 @@ def _gathered(
         own = (ref.meta["seconds"] for by_method in others.values() for ref in by_method.values())
         seconds[rivals.STAGE] = sum(own)
         stages.append(rivals.STAGE)
+    begun = outcome.begun | outcome.refs
+    fields = {
+        scene.name: begun[scene.name]["field"]
+        for scene in scenes
+        if "field" in begun.get(scene.name, {})
+    }
     return _Made(
+        fields,
         {scene: outcome.refs[scene]["benchmark"] for scene in through},
         others,
         {scene: outcome.refs[scene]["truth"] for scene in through},

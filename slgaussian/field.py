@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import torch
 
 from data_specs import load_spec
-from slgaussian import harmonics, jsontext
+from slgaussian import field_folder, harmonics
+from slgaussian.brief import brief, said
 from slgaussian.errors import InputError, SpecError
+from slgaussian.field_folder import About
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import Encoder, load_encoder
 from slgaussian.language.bank import MemoryBank
@@ -37,9 +36,7 @@ from slgaussian.parts import placed, places
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
-from slgaussian.store import decode, encode_arrays, encode_table
-
-Part = TypeVar("Part")
+from slgaussian.store import Arrays, packed
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +64,8 @@ class FieldView:
     alpha: np.ndarray
     depth: np.ndarray
     field: SemanticField
+
+    __repr__ = brief
 
     @property
     def reader(self) -> BankReader:
@@ -117,6 +116,12 @@ class SemanticField:
     cameras: Mapping[str, Camera]
     settings: Mapping[str, Any]
     places: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        scene, encoder = (self.settings.get(name) for name in ("scene", "encoder"))
+        of = "" if scene is None else f"{scene!r}: "
+        held = f"{len(self.gaussians)} Gaussians, {len(self.bank)} objects"
+        return f"SemanticField({of}{held}, views {said(tuple(self.cameras))}, encoder {encoder!r})"
 
     @cached_property
     def encoder(self) -> Encoder:
@@ -214,10 +219,22 @@ class SemanticField:
         columns["gaussians"] = counts.astype(np.int64)
         return pa.table(columns, schema=load_spec("objects").schema)
 
+    def contents(self) -> dict[str, Arrays | pa.Table]:
+        """What the files of a field hold, by the data spec of each."""
+        return {
+            "gaussians": self.gaussians.to_arrays(),
+            "bank": self.bank.to_arrays(),
+            "objects": self.objects(),
+        }
+
+    def about(self, digests: Mapping[str, str]) -> About:
+        """What the field says of itself, given the digests of its contents by spec."""
+        return About(self.settings, self.cameras, digests)
+
     def save(self, path: str | Path) -> None:
         """Write the field to folder ``path``: complete, or not at all.
 
-        A field that is there already is replaced.
+        A field that is there already is replaced. See :mod:`slgaussian.field_folder`.
 
         Raises
         ------
@@ -225,27 +242,15 @@ class SemanticField:
             If the folder cannot be written, or holds something that is not a field.
         """
         path = Path(path)
-        check_target(path)
-        draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        try:
-            draft.chmod(0o755)
-            for name, arrays in self._arrays().items():
-                rules = load_spec(name)
-                rules.check_arrays(arrays, f"{name}.npz")
-                (draft / f"{name}.npz").write_bytes(encode_arrays(arrays, rules.compress))
-            (draft / "objects.parquet").write_bytes(encode_table(self.objects()))
-            (draft / "field.json").write_text(json.dumps(self._about(), indent=1) + "\n")
-            if path.exists():
-                os.rename(path, old := Path(f"{draft}-old"))
-                os.rename(draft, path)
-                shutil.rmtree(old)
-            else:
-                os.rename(draft, path)
-        except BaseException as error:
-            shutil.rmtree(draft, ignore_errors=True)
-            if isinstance(error, OSError):
-                raise _unwritable(path, error) from error
-            raise
+        field_folder.check_target(path)
+        files = {
+            spec: packed(spec, content, field_folder.FILES[spec])
+            for spec, content in self.contents().items()
+        }
+        about = self.about({spec: digest for spec, (digest, _) in files.items()})
+        field_folder.write(
+            path, about.to_json(self.places), lambda spec, file: file.write_bytes(files[spec][1])
+        )
 
     @staticmethod
     def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
@@ -265,57 +270,44 @@ class SemanticField:
             the message names the file.
         """
         path = Path(path)
-        about_file = path / "field.json"
-        if not about_file.is_file():
-            raise SpecError(
-                f"{path}: no field.json there, expected a folder that `slgaussian field` or "
-                "SemanticField.save wrote"
-            )
+        about, where = field_folder.read_about(path)
+        where |= {key: str(place) for key, place in (encoder or {}).items()}
+        arrays = {
+            spec: field_folder.read_arrays(path, spec, about.digests[spec])
+            for spec in ("gaussians", "bank")
+        }
         try:
-            about = jsontext.parse(about_file.read_bytes())
-            cameras = {
-                name: Camera(np.array(c.pop("K")), np.array(c.pop("c2w")), **c)
-                for name, c in about["cameras"].items()
-            }
-            settings = dict(about["settings"])
-            own = places(settings.get(settings["encoder"], {}))
-            given = {key: str(place) for key, place in (encoder or {}).items()}
-            if not all(isinstance(place, str) for place in about.get("places", {}).values()):
-                raise ValueError("a place is no text")
-            where = {**about.get("places", {}), **given}
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, OSError) as error:
-            raise SpecError(f"{about_file}: damaged ({error}); build the field again") from error
-        gaussians = _made(Gaussians.from_arrays, path / "gaussians.npz")
-        bank = _made(MemoryBank.from_arrays, path / "bank.npz")
-        _check_features(path / "gaussians.npz", gaussians, bank)
-        loaded = SemanticField(gaussians, bank, cameras, settings, where)
-        if not own:
+            loaded = SemanticField.of(about, arrays, where)
+        except InputError as error:
+            raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
+        if not places(about.settings.get(about.settings["encoder"], {})):
             try:
                 loaded.encoder  # noqa: B018  (what needs no files is checked at once)
             except (InputError, SpecError) as error:
                 raise SpecError(f"{path}: {error}") from error
         return loaded
 
-    def _arrays(self) -> dict[str, dict[str, np.ndarray]]:
-        return {"gaussians": self.gaussians.to_arrays(), "bank": self.bank.to_arrays()}
+    @staticmethod
+    def of(
+        about: About, arrays: Mapping[str, Arrays], places: Mapping[str, str] | None = None
+    ) -> SemanticField:
+        """The field that ``about`` describes, of the arrays of ``gaussians`` and ``bank``.
 
-    def _about(self) -> dict[str, Any]:
-        cameras = {
-            name: {
-                "K": camera.K.tolist(),
-                "c2w": camera.c2w.tolist(),
-                "width": camera.width,
-                "height": camera.height,
-                "near": camera.near,
-                "far": camera.far,
-            }
-            for name, camera in self.cameras.items()
-        }
-        return {
-            "settings": dict(self.settings),
-            "cameras": cameras,
-            "places": {key: str(place) for key, place in self.places.items()},
-        }
+        Raises
+        ------
+        InputError
+            If the arrays hold none, or do not belong together; the message begins with the file.
+        """
+        made = {}
+        for spec, kind in (("gaussians", Gaussians), ("bank", MemoryBank)):
+            try:
+                made[spec] = kind.from_arrays(arrays[spec])
+            except InputError as error:
+                raise InputError(f"{field_folder.FILES[spec]}: {error}") from error
+        _check_features(**made)
+        return SemanticField(
+            **made, cameras=about.cameras, settings=about.settings, places=places or {}
+        )
 
 
 def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -340,63 +332,11 @@ def _check_places(encoder: str, own: Mapping[str, Any], where: Mapping[str, str]
             )
 
 
-def check_target(path: Path) -> None:
-    """Make the parents of ``path`` and see that a field may be written there.
-
-    Call it before the work, so that hours are not lost to a folder that cannot be written.
-
-    Raises
-    ------
-    InputError
-        If a parent cannot be made or written, or ``path`` holds something that is not a field.
-    """
-    if path.exists() and not (path / "field.json").is_file() and not _is_empty_folder(path):
-        raise InputError(f"{path}: exists and is not a field; choose another folder, or remove it")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
-    except OSError as error:
-        raise _unwritable(path, error) from error
-
-
-def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, on "
-        "a disk with room"
-    )
-
-
-def _made(make: Callable[[dict[str, np.ndarray]], Part], file: Path) -> Part:
-    """What ``make`` makes of the arrays in a file; SpecError, which names it, if it cannot."""
-    try:
-        return make(_read(file))
-    except InputError as error:
-        raise SpecError(f"{file}: {error}; build the field again") from error
-
-
-def _read(file: Path) -> dict[str, np.ndarray]:
-    rules = load_spec(file.stem)
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise SpecError(f"{file}: {error.strerror}; build the field again") from error
-    arrays = decode(data, rules, str(file), repair="build the field again")
-    rules.check_arrays(arrays, str(file))
-    return arrays
-
-
-def _check_features(file: Path, gaussians: Gaussians, bank: MemoryBank) -> None:
-    wide = bank.dimension + 1
+def _check_features(gaussians: Gaussians, bank: MemoryBank) -> None:
+    file, wide = field_folder.FILES["gaussians"], bank.dimension + 1
     if gaussians.features is None or gaussians.features.shape[1] != wide:
-        raise SpecError(f"{file}: no features [N, {wide}]; build the field again")
+        raise InputError(f"{file}: no features [N, {wide}]")
     if bank.dimension == 0:
         rows = gaussians.features[:, 0]
         if not ((rows >= 0) & (rows <= len(bank)) & (rows == rows.round())).all():
-            raise SpecError(
-                f"{file}: features are no rows of a bank of {len(bank)} objects; build the field "
-                "again"
-            )
-
-
-def _is_empty_folder(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())
+            raise InputError(f"{file}: features are no rows of a bank of {len(bank)} objects")

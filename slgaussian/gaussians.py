@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import torch
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
@@ -54,6 +55,8 @@ class Gaussians:
     sh: torch.Tensor
     source: torch.Tensor
     features: torch.Tensor | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         n = self.means.shape[0]

@@ -134,21 +134,32 @@ class Damage:
         Sentence by path, of artifacts and records that are not.
     missing : int
         Artifacts that a record names and that are not there: they are made when asked for.
+    superseded : int
+        Artifacts that are not what their specs say now and that only stages of other versions made:
+        nothing reads them any more.
     """
 
     sound: int = 0
     damaged: dict[str, str] = field(default_factory=dict)
     missing: int = 0
+    superseded: int = 0
 
 
-def verify(store: ArtifactStore, remove: bool = False, tell: Tell = lambda *_: None) -> Damage:
+def verify(
+    store: ArtifactStore,
+    remove: bool = False,
+    versions: Mapping[str, int] | None = None,
+    tell: Tell = lambda *_: None,
+) -> Damage:
     """Read every artifact and record of a store, and compare them with their specs and digests.
 
     With ``remove`` those that are damaged are deleted, so that the next run that asks for one makes
-    it again. InputError if the store cannot be read, or not written with ``remove``.
+    it again. ``versions`` are those of the stages as they are now, as for :func:`collect`.
+    InputError if the store cannot be read, or not written with ``remove``.
     """
     found = Damage()
     there: set[bytes] = set()
+    in_use: dict[str, bool] = {}
 
     def look(file: File) -> str | None:
         ref = ref_of(file)
@@ -177,6 +188,13 @@ def verify(store: ArtifactStore, remove: bool = False, tell: Tell = lambda *_: N
         else:
             missing = (_name(uri) not in there and uri not in found.damaged for uri in record.named)
             found.missing += sum(missing)
+            current = (versions or {}).get(record.stage, record.version) == record.version
+            for uri in found.damaged.keys() & set(record.named):
+                in_use[uri] = in_use.get(uri, False) or current
+    for uri, used in in_use.items():
+        if not used:
+            del found.damaged[uri]
+            found.superseded += 1
     if remove:
         store.remove(found.damaged)
     return found

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 
 
@@ -24,6 +25,8 @@ class LabelMaps:
 
     labels: np.ndarray
     margin: np.ndarray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if self.labels.ndim != 3 or self.labels.dtype != np.int32:

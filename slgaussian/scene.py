@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.images import MOST_PIXELS
 
@@ -57,6 +58,12 @@ class Camera:
     height: int
     near: float | None = None
     far: float | None = None
+
+    def __repr__(self) -> str:
+        focal, at = (
+            ", ".join(f"{x:.4g}" for x in xs) for xs in (self.K[[0, 1], [0, 1]], self.center)
+        )
+        return f"Camera({self.width}x{self.height}, focal length ({focal}) pixels, at ({at}))"
 
     def __post_init__(self) -> None:
         K = np.asarray(self.K, dtype=np.float64)
@@ -166,6 +173,8 @@ class View:
     depth: np.ndarray | None = None
     instances: np.ndarray | None = None
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
         if self.image.dtype != np.uint8 or self.image.shape != (*size, 3):
@@ -234,6 +243,8 @@ class Sample:
     targets: tuple[View, ...] = ()
     phrases: Mapping[int, str] = field(default_factory=dict)
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         if len(self.context) < 2:
             raise InputError(
@@ -280,6 +291,8 @@ class Scene:
     cameras: Mapping[str, Camera]
     read: Callable[[str], View]
     phrases: Mapping[int, str] = field(default_factory=dict)
+
+    __repr__ = brief
 
     def find(self, name: str) -> str:
         """The full view name for ``name``, which may leave out folders and the extension.

@@ -51,6 +51,10 @@ AT_ONCE = 16
 """Requests that are under way at the same time where many small ones are made."""
 
 
+COARSE, OFF = 10**7, 2 * 10**9
+"""Nanoseconds: disks whose times are multiples of the first are up to the second off them."""
+
+
 class DamagedError(SpecError):
     """An artifact that is not there or not whole; ``uri`` is its place in the store."""
 
@@ -145,15 +149,7 @@ class ArtifactStore:
         InputError
             If the store cannot be written to.
         """
-        rules = load_spec(spec)
-        label = f"new {spec} artifact"
-        if rules.columns:
-            rules.check_table(content, label)
-            digest, data = table_digest(content), encode_table(content)
-        else:
-            arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
-            rules.check_arrays(arrays, label)
-            digest, data = arrays_digest(arrays), encode_arrays(arrays, rules.compress)
+        digest, data = packed(spec, content, f"new {spec} artifact")
         uri = address(spec, digest)
         self.write(uri, data)
         if self.cache is not None:
@@ -211,6 +207,48 @@ class ArtifactStore:
             if not self.local:
                 raise self._failed("read", error) from error
             raise self._damaged(uri, explained(error), "a readable file") from error
+
+    def lay_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
+        """Make a new local file that is an artifact's: a hard link if it can be one, else a copy.
+
+        A link takes no room and no time. It outlives the artifact: what is removed from a store or
+        made anew there leaves it as it was. A copy has the artifact's time.
+
+        Raises
+        ------
+        DamagedError
+            If the artifact is missing or, where it has to be copied, damaged.
+        InputError
+            If a store on another machine does not answer.
+        OSError
+            If the file cannot be written.
+        """
+        self._check_address(ref)
+        if self.local:
+            try:
+                os.link(f"{self.path}/{ref.uri}", path)
+                return
+            except FileNotFoundError as error:
+                raise self._damaged(ref.uri, "nothing", f"a {ref.spec} artifact") from error
+            except OSError:
+                pass  # on another disk, one that has no links, or of another user
+        _, written = self._size_and_time(ref.uri)
+        data = self.read(ref.uri, f"a {ref.spec} artifact")
+        self.understood(ref, data)
+        with open(path, "wb") as file:
+            file.write(data)
+        os.utime(path, ns=(written, written))
+
+    def is_laid_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> bool:
+        """Whether a local file is still as :meth:`lay_out` made it, by its size and time."""
+        try:
+            found = os.stat(path)
+            size, written = self._size_and_time(ref.uri)
+        except (OSError, SpecError):
+            return False
+        off = abs(found.st_mtime_ns - written)
+        same = off == 0 or (off <= OFF and found.st_mtime_ns % COARSE == 0)
+        return same and found.st_size == size
 
     def check(self, ref: ArtifactRef) -> None:
         """Raise :class:`DamagedError` if the artifact, or a part that it names, is not there.
@@ -305,6 +343,19 @@ class ArtifactStore:
             return [function(item) for item in items]
         with ThreadPoolExecutor(most) as pool:
             return list(pool.map(function, items))
+
+    def _size_and_time(self, uri: str) -> tuple[int, int]:
+        """Bytes and Unix time (ns) of a file; DamagedError if it is not there."""
+        try:
+            if self.local:
+                found = os.stat(f"{self.path}/{uri}")
+                return found.st_size, found.st_mtime_ns
+            info = self.fs.info(f"{self.path}/{uri}")
+        except FileNotFoundError as error:
+            raise self._damaged(uri, "nothing", "an artifact") from error
+        except troubles() as error:
+            raise self._failed("read", error) from error
+        return info["size"], round(_written(info) * 1e9)
 
     def _remove(self, uri: str) -> None:
         if self.cache is not None:
@@ -414,6 +465,20 @@ def table_digest(table: pa.Table) -> str:
     """SHA-256 over the column names, types and values of a table, whatever its chunks."""
     columns = [[f.name, str(f.type), table.column(f.name).to_pylist()] for f in table.schema]
     return hashlib.sha256(json.dumps(columns, ensure_ascii=True).encode()).hexdigest()
+
+
+def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -> tuple[str, bytes]:
+    """The digest of an artifact and the bytes of its file.
+
+    SpecError, which names ``file``, if the content is not what ``data_specs/<spec>.toml`` says.
+    """
+    rules = load_spec(spec)
+    if rules.columns:
+        rules.check_table(content, file)
+        return table_digest(content), encode_table(content)
+    arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
+    rules.check_arrays(arrays, file)
+    return arrays_digest(arrays), encode_arrays(arrays, rules.compress)
 
 
 def encode_arrays(arrays: Mapping[str, np.ndarray], compress: bool) -> bytes:

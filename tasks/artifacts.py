@@ -14,12 +14,11 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.labels import Truth
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.gaussians import Gaussians
+from slgaussian.field_folder import About
 from slgaussian.images import opened
 from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.store import Arrays
+from slgaussian.store import Arrays, ArtifactRef, ArtifactStore, address
 
 
 def sample_to_arrays(sample: Sample) -> Arrays:
@@ -120,23 +119,35 @@ def truth_from_arrays(arrays: Arrays) -> Truth:
     return Truth(masks, boxes)
 
 
-def field_to_arrays(field: SemanticField) -> Arrays:
-    """A field as spec ``field``; its cameras are those of the sample and stay there."""
-    bank = {f"bank_{name}": array for name, array in field.bank.to_arrays().items()}
-    settings = json.dumps(dict(field.settings), sort_keys=True)
-    return {**field.gaussians.to_arrays(), **bank, "settings": np.array(settings)}
+def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
+    """Keep a field: spec ``field``, whose parts are the other files of its folder.
+
+    ``meta`` says how many ``gaussians`` and ``objects`` it has.
+    """
+    refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
+    about = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
+    counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
+    parts = [ref.uri for ref in refs.values()]
+    return store.put("field", {"about": np.array(about)}, {**counts, "parts": parts})
 
 
-def field_from_arrays(
-    arrays: Arrays, sample: Sample, places: Mapping[str, str] | None = None
+def about_field(store: ArtifactStore, ref: ArtifactRef) -> tuple[About, dict[str, ArtifactRef]]:
+    """What a stored field says of itself, and the artifacts that it consists of, by spec."""
+    about, _ = About.from_json(str(store.get(ref)["about"]), f"{store.root}/{ref.uri}")
+    parts = {
+        spec: ArtifactRef(spec, address(spec, digest), digest)
+        for spec, digest in about.digests.items()
+    }
+    return about, parts
+
+
+def get_field(
+    store: ArtifactStore, ref: ArtifactRef, places: Mapping[str, str] | None = None
 ) -> SemanticField:
-    """Inverse of :func:`field_to_arrays`; ``places`` are those of the encoder's files."""
-    rest = dict(arrays)
-    settings = json.loads(str(rest.pop("settings")))
-    names = [name for name in rest if name.startswith("bank_")]
-    bank = MemoryBank.from_arrays({n.removeprefix("bank_"): rest.pop(n) for n in names})
-    cameras = {view.name: view.camera for view in sample.context}
-    return SemanticField(Gaussians.from_arrays(rest), bank, cameras, settings, places or {})
+    """Inverse of :func:`put_field`; ``places`` are those of the encoder's files."""
+    about, parts = about_field(store, ref)
+    arrays = {spec: store.get(parts[spec]) for spec in ("gaussians", "bank")}
+    return SemanticField.of(about, arrays, places)
 
 
 def result_to_arrays(result: SceneResult) -> Arrays:

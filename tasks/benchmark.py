@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from slgaussian.benchmark.evaluate import evaluate
+from statistics import fmean
+from typing import Any
+
+from slgaussian.benchmark.evaluate import SceneResult, evaluate
+from slgaussian.benchmark.showcase import MISS
+from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
-    field_from_arrays,
+    get_field,
     result_to_arrays,
     sample_from_arrays,
     truth_from_arrays,
@@ -25,7 +30,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     settings hold the digest of.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    field = field_from_arrays(store.get(call.inputs["field"]), sample, call.where)
+    field = get_field(store, call.inputs["field"], call.where)
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
     truth = truth_from_arrays(store.get(call.inputs["truth"]))
     settings = {**call.settings, "rules": Rules(**call.settings["rules"])}
@@ -39,4 +44,33 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         bank=field.bank,
         **settings,
     )
-    return store.put("scene_result", result_to_arrays(result), {"times": result.times})
+    meta = {"times": result.times, "example": example(result, field)}
+    return store.put("scene_result", result_to_arrays(result), meta)
+
+
+def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
+    """What to ask a field first: ``text``, and its mean ``iou``, None if there is no truth.
+
+    Of the queries that the truth says are answered rightly in every frame, the best; or else the
+    one that scored highest without truth. Only those count whose best object the first context view
+    holds: there it is asked without further ado. None if there is no such query.
+    """
+    asked: dict[str, list[dict[str, Any]]] = {}
+    for row in result.rows:
+        if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
+            asked.setdefault(row["query"], []).append(row)
+    found = []
+    for text, rows in asked.items():
+        (gaps,) = field.reader.gaps([text], Rules())
+        best = int(gaps.argmax())
+        if gaps[best] <= 0 or not field.bank.present[best, 0]:
+            continue
+        ious = [row["iou"] for row in rows]
+        if None in ious:
+            found.append((False, rows[0]["score"], text, None))
+        elif min(ious) >= MISS and all(row["hit_mask"] for row in rows):
+            found.append((True, fmean(ious), text, fmean(ious)))
+    if not found:
+        return None
+    *_, text, iou = max(found, key=lambda one: one[:2])
+    return {"text": text, "iou": iou}

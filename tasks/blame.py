@@ -16,7 +16,7 @@ from slgaussian.parts import placed
 from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 from slgaussian.store import ArtifactRef, ArtifactStore
-from tasks.artifacts import field_from_arrays, sample_from_arrays, truth_from_arrays
+from tasks.artifacts import get_field, sample_from_arrays, truth_from_arrays
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "blame"
@@ -31,7 +31,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     of_encoder = {key: place for key, place in call.where.items() if "." not in key}
-    field = field_from_arrays(store.get(call.inputs["field"]), sample, of_encoder)
+    field = get_field(store, call.inputs["field"], of_encoder)
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
     truth = truth_from_arrays(store.get(call.inputs["truth"])).masks
     rows = []

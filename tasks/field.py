@@ -8,11 +8,11 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.parts import placed
 from slgaussian.store import ArtifactRef, ArtifactStore
-from tasks.artifacts import field_to_arrays, sample_from_arrays
+from tasks.artifacts import put_field, sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "field"
-VERSION = 2
+VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
@@ -28,4 +28,4 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     name = settings["lifting"]
     own = placed(settings.get(name, {}), call.where, CHANGED)
     field = lift_field(sample, gaussians, label_maps, bank, name, settings, own=own)
-    return store.put("field", field_to_arrays(field))
+    return put_field(store, field)

@@ -19,7 +19,7 @@ from tasks.artifacts import (
 from tasks.stage import StageCall
 
 STAGE = "report"
-VERSION = 4
+VERSION = 5
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

@@ -13,7 +13,7 @@ from slgaussian.masks import load_proposer
 from slgaussian.parts import placed
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
-    field_from_arrays,
+    get_field,
     result_to_arrays,
     sample_from_arrays,
     truth_from_arrays,
@@ -33,7 +33,7 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     of_encoder = {key: place for key, place in call.where.items() if "." not in key}
-    field = field_from_arrays(store.get(call.inputs["field"]), sample, of_encoder)
+    field = get_field(store, call.inputs["field"], of_encoder)
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
     truth = truth_from_arrays(store.get(call.inputs["truth"]))
     proposer, lifting = field.settings["proposer"], field.settings["lifting"]

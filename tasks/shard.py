@@ -118,6 +118,8 @@ class Shard:
         By scene and stage, those of the scenes that went through.
     failures : list of Failure
         The scenes that did not.
+    begun : dict
+        As ``refs``, what was made of those before they failed.
     undone : int
         How many of the last chains it did not come to.
     events : list of Event
@@ -126,6 +128,7 @@ class Shard:
 
     refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     undone: int = 0
     events: list[Event] = field(default_factory=list)
 
@@ -157,18 +160,19 @@ def run_shard(root: str, chains: Sequence[Chain], workers: int, seconds: float) 
         if done and time.perf_counter() > end:
             shard.undone = len(chains) - done
             break
-        made = run_chain(store, chain, workers, listener)
-        if isinstance(made, Failure):
-            shard.failures.append(made)
-        else:
+        made, failure = run_chain(store, chain, workers, listener)
+        if failure is None:
             shard.refs[chain.scene] = made
+        else:
+            shard.failures.append(failure)
+            shard.begun[chain.scene] = made
     return shard
 
 
 def run_chain(
     store: ArtifactStore, chain: Chain, workers: int, listener: Listener
-) -> dict[str, ArtifactRef] | Failure:
-    """The refs of all its stages, or what stopped it.
+) -> tuple[dict[str, ArtifactRef], Failure | None]:
+    """The refs of all its stages, or of those before the one that failed, and what stopped it.
 
     A damaged artifact that a stage finds is made again, once, by the stage that made it.
     """
@@ -205,8 +209,8 @@ def run_chain(
         known = isinstance(error, SLGaussianError)
         trace = "" if known else "".join(traceback.format_exception(error)).rstrip()
         happened("failed", failure.reason, trace)
-        return failure
-    return refs
+        return refs, failure
+    return refs, None
 
 
 class StoppedError(SLGaussianError):

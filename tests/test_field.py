@@ -1,6 +1,7 @@
 """The field on a scene with an exact truth: a red and a blue half of one wall."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -247,9 +248,54 @@ def test_damage_is_named(field, tmp_path, name, damage):
         SemanticField.load(tmp_path / "field")
 
 
-def test_a_description_without_cameras_is_damaged(field, tmp_path):
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"cameras": None}, "damaged"),
+        ({"places": {"model": 3}}, "damaged .a place is no text"),
+        ({"files": {"gaussians.npz": "../../etc"}}, "damaged"),
+        ({"format": None}, "format: found none.*expected 1; build the field again"),
+        ({"format": 9, "made_by": "slgaussian 9"}, "format: found 9, made by slgaussian 9, expect"),
+    ],
+)
+def test_a_description_that_cannot_be_used_is_named(field, tmp_path, changed, sentence):
     field.save(tmp_path / "field")
     about = tmp_path / "field" / "field.json"
-    about.write_text(json.dumps({"settings": {}}))
-    with pytest.raises(SpecError, match="damaged"):
+    about.write_text(json.dumps(json.loads(about.read_text()) | changed))
+    with pytest.raises(SpecError, match=rf"field\.json: {sentence}"):
         SemanticField.load(tmp_path / "field")
+
+
+def test_files_of_two_fields_are_not_mixed(field, tmp_path):
+    field.save(tmp_path / "field")
+    moved = replace(field.gaussians, means=field.gaussians.means + 1)
+    replace(field, gaussians=moved).save(tmp_path / "other")
+    shutil.copy(tmp_path / "other" / "gaussians.npz", tmp_path / "field")
+    with pytest.raises(SpecError, match=r"gaussians\.npz: digest: .*of another field"):
+        SemanticField.load(tmp_path / "field")
+
+
+def test_a_folder_says_what_it_is(field, tmp_path):
+    field.save(tmp_path / "field")
+    about = json.loads((tmp_path / "field" / "field.json").read_text())
+    assert about["format"] == 1 and about["made_by"].startswith("slgaussian ")
+    assert about["settings"] == field.settings and list(about["cameras"]) == ["a", "b"]
+    assert set(about["files"]) | {"field.json"} == {
+        file.name for file in (tmp_path / "field").iterdir()
+    }
+
+
+def test_what_holds_arrays_prints_its_shapes(field):
+    view = field.render(field.cameras["a"])
+    printed = {
+        field: "SemanticField(6144 Gaussians, 2 objects, views ('a', 'b'), encoder 'lexicon')",
+        field.cameras["a"]: "Camera(64x48, focal length (60, 60) pixels, at (-0.2, 0, 0))",
+        field.gaussians: "means=float32 [6144, 3]",
+        field.bank: "present=bool [2, 2]",
+        view: "ids=int32 [48, 64]",
+        view.query("red"): "QueryResult('red': score 0.",
+        View("a", field.cameras["a"], view.rgb): "image=uint8 [48, 64, 3])",
+    }
+    for what, said in printed.items():
+        assert said in repr(what)
+        assert len(repr(what)) < 300 and "\n" not in repr(what)

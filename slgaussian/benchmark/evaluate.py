@@ -16,6 +16,7 @@ from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, Scored, load_protocol
 from slgaussian.benchmark.scores import scene_means
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
@@ -76,6 +77,8 @@ class SceneResult:
     times: dict[str, float]
     dataset: str = "scenes"
     method: str = "slgaussian"
+
+    __repr__ = brief
 
 
 def truth_from_instances(sample: Sample) -> dict[str, dict[str, np.ndarray]]:

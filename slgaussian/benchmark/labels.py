@@ -28,6 +28,7 @@ import numpy as np
 from slgaussian import jsontext
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.placement import Placement
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.images import TooLargeError, check_size
 from slgaussian.scene import View
@@ -49,6 +50,8 @@ class Truth:
 
     masks: dict[str, dict[str, np.ndarray]]
     boxes: dict[str, dict[str, np.ndarray]]
+
+    __repr__ = brief
 
 
 def read_labels(

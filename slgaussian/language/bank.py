@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
@@ -64,6 +65,8 @@ class MemoryBank:
     boxes: np.ndarray | None = None
     levels: np.ndarray | None = None
     group_features: np.ndarray | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         n = len(self.ids)

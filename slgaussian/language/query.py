@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.special import expit, logit
 
+from slgaussian.brief import said
 from slgaussian.errors import InputError
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
@@ -233,6 +234,10 @@ class QueryResult:
     """How many of those, from the first, are about as good as the first."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: what the rules select, visible or not."""
+
+    def __repr__(self) -> str:
+        found = said([id_ for id_, _ in self.objects])
+        return f"{type(self).__name__}({self.text!r}: score {self.score:.3f}, objects {found})"
 
     @property
     def unknown(self) -> tuple[str, ...]:

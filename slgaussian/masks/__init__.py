@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slgaussian.brief import brief
 from slgaussian.registry import resolve
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
@@ -41,6 +42,8 @@ class Proposals:
     masks: np.ndarray
     scores: np.ndarray
     levels: np.ndarray | None = None
+
+    __repr__ = brief
 
 
 class MaskProposer(Protocol):

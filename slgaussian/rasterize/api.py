@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.harmonics import colors
@@ -62,6 +63,8 @@ class Render:
     median: torch.Tensor | None = None
     label: torch.Tensor | None = None
     label_weights: torch.Tensor | None = None
+
+    __repr__ = brief
 
 
 def rasterize(

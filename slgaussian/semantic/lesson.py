@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.scene import Camera
@@ -50,6 +51,8 @@ class Lesson:
     labels: np.ndarray
     cameras: tuple[Camera, ...]
     targets: np.ndarray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("labels", "targets"):

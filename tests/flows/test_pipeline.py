@@ -2,6 +2,8 @@
 
 import io
 import json
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,10 @@ from command import run, said
 
 from flows import pipeline
 from flows.settings import make_settings
+from slgaussian import datasets
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
 from slgaussian.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -94,6 +100,55 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
         (one, _, took), (other, _, again) = pages
         assert one == other and took and again
     assert mine == theirs
+
+
+def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_path, monkeypatch):
+    folder, missing, finished = first
+    left = folder / "out" / "fields" / "room"
+    (row,) = pq.read_table(folder / "out" / "fields.parquet").to_pylist()
+    field = SemanticField.load(left)
+    assert row["folder"] == "room" and row["gaussians"] == len(field.gaussians)
+    settings = settings_for(folder, missing)
+    scene = datasets.load(ROOM["format"], **ROOM["options"])
+    sample = scene.sample(ROOM["context"], size=settings.size)
+    own = build_field(replace(sample, scene="room"), **settings.build_arguments())
+    own.save(tmp_path / "own")
+    assert files_below(left) == files_below(tmp_path / "own")
+    # The command that a run ends with works as it stands.
+    words = shlex.split(finished.ready)
+    assert words[:3] == ["slgaussian", "query", str(left)]
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, *words[1:]) == 0
+    assert (tmp_path / words[-1]).read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
+    first, tmp_path, monkeypatch
+):
+    folder, missing, _ = first
+    store = ArtifactStore(folder / "store")
+
+    def break_down(*_: object) -> None:
+        raise InputError("no answer")
+
+    settings = settings_for(tmp_path, missing, against=[], share=0.5)
+    with monkeypatch.context() as broken:
+        broken.setattr("tasks.benchmark.run", break_down)
+        finished = pipeline.run(settings, store)
+    assert [(f.scene, f.stage) for f in finished.failures] == [
+        ("lost", "ingest"),
+        ("room", "benchmark"),
+    ]
+    left = tmp_path / "out" / "fields" / "room"
+    assert files_below(left) == files_below(folder / "out" / "fields" / "room")
+    words = shlex.split(finished.ready)
+    assert words[:3] == ["slgaussian", "render", str(left)]
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, *words[1:]) == 0
+    only_lost = [scene for scene in settings.scenes if scene.name == "lost"]
+    finished = pipeline.run(settings.model_copy(update={"scenes": only_lost}), store)
+    assert finished.ready == "" and not left.exists()
+    assert pq.read_table(tmp_path / "out" / "fields.parquet").num_rows == 0
 
 
 def test_the_manifest_says_what_the_report_was_made_of(first):

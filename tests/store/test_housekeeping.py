@@ -147,6 +147,17 @@ def test_damage_is_found_removed_and_then_made_again(store):
     assert Records(store).find(KEYS["b"]) is None
 
 
+def test_what_only_another_version_made_is_superseded_and_not_damaged(store):
+    uris = filled(store)
+    whole = store.read(uris["part"])
+    store.fs.pipe_file(f"{store.path}/{uris['part']}", whole[:90] + b"?" + whole[91:])
+    for versions, damaged in (({"b": 2}, 1), ({"a": 9}, 1), ({"b": 3}, 0)):
+        found = verify(store, versions=versions)
+        assert (len(found.damaged), found.superseded) == (damaged, 1 - damaged)
+    verify(store, remove=True, versions={"b": 3})
+    assert uris["part"] in names(store)
+
+
 RECORDS = {
     "not JSON": b"\x80\x04\x95",
     "a list": b"[]",

@@ -1,0 +1,170 @@
+"""The fields that runs leave: the store's own files, one folder a scene."""
+
+import errno
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from command import room_sample
+
+from flows import kept
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.housekeeping import collect, verify
+from slgaussian.records import Records
+from slgaussian.store import ArtifactStore, DamagedError
+from tasks.artifacts import about_field, put_field
+
+SCENES = {"room": "room", "a room/of *mine*": "a room_of _mine_-"}
+"""Scenes, and how the names of their folders begin."""
+
+
+@pytest.fixture(scope="module")
+def field() -> SemanticField:
+    return build_field(room_sample(), replicas=1)
+
+
+def here(tmp_path: Path) -> str:
+    return str(tmp_path / "store")
+
+
+@pytest.fixture(params=["folder", "another disk", "bucket"])
+def store(request, tmp_path, monkeypatch) -> ArtifactStore:
+    """Stores whose files can be linked, and those whose cannot."""
+    if request.param == "bucket":
+        return ArtifactStore(f"{request.getfixturevalue('bucket')}/slg")
+    if request.param == "another disk":
+
+        def refuse(*_: object) -> None:
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+
+        monkeypatch.setattr(os, "link", refuse)
+    return ArtifactStore(here(tmp_path))
+
+
+def stamps(folder: Path) -> dict[str, tuple[int, int]]:
+    """Which file each is, and when it was last written."""
+    files = (file for file in folder.rglob("*") if file.is_file())
+    return {str(f.relative_to(folder)): (f.stat().st_ino, f.stat().st_mtime_ns) for f in files}
+
+
+def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
+    ref, out = put_field(store, field), tmp_path / "out"
+    kept.write_fields(store, dict.fromkeys(SCENES, ref), {}, out)
+    field.save(tmp_path / "saved")
+    rows = pq.read_table(out / "fields.parquet").to_pylist()
+    assert [row["scene"] for row in rows] == list(SCENES)
+    for row, begins in zip(rows, SCENES.values(), strict=True):
+        assert row["folder"].startswith(begins)
+        assert (row["gaussians"], row["objects"]) == (len(field.gaussians), len(field.bank))
+        folder = out / "fields" / row["folder"]
+        assert folder == kept.place(row["scene"], out)
+        assert sorted(os.listdir(folder)) == sorted(os.listdir(tmp_path / "saved"))
+        for file in folder.iterdir():
+            assert file.read_bytes() == (tmp_path / "saved" / file.name).read_bytes()
+    (camera, *_) = field.cameras.values()
+    hit = SemanticField.load(folder).render(camera).query("wall")
+    assert hit.objects == field.render(camera).query("wall").objects != ()
+
+
+def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
+    fields, out = dict.fromkeys(SCENES, put_field(store, field)), tmp_path / "out"
+
+    def again(places=None) -> set[str]:
+        """Files that are others now."""
+        before = stamps(out / "fields")
+        kept.write_fields(store, fields, places or {}, out)
+        after = stamps(out / "fields")
+        assert before.keys() <= after.keys()
+        return {name for name in after if after[name] != before.get(name)}
+
+    kept.write_fields(store, fields, {}, out)
+    assert again() == set()
+    room = out / "fields" / "room"
+    (room / "bank.npz").unlink()
+    assert {"room/bank.npz"} <= again() <= {f"room/{name}" for name in os.listdir(room)}
+    (room / "gaussians.npz").unlink()
+    (room / "gaussians.npz").write_bytes(b"cut short")
+    assert "room/gaussians.npz" in again()
+    (room / "field.json").write_text("{}")
+    assert "room/field.json" in again()
+    assert len(again({"model": "/moved"})) >= len(SCENES)
+    assert json.loads((room / "field.json").read_text())["places"] == {"model": "/moved"}
+    assert again({"model": "/moved"}) == set()
+
+
+def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
+    out = tmp_path / "out"
+    ref = put_field(store, field)
+    key = f"field/v3/{'0' * 64}"
+    Records(store).keep(key, ref)
+    kept.write_fields(store, {"room": ref}, {}, out)
+    assert collect(store, age=-60, delete=True).kept == 4
+    assert verify(store).sound == 4
+    store.remove([f"keys/field/v3/00/{'0' * 64}.json"])
+    assert collect(store, age=-60, delete=True).artifacts == 4
+    assert repr(SemanticField.load(out / "fields" / "room")) == repr(field)
+    with pytest.raises(DamagedError, match="found nothing"):
+        kept.write_fields(store, {"room": ref}, {}, out)
+
+
+def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
+    store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
+    ref = put_field(store, field)
+    kept.write_fields(store, dict.fromkeys([*SCENES, "third"], ref), {}, out)
+    field.save(out / "fields" / "mine")
+    kept.write_fields(store, {"third": ref}, {}, out)
+    assert sorted(os.listdir(out / "fields")) == ["mine", "third"]
+    assert pq.read_table(out / "fields.parquet")["folder"].to_pylist() == ["third"]
+    # A table that says otherwise leads nowhere else.
+    elsewhere = tmp_path / "elsewhere"
+    field.save(elsewhere)
+    table = pq.read_table(out / "fields.parquet")
+    named = table.set_column(1, "folder", [["../../elsewhere"]])
+    pq.write_table(named, out / "fields.parquet")
+    kept.write_fields(store, {"third": ref}, {}, out)
+    assert elsewhere.is_dir()
+    kept.write_fields(store, {}, {}, out)
+    assert sorted(os.listdir(out / "fields")) == ["mine"]
+
+
+def test_what_is_in_the_way_is_said_before_the_work(tmp_path):
+    place = kept.place("room", tmp_path)
+    kept.check_places(SCENES, tmp_path)
+    place.mkdir(parents=True)
+    kept.check_places(SCENES, tmp_path)
+    (place / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"fields/room: exists and is not a field"):
+        kept.check_places(SCENES, tmp_path)
+
+
+def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_path):
+    store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
+    ref = put_field(store, field)
+    kept.write_fields(store, {"room": ref}, {}, out)
+    _, parts = about_field(store, ref)
+    file, own = out / "fields/room/gaussians.npz", Path(store.path, parts["gaussians"].uri)
+    assert os.path.samefile(file, own)
+    # Whoever edits the link edits the store too; its digest tells.
+    data = bytearray(own.read_bytes())
+    data[-len(data) // 2] ^= 255
+    with open(file, "r+b") as opened:
+        opened.write(data)
+    with pytest.raises(DamagedError):
+        store.get(parts["gaussians"])
+    assert put_field(store, field) == ref
+    kept.write_fields(store, {"room": ref}, {}, out)
+    assert os.path.samefile(file, own)
+    np.testing.assert_array_equal(
+        SemanticField.load(file.parent).gaussians.means, field.gaussians.means
+    )
+    shutil.rmtree(store.path)
+    changed = replace(field, settings={**field.settings, "scene": "other"})
+    changed.save(file.parent)
+    assert SemanticField.load(file.parent).settings["scene"] == "other"
