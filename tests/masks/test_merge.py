@@ -5,8 +5,6 @@ from hypothesis import strategies as st
 
 from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
 from slgaussian.masks.merge import (
-    COLOR_STEP,
-    PLANE_STEP,
     Cues,
     MergeTree,
     _plane_error,
@@ -16,6 +14,9 @@ from slgaussian.masks.merge import (
     plane_gap,
     plane_sums,
 )
+
+# Written out, not imported: a slip in the module must show here.
+COLOR_STEP, PLANE_STEP = 30.0, 0.05
 
 
 def drawn_tree(draw):
@@ -84,6 +85,21 @@ def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, most, least):
     level = levels_of(member, given_members, area)
     inside = (member[:, None] <= given_members).all(2).any(1)
     np.testing.assert_array_equal(level, np.where(inside, 0, 2))
+
+
+def test_nodes_of_two_trees_are_near_copies_by_their_union():
+    """96 of 100 pixels are shared: of either node .96, but .92 of both together, so both stay."""
+    leaves = np.repeat(np.arange(3, dtype=np.int32), [96, 4, 4])[None]
+    height = np.array([0, 0, 0, 0.3, 1.0])
+    trees = [
+        MergeTree(leaves, np.array(parent, np.int32), height)
+        for parent in ([3, 3, 4, 4, -1], [3, 4, 3, 4, -1])
+    ]
+    member, _ = pick_nodes(trees, np.zeros((0, 3), bool), 50, 10)
+    found = {tuple(row.tolist()) for row in member}
+    assert {(True, True, False), (True, False, True)} <= found
+    # The leaf that both grew from is .96 of each, a near copy.
+    assert (True, False, False) not in found
 
 
 def test_survival_ends_where_a_node_is_merged_on():

@@ -8,8 +8,6 @@ from slgaussian.predict.fill import (
     AGREES,
     BEHIND,
     IN_FRONT,
-    MEDIAN_COLOR,
-    MEDIAN_RADIUS,
     UNSEEN,
     cross_check,
     fill,
@@ -18,6 +16,9 @@ from slgaussian.predict.fill import (
     without_speckles,
 )
 from slgaussian.predict.pose import Relative
+
+# Written out, not imported: a slip in the module must show here.
+MEDIAN_COLOR, MEDIAN_RADIUS = 40.0, 7
 
 A, B = camera(), camera(x=0.3, z=0.1, turn=0.05)
 PLANE = Plane(NORMAL, DISTANCE)

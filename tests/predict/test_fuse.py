@@ -8,9 +8,12 @@ from scipy.spatial.transform import Rotation
 from textured_planes import camera, sample
 
 from slgaussian.predict.fill import AGREES, cross_check
-from slgaussian.predict.fuse import FEATHER, blend, meet
+from slgaussian.predict.fuse import blend, meet
 from slgaussian.predict.links import Link
 from slgaussian.predict.pose import Relative
+
+# Written out, not imported: a slip in the module must show here.
+FEATHER = 16.0
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 

@@ -5,8 +5,11 @@ import pytest
 from textured_planes import camera
 
 from slgaussian.gaussians import source_depths
-from slgaussian.predict.hidden import BEHIND, BLOCK, MARGIN, hidden
+from slgaussian.predict.hidden import hidden
 from slgaussian.predict.lift import concatenate, lift
+
+# Written out, not imported: a slip in the module must show here.
+BEHIND, BLOCK, MARGIN = 0.03, 4, 0.07
 
 SIZE = (60, 90)
 CAMERAS = (camera(size=SIZE), camera(x=0.3, size=SIZE))

@@ -6,7 +6,10 @@ import torch
 from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.gaussians import covariances, rotation_matrices, source_depths
-from slgaussian.predict.lift import FOOTPRINT, THICKNESS, lift, normals
+from slgaussian.predict.lift import lift, normals
+
+# Written out, not imported: a slip in the module must show here.
+FOOTPRINT, THICKNESS = 0.35, 0.1
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 

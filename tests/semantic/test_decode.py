@@ -8,7 +8,10 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.codes import grid_codes
-from slgaussian.semantic.decode import AGREE, CLOSE, REACH, VISIBLE, Decoder
+from slgaussian.semantic.decode import Decoder
+
+# Written out, not imported: a slip in the module must show here.
+AGREE, CLOSE, REACH, VISIBLE = 4, 0.25, 2, 0.5
 
 CODES = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 0]], np.float32)
 
