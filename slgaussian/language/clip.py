@@ -29,6 +29,7 @@ from slgaussian.pretrained import (
     load_tokenizer,
     read_json,
 )
+from slgaussian.threads import inside
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 """Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
@@ -176,7 +177,8 @@ class Clip:
             values = (torch.from_numpy(pixels).permute(0, 3, 1, 2) / 255 - mean) / std
             kind = self.network.device.type
             reduced = kind != "cpu" or self.precision == "bfloat16"
-            with torch.autocast(kind, torch.bfloat16, enabled=reduced):
+            precision = torch.autocast(kind, torch.bfloat16, enabled=reduced)
+            with precision, inside(self.network):
                 found = self.network.get_image_features(values.to(self.network.device))
             total += _unit(found)[: len(masks)]
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
@@ -198,7 +200,9 @@ class Clip:
             )
         if self._words.eos_token_id in tokens[:-1]:
             raise InputError(f"query {shown!r}: cannot be read by the tokenizer; use other words")
-        found = self.network.get_text_features(torch.tensor([tokens], device=self.network.device))
+        given = torch.tensor([tokens], device=self.network.device)
+        with inside(self.network):
+            found = self.network.get_text_features(given)
         return _unit(found).astype(np.float32)
 
     def _load_words(self) -> Any:

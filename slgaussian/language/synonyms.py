@@ -18,6 +18,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.language.vocabulary import NOUNS, Word
 from slgaussian.pretrained import Family, find_model, load_pretrained, load_tokenizer, read_json
+from slgaussian.threads import inside
 
 FAMILIES = NOUNS | {"colour", "texture", "material"}
 """Of the words that an unknown one may stand for. Sizes and places are left out: their opposites
@@ -94,7 +95,8 @@ class Synonyms:
                 truncation=True,
                 max_length=MOST_TOKENS,
             ).to(self._network.device)
-            states = self._network(**given).last_hidden_state.double()
+            with inside(self._network):
+                states = self._network(**given).last_hidden_state.double()
             # The mean but for a factor, which the unit length takes out.
             vectors.append((states * given["attention_mask"][..., None]).sum(1).cpu().numpy())
         found = np.concatenate(vectors)

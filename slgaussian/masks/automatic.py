@@ -22,6 +22,7 @@ from slgaussian.masks import Proposals
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
 from slgaussian.masks.regions import check_image
 from slgaussian.pretrained import Family, chosen_device, load_pretrained
+from slgaussian.threads import inside
 
 LEVELS = ("s", "m", "l")
 """The masks that one point gives, in the order of the model's outputs: part, object, group."""
@@ -198,7 +199,8 @@ class AutomaticProposer(ABC):
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
         # Left to itself, cuDNN chooses algorithms by a race, so results may differ in the last bit.
-        with torch.inference_mode(), torch.backends.cudnn.flags(benchmark=False):
+        quiet = torch.backends.cudnn.flags(benchmark=False)
+        with torch.inference_mode(), quiet, inside(self.network):
             if _content(image) not in self._encoded:
                 self._encoded.clear()
             return all_masks(self._encode_once, image, settings, where, levels, self.batch)

@@ -17,6 +17,7 @@ from slgaussian.masks.regions import check_image
 from slgaussian.masks.sam import normalised
 from slgaussian.pretrained import Family, load_pretrained
 from slgaussian.scene import View
+from slgaussian.threads import inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +88,12 @@ class Sam2Video:
         size = view.image.shape[:2]
         best = torch.zeros(size, device=self._network.device)
         labels = torch.zeros(size, dtype=torch.int32, device=self._network.device)
-        for number, logit in sorted(self._tracked(features).items()):
-            enlarged = F.interpolate(logit[None, None], size, mode="bilinear")[0, 0]
-            wins = enlarged > best
-            best = torch.where(wins, enlarged, best)
-            labels[wins] = number
+        with inside(self._network):
+            for number, logit in sorted(self._tracked(features).items()):
+                enlarged = F.interpolate(logit[None, None], size, mode="bilinear")[0, 0]
+                wins = enlarged > best
+                best = torch.where(wins, enlarged, best)
+                labels[wins] = number
         return labels.cpu().numpy()
 
     def _features(self, view: View) -> dict[str, Any]:
@@ -105,7 +107,7 @@ class Sam2Video:
                 return features
         side = self._network.image_size
         pixels = normalised(view.image, (side, side)).to(self._network.device)
-        with torch.inference_mode():
+        with torch.inference_mode(), inside(self._network):
             out = self._network.get_image_features(pixels, return_dict=True)
         features = {
             "vision_feats": out.fpn_hidden_states,

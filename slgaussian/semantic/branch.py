@@ -34,6 +34,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.others import Others, find_others
+from slgaussian.threads import inside
 from slgaussian.versions import weights_in
 
 SHIPPED = "shipped"
@@ -163,7 +164,7 @@ class BranchLifting:
         wanted = self.branch.architecture.others
         others = find_others(gaussians, label_maps.labels.shape) if wanted else None
         images = input_images(label_maps.labels, bank.ids, bank.codes, others)
-        with torch.no_grad():
+        with torch.no_grad(), inside(self.branch):
             features = features_of(self.branch, images, gaussians.source)
         return replace(gaussians, features=features)
 

@@ -51,7 +51,7 @@ from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
-from slgaussian.threads import one_thread
+from slgaussian.threads import fixed
 
 HARMED = 0.5
 """Share of the objects that are harmed where context labels are corrupted."""
@@ -204,7 +204,7 @@ def train(
     )
     place = load_checkpoint(folder, branch, optimiser, run)
     rows, begun = place.rows, time.perf_counter()
-    with one_thread():
+    with fixed(1):
         for step in range(place.step, settings.steps):
             rows.append(_step(branch.train(), optimiser, lessons, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:

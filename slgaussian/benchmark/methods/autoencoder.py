@@ -19,7 +19,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from slgaussian.errors import InputError
-from slgaussian.threads import one_thread
+from slgaussian.threads import LARGE_THREADS, fixed
 
 CODE = 3
 DOWN = (256, 128, 64, 32)
@@ -41,12 +41,12 @@ class Autoencoder:
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
         """Codes float32 [M, 3] of length 1, of unit vectors float32 [M, C]."""
-        with torch.inference_mode(), one_thread():
+        with torch.inference_mode(), fixed(1):
             return F.normalize(self.down(torch.from_numpy(vectors)), dim=1).numpy()
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Unit vectors float32 [P, C] of codes float32 [P, 3] of any length."""
-        with torch.inference_mode():
+        with torch.inference_mode(), fixed(LARGE_THREADS):
             blocks = torch.from_numpy(np.ascontiguousarray(codes)).split(BLOCK)
             found = [F.normalize(self.up(block), dim=1) for block in blocks]
         return torch.cat(found).numpy()
@@ -78,7 +78,7 @@ def train_autoencoder(
     if len(vectors) < 2:
         raise InputError(f"autoencoder: found {len(vectors)} vectors, expected at least 2")
     width = vectors.shape[1]
-    with torch.random.fork_rng(devices=[]), one_thread():
+    with torch.random.fork_rng(devices=[]), fixed(1):
         torch.manual_seed(seed % 2**63)
         down = _layers(width, [n for n in DOWN if n <= width], CODE, normalised=True)
         up = _layers(CODE, [n for n in UP if n <= width], width, normalised=False)

@@ -21,6 +21,7 @@ from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera, Sample, View
+from slgaussian.threads import inside
 
 MULTIPLE = 16
 """Images are cropped to multiples of this: by all that downsampling, and two windows a side."""
@@ -158,7 +159,7 @@ class MVSplat:
         if candidates == "auto":
             candidates = needed_candidates(cameras, near, far, self.config.candidates)
         bfloat16 = self.precision == "bfloat16"
-        with torch.no_grad():
+        with torch.no_grad(), inside(self.network):
             with torch.autocast(self.device.split(":")[0], torch.bfloat16, enabled=bfloat16):
                 found = self.network(images.float().div_(255), cameras, near, far, candidates)
             lifted = [
