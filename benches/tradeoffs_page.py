@@ -203,9 +203,9 @@ def page(made: Sequence[dict], command: str, machine: str) -> str:
 Made by `{command} -o docs/measured` on {machine}:
 {kinds.count("office")} office pairs (540 x 360) and
 {kinds.count("rooms")} made-up rooms (720 x 520, by default shrunk to 576 x 416), one setting
-changed at a time from the defaults, and a few together. Whatever the size that a row works at, its
-answers are brought to the default size and judged there, so that what a small image loses counts. A
-field's bank holds float16 and its Gaussians float32. An office pair has no larger `original`.
+changed at a time from the defaults, and a few together. The answers of every row are resized to the
+default size and judged there, so that the loss of a small image counts. The bank of a field holds
+float16 and its Gaussians hold float32. `original` is no larger than the default for an office pair.
 
 ![{PICTURE}](tradeoffs.svg)
 
@@ -215,9 +215,9 @@ field's bank holds float16 and its Gaussians float32. An office pair has no larg
 
 {found_said(rows)}
 
-MVSplat's precision and candidates are measured in [mvsplat.md](mvsplat.md), the rasteriser's
-cut-offs in [rasterizer.md](rasterizer.md), trackers and copies on 50 rooms in
-[masks.md](masks.md), codes on many more scenes in [codes.md](codes.md).
+Other pages measure the precision and candidates of [MVSplat](mvsplat.md), the cut-offs of the
+[rasteriser](rasterizer.md), [trackers and copies](masks.md) on 50 rooms, and [codes](codes.md) on
+many more scenes.
 
 {tables}
 {kept}"""
@@ -266,15 +266,15 @@ def presets_said(rows: Sequence[dict]) -> str:
     said = [
         "## The presets",
         "",
-        '`--preset NAME`, or `preset = "NAME"` in a file. They are rows of the tables below, '
-        "picked by rules:",
+        '`--preset NAME`, or `preset = "NAME"` in a file, is a row of the tables below. A rule picks '
+        "each:",
         "",
         f"- `fast`: the least time from photographs to the first answer (*build* and *first "
         f"query*) of all rows that keep {ratio(KEPT_SHARE)} of the defaults' IoU and mIoU;",
         "- `balanced`: the defaults;",
-        "- `accurate`: the greatest IoU + mIoU of all rows that lose neither, nor depth, beyond "
-        "noise; and of those that come as near to it as seeds are apart "
-        f"({noise_of(rows):.3f}), the quickest.",
+        "- `accurate`: of all rows that lose no IoU, mIoU or depth beyond noise, those whose IoU + "
+        f"mIoU is within the difference between seeds ({noise_of(rows):.3f}) of the greatest; the "
+        "quickest of these.",
         "",
     ]
     for preset, row in picked(rows).items():
@@ -295,10 +295,10 @@ def presets_said(rows: Sequence[dict]) -> str:
     if accurate["build"] < rows[0]["build"] and "exact" in accurate["name"]:
         said += [
             "",
-            "That `accurate` is no slower is no slip: `exact` keeps the number of an object with "
-            "each Gaussian, and nothing is drawn or decoded that could mix. The defaults have the "
-            "paper's ID codes, which a lifting that learns needs, and which cost next to nothing "
-            "in scores.",
+            "`accurate` is not slower than the defaults, because `exact` has less to do: each "
+            "Gaussian holds the number of its object, and no codes are drawn, mixed and decoded. "
+            "The defaults use the ID codes of the paper. A lifting that learns needs them, and "
+            "they cost almost nothing in scores.",
         ]
     return "\n".join(said)
 
@@ -310,10 +310,9 @@ def noise_said(rows: Sequence[dict]) -> str:
         return ""
     return (
         f"**Noise.** {len(own)} seeds, which draw other codes, have IoU from {min(own):.3f} to "
-        f"{max(own):.3f}: a difference of {max(own) - min(own):.3f} means nothing. The seed draws "
-        "nothing but codes. A change of depth or of size moves the borders of objects a little, "
-        "and with them the answers of single queries a lot: what that amounts to over the scenes, "
-        "the intervals say."
+        f"{max(own):.3f}, so a difference of {max(own) - min(own):.3f} means nothing. A change of "
+        "depth or of size moves the borders of objects a little, and can change the answer of a "
+        "single query much. The intervals show what that amounts to over the scenes."
     )
 
 
@@ -329,7 +328,7 @@ def found_said(rows: Sequence[dict]) -> str:
                 listed = ", ".join(HEADINGS[score] for score in scores)
                 told.append(f"{row['factor']}: {row['name']} ({listed})")
     return (
-        f"**Beyond noise**, of single changes: worse are {'; '.join(worse) or 'none'}. Better are "
+        f"**Beyond noise.** Single changes that are worse: {'; '.join(worse) or 'none'}. Better: "
         f"{'; '.join(better) or 'none'}. With so many comparisons one in twenty stars is chance."
     )
 
