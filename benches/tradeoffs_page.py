@@ -266,8 +266,8 @@ def presets_said(rows: Sequence[dict]) -> str:
     said = [
         "## The presets",
         "",
-        '`--preset NAME`, or `preset = "NAME"` in a file, is a row of the tables below. A rule picks '
-        "each:",
+        '`--preset NAME`, or `preset = "NAME"` in a file, is a row of the tables below. '
+        "A rule picks each:",
         "",
         f"- `fast`: the least time from photographs to the first answer (*build* and *first "
         f"query*) of all rows that keep {ratio(KEPT_SHARE)} of the defaults' IoU and mIoU;",
