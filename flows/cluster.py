@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from flows import child
 from flows.server import LOOPBACK
 from slgaussian.errors import InputError
 
@@ -37,14 +38,14 @@ def local_cluster(kind: str, workers: int) -> Iterator[str]:
     InputError
         If it does not start.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "flows.cluster", kind, str(workers)],
+    process = child.begin(
+        "flows.cluster",
+        kind,
+        str(workers),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C is for the run, which then stops the cluster
-        # Its workers find what this program finds.
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
     )
     try:
         told = json.loads(process.stdout.readline() or '{"error": "its process ended"}')

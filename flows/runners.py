@@ -8,10 +8,11 @@ import multiprocessing
 import os
 import signal
 import socket
+import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
@@ -188,7 +189,7 @@ def _ray(address: str, workers: int) -> Iterator[TaskRunner]:
             logging_level="CRITICAL",
         )
         try:
-            with _own_signals(), warnings.catch_warnings(action="ignore"):
+            with _own_signals(), _elsewhere(), warnings.catch_warnings(action="ignore"):
                 try:
                     connect()
                 except ConnectionAbortedError:
@@ -214,6 +215,13 @@ def _own_signals() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _elsewhere() -> Iterator[None]:
+    """Be in an empty folder: Ray has its workers look for modules where its client is, first."""
+    with tempfile.TemporaryDirectory() as empty, chdir(empty):
+        yield
 
 
 def _imported(module: str, extra: str) -> ModuleType:

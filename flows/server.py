@@ -16,6 +16,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
+from flows import child
 from slgaussian.errors import InputError, SLGaussianError
 
 LOOPBACK = "127.0.0.1"
@@ -51,20 +52,19 @@ class LocalServer:
                 "writable folder with --store"
             ) from error
         with log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "flows.server", str(inherited)],
+            self.process = child.begin(
+                "flows.server",
+                str(inherited),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
                 pass_fds=[inherited],
                 start_new_session=True,  # Ctrl-C is for the run, which then stops the server
                 env={
-                    **os.environ,
                     "PREFECT_HOME": str(self.home),
                     "PREFECT_UI_ENABLED": "0",
                     "PREFECT__SERVER_EPHEMERAL": "1",
                     "PREFECT__SERVER_FINAL": "1",
-                    "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
                 },
             )
         self.socket.close()

@@ -15,14 +15,24 @@ HERE = Path(__file__).parent
 def start(
     home: Path, store: Path, log: Path, sleep: float, runner: str, **variables: str
 ) -> subprocess.Popen:
-    """Begin it; ``variables`` are of its environment."""
+    """Begin it in a folder of decoys beside ``log``; ``variables`` are of its environment."""
     hidden = ("PREFECT_API_URL", "PREFECT_HOME", "SLGAUSSIAN_NO_EVENTS")
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env |= {"HOME": str(home), "TMPDIR": str(home), **variables}
     env["PYTHONPATH"] = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
     command = [sys.executable, str(HERE / "tiny_run.py"), str(store), str(log), str(sleep), runner]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen(command, env=env, **pipes, start_new_session=True)
+    cwd = decoys(log.parent / "work")
+    return subprocess.Popen(command, cwd=cwd, env=env, **pipes, start_new_session=True)
+
+
+def decoys(folder: Path) -> Path:
+    """The folder, with files called as our packages are: whatever process imports one ends."""
+    for name in ("flows/__init__.py", "tasks.py", "data_specs/__init__.py"):
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("raise SystemExit('a file of the working folder was imported')\n")
+    return folder
 
 
 def with_database(store: Path, server) -> Path:
