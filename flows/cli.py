@@ -47,6 +47,7 @@ COMMON = {
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS, "lifting", "seed"),
     "query": ("protocol", "threshold", "canonical"),
+    "segment": ("threshold", "canonical"),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "train": ("steps", "rate", "codes", "seed", "store"),
@@ -68,9 +69,40 @@ app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for every stage.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
-ViewName = Annotated[
-    str, typer.Option("--view", help="Context view by name, or its number from 0.")
+Texts = Annotated[
+    list[str], typer.Argument(metavar="TEXT...", help='What to look for, as "red basket".')
 ]
+Views = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--view", help="A view by name, or its number from 0; may be repeated. [default: 0]"
+    ),
+]
+CameraFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        "--cameras",
+        help="One camera as JSON, or a transforms.json: look from these, not from the field's own.",
+    ),
+]
+Between = Annotated[
+    tuple[str, str, float] | None,
+    typer.Option(
+        metavar="A B T", help="Look from between two views, at share T of the way from A to B."
+    ),
+]
+Orbit = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="A short turn of N frames among the views; -o turn.mp4 or .gif."
+    ),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")]
 
 Chunks = Annotated[
     str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
@@ -258,55 +290,102 @@ def field(
 def query(
     settings: dict,
     field: Folder,
-    texts: Annotated[
-        list[str], typer.Argument(metavar="TEXT...", help='What to look for, as "red basket".')
-    ],
-    view: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--view",
-            help="Context view by name, or its number from 0; may be repeated. [default: 0]",
-        ),
-    ] = None,
+    texts: Texts,
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
     listing: Annotated[
         bool, typer.Option("--list", help="Every object of the scene, with the best of the texts.")
     ] = False,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Picture of the answer.")] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print each answer as a line of JSON.")
-    ] = False,
+    out: Picture = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Ask a field for words, seen from its context cameras, or list what is in the scene.
+    """Ask a field for words, seen from any camera, or list what is in the scene.
 
     Without a threshold all objects are taken that fit about as well as the best one, and none if
     no object fits better than the canonical phrases ("object", "things" ...) do. A field built with
     clip or named is asked with the same files: say where they are if they were moved.
 
+    The exit status is 1 if nothing is found for any text, or a text is refused.
+
     \b
     slgaussian query field/ "red basket" -o hit.png
     slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
-    slgaussian query field/ "red basket" --threshold 0.6
-    slgaussian query field/ "red basket" --protocol langsplat
+    slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
+    slgaussian query field/ "red basket" --orbit 60 -o turn.mp4
+    slgaussian query field/ "red basket" --camera camera.json --threshold 0.6
     slgaussian query field/ --list wall floor "red basket" "plant" -o objects.png
     """
     import json
 
-    from flows.fields import ask, inventory
+    from flows import questions
+    from flows.viewpoints import Choice
 
     if listing:
+        looks = {"view": view, "between": between, "camera": camera, "orbit": orbit}
         idle = [f"--{name}" for name in ("protocol", "threshold", "share") if name in settings]
-        idle += ["--view"] if view else []
+        idle += [f"--{name}" for name, said in looks.items() if said]
         if idle:
             raise InputError(
                 f"{idle[0]}: a list has every object of the scene and selects none; leave it out, "
                 "or leave out --list"
             )
-        answers, spoken = inventory(field, texts, out, settings), _listed
+        answers, spoken = questions.inventory(field, texts, out, settings), questions.listed
     else:
-        answers, spoken = ask(field, texts, view or ["0"], out, settings), _spoken
+        choice = Choice(view or (), camera, between, orbit)
+        answers = questions.ask(field, texts, choice, out, settings)
+        spoken = questions.spoken_film if choice.film else questions.spoken
     typer.echo("\n".join(map(json.dumps, answers)) if as_json else spoken(answers))
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
+    nothing = not listing and not any(answer["found"] for answer in answers)
+    if nothing or any(answer.get("refused") for answer in answers):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options("threshold", "canonical", "temperature", "absent", *PLACES, common=COMMON["segment"])
+def segment(
+    settings: dict,
+    field: Folder,
+    texts: Texts,
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
+    out: Picture = None,
+    as_json: AsJson = False,
+) -> None:
+    """Give everything that a camera sees the one of several texts that fits it best.
+
+    What fits no text better than the canonical phrases ("object", "things" ...) stays without one;
+    another --threshold than 0.5 says otherwise. Prints a row a text: its label, its share of the
+    pixels, how well it fits them on average, and its objects.
+
+    -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
+    bits, whose pixels are labels, 1 for the first text and 0 for none. The exit status is 1 if a
+    text is refused.
+
+    \b
+    slgaussian segment field/ wall floor "red sofa" -o labels.png
+    slgaussian segment field/ wall floor "red sofa" --between 0 1 0.5 --json
+    slgaussian segment field/ wall floor "red sofa" --orbit 60 -o turn.mp4
+    """
+    import json
+
+    from flows import questions
+    from flows.viewpoints import Choice
+
+    choice = Choice(view or (), camera, between, orbit)
+    rows = questions.segmented(field, texts, choice, out, settings)
+    typer.echo("\n".join(map(json.dumps, rows)) if as_json else questions.tabled(rows))
+    if out is not None and not as_json:
+        typer.echo(f"picture  {out}")
+        if not choice.film:
+            typer.echo(f"labels   {out.with_suffix('.ids.png')}")
+    if any(row.get("refused") for row in rows):
+        raise typer.Exit(1)
 
 
 @app.command(rich_help_panel=FIELDS)
@@ -329,12 +408,11 @@ def render(
         Path,
         typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file.")],
-    cameras: Annotated[
-        Path | None,
-        typer.Option(help="transforms.json with the cameras of a .ply, or new ones of a field."),
-    ] = None,
-    view: Annotated[str, typer.Option("--view", help="View by name, or its number from 0.")] = "0",
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg.")],
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
 ) -> None:
     """Render a field, or a .ply of Gaussians that anybody made; no GPU is needed.
 
@@ -343,11 +421,14 @@ def render(
 
     \b
     slgaussian render field/ -o picture.png --view 1
-    slgaussian render scene.ply --cameras transforms.json --view 0007.png -o picture.png
+    slgaussian render field/ -o middle.png --between 0 1 0.5
+    slgaussian render field/ -o turn.mp4 --orbit 60
+    slgaussian render scene.ply --camera transforms.json --view 0007.png -o picture.png
     """
     from flows.fields import picture
+    from flows.viewpoints import Choice
 
-    picture(source, cameras, view, out)
+    picture(source, Choice(view or (), camera, between, orbit), out)
     typer.echo(out)
 
 
@@ -644,34 +725,3 @@ def _performed(command: str, settings: Any, verbose: bool) -> Any:
 
     with interruptible():
         return perform(command, settings, verbose)
-
-
-def _spoken(answers: list[dict]) -> str:
-    blocks = []
-    for answer in answers:
-        lines = [f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)"]
-        if len(answers) > 1:
-            lines.insert(0, f"{answer['text']!r} in {answer['view']}")
-        point = answer["point"]
-        lines.append("point  " + ("none" if point is None else f"x {point[0]}, y {point[1]}"))
-        found = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
-        lines.append(f"objects  {found or 'none'}")
-        if answer["unknown"]:
-            lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
-        for word, (other, likeness) in answer["taken_for"].items():
-            lines.append(f"not known and taken for {other}: {word} (similarity {likeness:.2f})")
-        blocks.append("\n".join(lines))
-    return "\n\n".join(blocks)
-
-
-def _listed(objects: list[dict]) -> str:
-    # What is in brackets fits no better than "object" does.
-    best = [o["text"] if o["relevancy"] > 0.5 else f"({o['text']})" for o in objects]
-    wide = max(map(len, ["best text", *best]))
-    lines = [f"object  {'best text':<{wide}}  relevancy  seen in"]
-    for o, text in zip(objects, best, strict=True):
-        seen = ", ".join(o["views"])
-        lines.append(f"{o['id']:>6}  {text:<{wide}}  {o['relevancy']:>9.3f}  {seen}")
-    if any(o["relevancy"] <= 0.5 for o in objects):
-        lines.append("(in brackets: no text fits better than the canonical phrases do)")
-    return "\n".join(lines)

@@ -159,7 +159,10 @@ def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: i
 
 
 def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
-    """Pictures in a row, scaled to the height of the first, each with its caption below."""
+    """Pictures in a row, scaled to the height of the first, each with its caption below.
+
+    A caption that is too long is cut.
+    """
     height, gap, band = panels[0][1].shape[0], 12, 34
     images = [
         image
@@ -174,8 +177,30 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     left = gap
     for (caption, _), image in zip(panels, images, strict=True):
         sheet.paste(Image.fromarray(image), (left, gap))
+        if draw.textlength(caption, font=font) > image.shape[1] + gap:
+            while caption and draw.textlength(caption + "…", font=font) > image.shape[1]:
+                caption = caption[:-1]
+            caption += "…"
         draw.text((left + 1, gap + height + 6), caption, fill=(40, 44, 52), font=font)
         left += image.shape[1] + gap
+    return np.asarray(sheet)
+
+
+def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) -> np.ndarray:
+    """A copy with a legend below: for each colour uint8 [3] a swatch and what it stands for."""
+    gap, side, line = 12, 16, 26
+    font = ImageFont.load_default(size=17)
+    wide = max(font.getlength(text) for _, text in entries) + side + 3 * gap
+    columns = max(1, int((image.shape[1] - gap) // wide))
+    rows = -(-len(entries) // columns)
+    sheet = Image.new("RGB", (image.shape[1], image.shape[0] + rows * line + gap), "white")
+    sheet.paste(Image.fromarray(image), (0, 0))
+    draw = ImageDraw.Draw(sheet)
+    for k, (colour, text) in enumerate(entries):
+        left = gap + int(k % columns * wide)
+        top = image.shape[0] + k // columns * line
+        draw.rectangle((left, top, left + side, top + side), tuple(map(int, colour)), (40, 44, 52))
+        draw.text((left + side + 8, top - 2), text, fill=(40, 44, 52), font=font)
     return np.asarray(sheet)
 
 

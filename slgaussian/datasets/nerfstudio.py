@@ -80,6 +80,30 @@ def read(path: str | Path) -> Scene:
     return Scene(name, cameras, _Reader(file, frames, cameras).read)
 
 
+def read_cameras(path: str | Path) -> dict[str, Camera]:
+    """The cameras of a file by name; no photograph is needed, if it says their size.
+
+    Parameters
+    ----------
+    path : path
+        ``transforms.json`` or the folder that holds it; or the JSON of one frame by itself, as
+        ``{"fl_x": 500, "w": 640, "h": 480, "transform_matrix": [[...], ...]}``, whose camera is
+        called by its ``file_path``, or else as the file is. Keys and axes as in :func:`read`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or a camera of it cannot be used.
+    """
+    path = Path(path)
+    file = path / FILE if path.is_dir() else path
+    content = _parsed(file)
+    if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
+        name = str(content.get("file_path") or file.name)
+        return {name: _Frame(file, name, content).camera(None)}
+    return dict(read(path).cameras)
+
+
 def files(path: str | Path, views: Sequence[str]) -> list[Path]:
     """The files that those views are read from: the camera file, and all that it names for them."""
     path = Path(path)
@@ -257,15 +281,19 @@ class _Frame:
         return cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def _load(file: Path) -> dict[str, Any]:
+def _parsed(file: Path) -> Any:
     try:
-        meta = jsontext.parse(file.read_bytes())
+        return jsontext.parse(file.read_bytes())
     except OSError as bad:
         raise InputError(
             f"{file}: cannot be read ({bad.strerror}); give a {FILE} or the folder that holds one"
         ) from None
     except ValueError as bad:
         raise InputError(f"{file}: is not valid JSON ({bad}); write it again") from None
+
+
+def _load(file: Path) -> dict[str, Any]:
+    meta = _parsed(file)
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     return meta

@@ -4,12 +4,17 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from flows import cli
 from slgaussian import datasets
-from slgaussian.scene import Sample, Scene
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
+from slgaussian.language import load_encoder
+from slgaussian.language.bank import MemoryBank
+from slgaussian.scene import Camera, Sample, Scene
 
 ROOM = {
     "name": "room",
@@ -59,3 +64,52 @@ def save_photographs(folder: Path, height: int = 64, width: int = 64) -> Path:
         frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
     (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
     return folder
+
+
+def two_walls(folder: Path) -> Path:
+    """A field: a red and a blue wall side by side, each an object, seen from two cameras."""
+    K = np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]])
+    right = np.eye(4)
+    right[0, 3] = 0.2
+    cameras = {
+        "images/001.png": Camera(K, np.eye(4), 48, 32),
+        "images/002.png": Camera(K, right, 48, 32),
+    }
+    points = next(iter(cameras.values())).unproject(np.full((32, 48), 2.0)).reshape(-1, 3)
+    is_red = (np.arange(32 * 48) % 48) < 24
+    color = np.where(is_red[:, None], (0.8, 0.05, 0.05), (0.05, 0.1, 0.8)).astype(np.float32)
+    codes = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
+    n = len(points)
+    features = np.concatenate([codes[np.where(is_red, 0, 1)], np.ones((n, 1))], 1)
+    gaussians = Gaussians.from_arrays(
+        {
+            "means": points.astype(np.float32),
+            "scales": np.full((n, 3), 0.04, np.float32),
+            "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+            "opacities": np.full(n, 0.95, np.float32),
+            "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
+            "source": np.arange(n, dtype=np.int32),
+            "features": features.astype(np.float32),
+        }
+    )
+    image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
+    masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
+    seen = load_encoder("lexicon").encode_regions(image, masks)
+    bank = MemoryBank(
+        np.array([1, 2], np.int32),
+        codes,
+        np.stack([seen, seen], 1).astype(np.float32),
+        np.ones((2, 2), bool),
+    )
+    SemanticField(gaussians, bank, cameras, {"encoder": "lexicon"}).save(folder)
+    return folder
+
+
+def transforms(folder, shift=0.0) -> Path:
+    """A camera file without photographs: one frame, 96x64, ``shift`` to the right."""
+    pose = np.diag([1.0, -1, -1, 1])  # OpenGL's axes
+    pose[0, 3] = shift
+    frame = {"file_path": "new/007.png", "transform_matrix": pose.tolist()}
+    about = {"fl_x": 80, "cx": 48, "cy": 32, "w": 96, "h": 64, "frames": [frame]}
+    (folder / "transforms.json").write_text(json.dumps(about))
+    return folder / "transforms.json"

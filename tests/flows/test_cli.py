@@ -8,60 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from command import run
+from command import run, transforms, two_walls
 from PIL import Image
 
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.gaussians import Gaussians
-from slgaussian.language import load_encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.ply import load_ply, save_ply
-from slgaussian.scene import Camera
 
 ROOT = Path(__file__).parent.parent.parent
 
 
 @pytest.fixture(scope="module")
 def field(tmp_path_factory):
-    """A red and a blue wall side by side, each an object, seen from two cameras."""
-    K = np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]])
-    right = np.eye(4)
-    right[0, 3] = 0.2
-    cameras = {
-        "images/001.png": Camera(K, np.eye(4), 48, 32),
-        "images/002.png": Camera(K, right, 48, 32),
-    }
-    points = next(iter(cameras.values())).unproject(np.full((32, 48), 2.0)).reshape(-1, 3)
-    is_red = (np.arange(32 * 48) % 48) < 24
-    color = np.where(is_red[:, None], (0.8, 0.05, 0.05), (0.05, 0.1, 0.8)).astype(np.float32)
-    codes = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
-    n = len(points)
-    features = np.concatenate([codes[np.where(is_red, 0, 1)], np.ones((n, 1))], 1)
-    gaussians = Gaussians.from_arrays(
-        {
-            "means": points.astype(np.float32),
-            "scales": np.full((n, 3), 0.04, np.float32),
-            "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-            "opacities": np.full(n, 0.95, np.float32),
-            "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
-            "source": np.arange(n, dtype=np.int32),
-            "features": features.astype(np.float32),
-        }
-    )
-    image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
-    masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
-    seen = load_encoder("lexicon").encode_regions(image, masks)
-    bank = MemoryBank(
-        np.array([1, 2], np.int32),
-        codes,
-        np.stack([seen, seen], 1).astype(np.float32),
-        np.ones((2, 2), bool),
-    )
-    folder = tmp_path_factory.mktemp("cli") / "field"
-    SemanticField(gaussians, bank, cameras, {"encoder": "lexicon"}).save(folder)
-    return folder
+    return two_walls(tmp_path_factory.mktemp("cli") / "field")
 
 
 def test_help_answers_without_the_heavy_libraries():
@@ -131,8 +92,10 @@ def test_what_is_in_a_field_is_listed(field, tmp_path, monkeypatch, capsys):
 
 def test_a_query_follows_its_rules(field, monkeypatch, capsys):
     def objects(*words):
-        assert run(monkeypatch, "query", field, "red", "--json", *words) == 0
-        return [o["id"] for o in json.loads(capsys.readouterr().out)["objects"]]
+        status = run(monkeypatch, "query", field, "red", "--json", *words)
+        found = [o["id"] for o in json.loads(capsys.readouterr().out)["objects"]]
+        assert status == (0 if found else 1)
+        return found
 
     assert objects() == [1]
     assert objects("--threshold", "0.01") == [1, 2]
@@ -212,16 +175,6 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
 
 
-def transforms(folder, shift=0.0) -> Path:
-    """A camera file without photographs: one frame, 96x64, ``shift`` to the right."""
-    pose = np.diag([1.0, -1, -1, 1])  # OpenGL's axes
-    pose[0, 3] = shift
-    frame = {"file_path": "new/007.png", "transform_matrix": pose.tolist()}
-    about = {"fl_x": 80, "cx": 48, "cy": 32, "w": 96, "h": 64, "frames": [frame]}
-    (folder / "transforms.json").write_text(json.dumps(about))
-    return folder / "transforms.json"
-
-
 def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypatch, capsys):
     loaded = SemanticField.load(field).gaussians
     sh = torch.zeros(len(loaded), 4, 3)
@@ -261,7 +214,7 @@ def test_a_ply_that_cannot_be_rendered_is_one_sentence(field, tmp_path, monkeypa
     (tmp_path / "points.ply").write_text(f"ply\nformat ascii 1.0\n{points}end_header\n1 2 3\n")
     cameras = ["--cameras", transforms(tmp_path)]
     for words, sentence in [
-        (["scene.ply"], "a .ply has no cameras; add --cameras transforms.json"),
+        (["scene.ply"], "a .ply has no cameras; add --camera transforms.json"),
         (["scene.ply", *cameras, "--view", "008"], "no view '008'"),
         (["scene.ply", "--cameras", tmp_path / "none.json"], "none.json: cannot be read"),
         (["none.ply", *cameras], "none.ply: cannot be read"),

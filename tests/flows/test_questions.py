@@ -1,0 +1,258 @@
+"""Questions from any viewpoint, as users ask them."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from command import run, said, transforms, two_walls
+from PIL import Image
+
+import slgaussian as slg
+from slgaussian.masks.precomputed import read_ids
+
+FIRST, SECOND = "images/001.png", "images/002.png"
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory):
+    return two_walls(tmp_path_factory.mktemp("questions") / "field")
+
+
+@pytest.fixture
+def ask(monkeypatch, capsys):
+    """The exit status of a command, and each line that it prints, read as JSON."""
+
+    def call(*words):
+        capsys.readouterr()
+        status = run(monkeypatch, *words, "--json")
+        return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    return call
+
+
+def test_a_text_that_is_refused_does_not_take_the_others_along(field, ask, monkeypatch, capsys):
+    status, answers = ask("query", field, "red", "zeppelin", "not blue", "blue")
+    assert status == 1
+    assert [(a["text"], a["found"]) for a in answers] == [
+        ("red", True), ("zeppelin", False), ("not blue", False), ("blue", True),
+    ]  # fmt: skip
+    assert len({tuple(answer) for answer in answers}) == 1  # one set of keys
+    assert [a["refused"] is None for a in answers] == [True, False, False, True]
+    assert "zeppelin" in answers[1]["refused"] and "'not'" in answers[2]["refused"]
+    assert run(monkeypatch, "query", field, "red", "zeppelin") == 1
+    assert "'zeppelin' is refused: " in capsys.readouterr().out
+    assert run(monkeypatch, "query", field, "zeppelin", "not blue") == 2
+    error = said(capsys)
+    assert "zeppelin" in error and "not blue" in error
+
+
+def test_a_refused_text_is_named_by_list_and_segment(field, ask, monkeypatch, capsys):
+    status, rows = ask("query", field, "--list", "red", "zeppelin", "blue")
+    assert status == 1
+    assert [row["text"] for row in rows if "id" in row] == ["red", "blue"]
+    assert "zeppelin" in rows[-1]["refused"]
+    status, rows = ask("segment", field, "zeppelin", "red", "blue")
+    assert status == 1
+    assert [(row["text"], row.get("label")) for row in rows] == [
+        ("red", 2), ("blue", 3), (None, 0), ("zeppelin", None),
+    ]  # fmt: skip
+    for command in (["query", "--list"], ["segment"]):
+        assert run(monkeypatch, command[0], field, *command[1:], "red", "zeppelin") == 1
+        assert "'zeppelin' is refused: " in capsys.readouterr().out
+
+
+def test_where_nothing_is_found_there_is_no_point(field, tmp_path, ask, monkeypatch, capsys):
+    status, (answer,) = ask("query", field, "yellow")
+    assert status == 1
+    assert (answer["found"], answer["point"], answer["objects"]) == (False, None, [])
+    assert 0 < answer["score"] < 0.5
+    assert run(monkeypatch, "query", field, "yellow", "-o", tmp_path / "a.png") == 1
+    assert "nothing found: the best object scores 0." in capsys.readouterr().out
+    # Neither is one drawn: the last panel is the rendering.
+    picture = np.asarray(Image.open(tmp_path / "a.png"))[12:44]
+    np.testing.assert_array_equal(picture[:, 12:60], picture[:, 132:180])
+    assert run(monkeypatch, "query", field, "red", "-o", tmp_path / "b.png") == 0
+    picture = np.asarray(Image.open(tmp_path / "b.png"))[12:44]
+    assert (picture[:, 12:60] != picture[:, 132:180]).any()
+    # The best guess stays where it is asked for.
+    view = slg.SemanticField.load(field)
+    assert view.render(view.cameras[FIRST]).query("yellow").point is not None
+    assert ask("query", field, "yellow", "red")[0] == 0
+
+
+def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
+    _, (answer,) = ask("query", field, "red plant wall on the quixotic sofa")
+    assert answer["read_as"] == "red wall"
+    assert answer["unknown"] == []
+    assert list(answer["unused"]) == ["plant", "on", "quixotic", "sofa"]
+    assert run(monkeypatch, "query", field, "red plant wall quixotic") == 0
+    printed = capsys.readouterr().out
+    assert "not known and left out: quixotic" in printed
+    assert "set aside: plant (another thing, while 'wall' is looked for)" in printed
+    assert "so this looked for: red wall" in printed
+    assert run(monkeypatch, "query", field, "red wall") == 0
+    assert "looked for" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.png", "PNG"), ("a.jpg", "JPEG"), ("b.JPEG", "JPEG")]
+)
+def test_a_picture_is_what_its_name_says(field, tmp_path, monkeypatch, name, kind):
+    for words in (["query", field, "red"], ["render", field], ["segment", field, "red"]):
+        assert run(monkeypatch, *words, "-o", tmp_path / name) == 0
+        assert Image.open(tmp_path / name).format == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "sentence"),
+    [
+        ("a.bmp", [], "expected the name of a picture to end in .png or .jpg or .jpeg"),
+        ("a", [], "found 'no suffix'"),
+        ("a.gif", [], "as in --orbit 60"),
+        ("a.png", ["--orbit", "4"], "end in .mp4 or .gif; leave out --orbit for one picture"),
+        ("a.mp4", ["--orbit", "1"], "--orbit: found 1, expected a number of frames from 2 to"),
+        ("none/a.png", [], "cannot be written"),
+        ("a.png", ["--between", "0", "1", "1.5"], "from 0 to 1"),
+        ("a.png", ["--between", "0", "7", "0.5"], "no view '7'"),
+        ("a.png", ["--between", "0", "1", "0.5", "--view", "1"], "--view and --between"),
+        ("a.mp4", ["--orbit", "4", "--view", "1"], "--view and --orbit"),
+        ("a.png", ["--camera", "none.json"], "none.json: cannot be read"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_before_the_work(
+    field, tmp_path, monkeypatch, capsys, name, words, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    for command in (["query", field, "red"], ["render", field], ["segment", field, "red"]):
+        assert run(monkeypatch, *command, *words, "-o", name) == 2
+        assert sentence in said(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_query_from_between_two_views(field, ask):
+    names = ["--between", "001", "1"]
+    status, (middle,) = ask("query", field, "red", *names, "0.5")
+    assert status == 0
+    assert middle["view"] == f"between {FIRST} and {SECOND} at 0.5"
+    _, (first,) = ask("query", field, "red")
+    _, (second,) = ask("query", field, "red", "--view", "1")
+    # The second camera stands 0.2 to the right of a wall 2 away: the edge moves by 4 pixels.
+    assert second["pixels"] < middle["pixels"] < first["pixels"]
+    assert middle["pixels"] == pytest.approx((first["pixels"] + second["pixels"]) / 2, abs=32)
+    for share, end in (("0", first), ("1", second)):
+        _, (there,) = ask("query", field, "red", *names, share)
+        assert {**there, "view": end["view"]} == end
+
+
+def test_a_camera_file_may_hold_one_camera_or_many(field, tmp_path, ask, monkeypatch, capsys):
+    file = transforms(tmp_path, 0.1)
+    _, (listed,) = ask("query", field, "red", "--camera", file)
+    assert listed["view"] == "new/007.png"
+    frames = json.loads(file.read_text())
+    one = {**frames, **frames.pop("frames")[0]}
+    del one["frames"], one["file_path"]
+    (tmp_path / "camera.json").write_text(json.dumps(one))
+    _, (alone,) = ask("query", field, "red", "--camera", tmp_path / "camera.json")
+    assert alone == {**listed, "view": "camera.json"}
+    # It is OpenGL's: a camera that looks the other way sees nothing of the walls.
+    one["transform_matrix"] = np.eye(4).tolist()
+    (tmp_path / "camera.json").write_text(json.dumps(one))
+    status, (away,) = ask("query", field, "red", "--camera", tmp_path / "camera.json")
+    assert (status, away["found"], away["score"]) == (1, False, 0)
+    del one["w"]
+    (tmp_path / "camera.json").write_text(json.dumps(one))
+    assert run(monkeypatch, "query", field, "red", "--camera", tmp_path / "camera.json") == 2
+    assert "frame 'camera.json': has neither w and h" in said(capsys)
+
+
+@pytest.mark.parametrize("name", ["turn.mp4", "turn.gif"])
+@pytest.mark.parametrize("words", [["query", "red"], ["render"], ["segment", "red", "blue"]])
+def test_a_turn_is_a_film_whose_frames_decode(field, tmp_path, monkeypatch, capsys, name, words):
+    command, *texts = words
+    film = tmp_path / name
+    assert run(monkeypatch, command, field, *texts, "--orbit", "5", "-o", film) == 0
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    if name.endswith("gif"):
+        frames = []
+        with Image.open(film) as gif:
+            for number in range(gif.n_frames):
+                gif.seek(number)
+                frames.append(np.asarray(gif.convert("RGB")))
+    else:
+        reader, frames = cv2.VideoCapture(str(film)), []
+        while (read := reader.read())[0]:
+            frames.append(read[1][..., ::-1])
+    assert len(frames) == 5
+    own = slg.SemanticField.load(field)
+    points = own.gaussians.means.numpy()
+    turn = slg.trajectories.orbit(list(own.cameras.values()), points, 5)
+    for frame, camera in zip(frames, turn, strict=True):
+        seen = own.render(camera).rgb.astype(int)
+        assert np.abs(frame[12:44, 12:60].astype(int) - seen).mean() < 12
+    if command == "query":
+        assert "'red' found in 5 of 5 frames" in capsys.readouterr().out
+
+
+def test_a_film_that_fails_leaves_nothing(field, tmp_path, monkeypatch):
+    def refuse(self, camera):
+        raise slg.InputError("no more")
+
+    for name in ("turn.mp4", "turn.gif"):
+        calls = iter(range(3))
+        render = slg.SemanticField.render
+
+        def third(self, camera, render=render, calls=calls):
+            return render(self, camera) if next(calls) < 2 else refuse(self, camera)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(slg.SemanticField, "render", third)
+            assert run(patched, "render", field, "--orbit", "4", "-o", tmp_path / name) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_segmentation_is_a_picture_an_id_map_and_a_table(
+    field, tmp_path, ask, monkeypatch, capsys
+):
+    out = tmp_path / "labels.png"
+    status, rows = ask("segment", field, "blue", "green", "red", "-o", out)
+    assert status == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["labels.ids.png", "labels.png"]
+    ids = read_ids(tmp_path / "labels.ids.png")
+    own = slg.SemanticField.load(field)
+    view = own.render(own.cameras[FIRST])
+    np.testing.assert_array_equal(ids, view.segment(["blue", "green", "red"]))
+    assert ids[16, 4] == 3 and ids[16, 44] == 1
+    for row in rows:
+        assert row["share"] == pytest.approx((ids == row["label"]).mean())
+    assert [row["objects"] for row in rows] == [[2], [], [1], []]
+    assert rows[1]["relevancy"] is None
+    assert rows[0]["relevancy"] == pytest.approx(view.query("blue").scores[1], abs=1e-6)
+    assert run(monkeypatch, "segment", field, "blue", "green", "red", "-o", out) == 0
+    printed = capsys.readouterr().out
+    assert "    1  blue" in printed and str(tmp_path / "labels.ids.png") in printed
+    assert Image.open(out).height > 12 + 32 + 34  # a legend below
+
+
+def test_what_fits_no_text_stays_without_one(field, tmp_path, ask):
+    _, rows = ask("segment", field, "yellow", "red")
+    assert [row["label"] for row in rows] == [1, 2, 0]
+    assert rows[0]["share"] == 0
+    assert rows[2]["share"] == pytest.approx(0.5, abs=0.03) and rows[2]["objects"] == [2]
+    _, rows = ask("segment", field, "yellow", "red", "--threshold", "0.01")
+    assert rows[2]["objects"] == []
+    _, rows = ask("segment", field, "yellow", "red", "--threshold", "0.99")
+    assert rows[2]["share"] == 1
+
+
+def test_shares_are_of_all_views_and_an_id_map_of_one(field, tmp_path, ask, monkeypatch, capsys):
+    both = ["--view", "0", "--view", "1"]
+    one, two, all_of_them = (
+        {row["label"]: row["share"] for row in ask("segment", field, "red", "blue", *words)[1]}
+        for words in ([], ["--view", "1"], both)
+    )
+    for label, share in all_of_them.items():
+        assert share == pytest.approx((one[label] + two[label]) / 2)
+    assert run(monkeypatch, "segment", field, "red", *both, "-o", tmp_path / "a.png") == 2
+    assert "the labels of one view" in said(capsys)
+    assert list(tmp_path.iterdir()) == []
