@@ -97,6 +97,18 @@ def test_the_last_row_and_column_have_no_vote():
     assert not langsplat._most_around(edge).any()
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.integers(2, 12))
+def test_the_majority_is_that_of_counting(seed, height, width):
+    """Noise of which half is set, in which each row and column of a window decides somewhere."""
+    above = np.random.default_rng(seed).random((height, width)) < 0.5
+    voting = above[:-1, :-1]
+    got = langsplat._most_around(above)
+    for row, column in np.ndindex(*above.shape):
+        window = voting[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
+        assert got[row, column] == (2 * window.sum() > window.size)
+
+
 def test_an_image_of_one_value_has_no_mask():
     assert not langsplat.find_mask(np.full((50, 60), 0.7)).any()
     assert not langsplat.find_mask(np.zeros((50, 60))).any()

@@ -245,6 +245,29 @@ def test_langsplat_uses_the_same_scores_and_its_own_pictures(scene, lexicon):
     assert not nothing.mask.any() and not nothing.peak.any()
 
 
+def test_by_langsplat_an_object_is_found_if_most_of_it_is_in_the_mask(scene, lexicon):
+    """A red ball of one thick piece and of lines that the filter wipes out."""
+    _, bank = scene
+    for lines, found in ((200, False), (40, True)):
+        ids = np.full((200, 280), 3, np.int32)
+        ids[::6, :lines] = 1
+        ids[60:120, 210:270] = 1
+        hit = find("red ball", ids, bank, lexicon, protocol="langsplat")
+        assert 0.2 < hit.mask[ids == 1].mean() < 0.8
+        assert bool(hit.objects) == found == (hit.mask[ids == 1].mean() > 0.5)
+
+
+def test_one_reader_keeps_what_absent_views_say_apart(lexicon):
+    image, ids = photograph([(ball(60, 120, 20), GREEN), (ball(160, 120, 20), RED)])
+    alone = np.where(ids == 2, 0, ids)
+    bank = bank_of([image, image], [ids, alone], lexicon)
+    reader, seen = BankReader(bank, lexicon), ObjectMap(ids, bank.ids)
+    skip, zero = (
+        ask(["green"], seen, reader, Rules(absent=absent))[0].scores for absent in ("skip", "zero")
+    )
+    assert skip[1] < 0.5 == zero[1] and skip[0] == zero[0] > 0.5
+
+
 def test_the_peak_is_every_object_that_ties_for_the_best(lexicon):
     image, ids = photograph([(ball(60 + 100 * k, 120, 20), GREEN) for k in range(2)])
     bank = bank_of([image], [ids], lexicon)
@@ -340,3 +363,40 @@ def test_of_objects_about_as_good_the_larger_is_pointed_at(scene, lexicon):
     wide = np.where(ids == 0, 3, ids).astype(np.int32)
     point = find("red ball", wide, bank, lexicon).point
     assert wide[point[1], point[0]] in (1, 4)
+
+
+@pytest.fixture
+def told_by_gaps(lexicon):
+    """A function: what "red" finds, and where, among objects whose gaps are given.
+
+    They are 1, 2, ...; each is larger than the one before, and of those ``hidden`` nothing is seen.
+    """
+    red, *rivals = lexicon.encode_text(["red", *lexicon.canonical]).astype(np.float64)
+    # Axes along which only the text, and nothing at all, says something.
+    basis, _ = np.linalg.qr(np.stack([*rivals, red, np.arange(len(red))], 1))
+    along, across = basis[:, -2] * np.sign(basis[:, -2] @ red), basis[:, -1]
+
+    def told(*gaps: float, hidden: tuple[int, ...] = ()):
+        share = np.array(gaps)[:, None] / (along @ red)
+        features = (share * along + np.sqrt(1 - share**2) * across).astype(np.float32)[:, None]
+        numbers = np.arange(1, len(gaps) + 1, dtype=np.int32)
+        codes = grid_codes(len(gaps), np.random.default_rng(0))
+        bank = MemoryBank(numbers, codes, features, np.ones((len(gaps), 1), bool))
+        ids = np.repeat(numbers, 3 + numbers)[None].repeat(10, 0)
+        ids[np.isin(ids, hidden)] = 0
+        hit = find("red", ids, bank, lexicon)
+        return [number for number, _ in hit.objects], int(ids[hit.point[1], hit.point[0]])
+
+    return told
+
+
+def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_gaps):
+    """A gap of 0.7 of the best one is taken, 0.9 is as good to point at: values by hand."""
+    gaps = 0.5, 0.46, 0.40, 0.34, 0.0, -0.2
+    assert told_by_gaps(*gaps) == ([1, 2, 3], 2)
+    # The best is the best of what is seen: 0.34 is 0.85 of 0.40.
+    assert told_by_gaps(*gaps, hidden=(1, 2)) == ([3, 4], 3)
+    assert told_by_gaps(*gaps, hidden=(1, 2, 3)) == ([4], 4)
+    # Fitting just as well as "object" does is no answer.
+    assert told_by_gaps(*gaps, hidden=(1, 2, 3, 4))[0] == []
+    assert told_by_gaps(-0.2, -0.1)[0] == []

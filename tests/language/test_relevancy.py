@@ -128,6 +128,8 @@ def test_vectors_are_made_unit_within_half_precision_and_refused_beyond(case):
     )
     for args, name in (
         ((features * 1.01, present, queries, canonical), "features"),
+        ((features * 1.0012, present, queries, canonical), "features"),
+        ((features * 0.9988, present, queries, canonical), "features"),
         ((features, present, queries * 2, canonical), "queries"),
         ((features, present, queries, canonical / 2), "canonical"),
     ):

@@ -55,6 +55,7 @@ def test_all_that_decides_a_result_is_in_the_key():
     keys = [
         key(inputs={"labels": A}),
         key(inputs={"labels": B}),
+        key(inputs={"labels": ArtifactRef("sample", "sample/aa/aa.npz", "aa")}),
         key(inputs={"other": A}),
         key({"labels": "aa"}),
         key(version=2),
