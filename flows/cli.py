@@ -1,5 +1,6 @@
 """The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,11 +8,12 @@ import typer
 from typer.exceptions import TyperException
 
 from flows.corpus_settings import CorpusSettings, IndexSettings, PackSettings
+from flows.display import Waiting
 from flows.helping import App, told
 from flows.housekeeping import store_app
 from flows.options import with_options
 from flows.training_settings import RetrainSettings, TrainSettings
-from slgaussian import __version__
+from slgaussian import __version__, compiling
 from slgaussian.errors import InputError, SLGaussianError
 
 METHOD = (
@@ -672,7 +674,8 @@ def doctor(settings: dict) -> None:
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
     try:
-        status = app(prog_name="slgaussian", standalone_mode=False)
+        with compiling.told_to(Waiting(sys.stderr)):
+            status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
         typer.echo(f"error: {told(error)}", err=True)
         raise SystemExit(error.exit_code) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterable, Sequence
 from typing import TextIO
 
@@ -13,6 +14,9 @@ from slgaussian.errors import one_line
 
 GAP, LEAST = 2, 7
 """Columns between two cells, and of a cell at least: its value grows, and those beside it stay."""
+
+PATIENCE = 15.0
+"""Seconds between lines that say what is waited for, where there is no terminal."""
 
 FAINT, PLAIN = "\x1b[2m", "\x1b[0m"
 
@@ -66,6 +70,24 @@ class Display:
         except (OSError, ValueError):
             return shutil.get_terminal_size()
         return found if min(found) > 0 else shutil.get_terminal_size()
+
+
+class Waiting:
+    """What a command waits for: a line that goes away on a terminal, elsewhere one now and then."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.display, self.said = Display(stream), -PATIENCE
+
+    def __call__(self, text: str) -> None:
+        """What is waited for now; an empty text when that is over."""
+        now = time.monotonic()
+        if not text:
+            self.display.clear()
+        elif self.display.live:
+            self.display.table([], text)
+        elif now - self.said >= PATIENCE:
+            self.said = now
+            self.display.line(text)
 
 
 def wrapped(cells: Sequence[tuple[str, str]], width: int) -> list[tuple[str, str]]:

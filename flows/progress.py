@@ -91,7 +91,7 @@ class Progress:
         """A stage that is being worked on is so far."""
         log(logging.DEBUG, "said", f"{scene}  {stage}  {text}", scene=scene, stage=stage)
         with self.lock:
-            self.detail = f", {text}"
+            self.detail = f", {text}" if text else ""
         self._status()
 
     def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:

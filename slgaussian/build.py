@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from slgaussian import compiling
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
@@ -65,6 +66,7 @@ def build_field(
     settings = _with_defaults(encoder, lifting, settings or {})
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
+    compiling.watch()
     gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
     bank = remember(sample, gaussians, label_maps, encoder, codes, seed, settings)

@@ -14,7 +14,7 @@ import pyarrow as pa
 import torch
 
 from data_specs import load_spec
-from slgaussian import field_folder, harmonics
+from slgaussian import compiling, field_folder, harmonics
 from slgaussian.brief import brief, said
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field_folder import About
@@ -269,6 +269,7 @@ class SemanticField:
             If a file of it is missing or damaged, or the encoder is no longer that of the bank;
             the message names the file.
         """
+        compiling.watch()
         path = Path(path)
         about, where = field_folder.read_about(path)
         where |= {key: str(place) for key, place in (encoder or {}).items()}

@@ -19,7 +19,7 @@ from typing import Any
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
 
-from slgaussian import threads
+from slgaussian import compiling, threads
 from slgaussian.records import Records
 from slgaussian.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.keys import cache_key
@@ -83,11 +83,13 @@ def run_stage(store: ArtifactStore, call: StageCall) -> tuple[ArtifactRef, bool]
     if found is not None:
         return found, True
     threads.share(call.workers)
+    compiling.watch()
     stage = import_module(call.module)
 
     def work() -> ArtifactRef:
         start = time.perf_counter()
-        ref = stage.run(store, call)
+        with compiling.told_to(tell):
+            ref = stage.run(store, call)
         seconds = time.perf_counter() - start
         return replace(ref, meta={**ref.meta, "settings": dict(call.settings), "seconds": seconds})
 

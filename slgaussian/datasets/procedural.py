@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slgaussian import compiling
 from slgaussian.datasets import raycast
 from slgaussian.datasets.rooms import FOCUS, MOST_OBJECTS, Room, furnish
 from slgaussian.datasets.shading import photograph
@@ -64,6 +65,7 @@ def read(
     InputError
         If an argument is out of its range.
     """
+    compiling.watch()
     _check("objects", objects, 1, MOST_OBJECTS)
     _check("views", views, 2, 1000)
     _check("height", height, 16, 8192)

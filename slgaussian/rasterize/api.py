@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from slgaussian import compiling
 from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, first_not_finite
@@ -113,6 +114,7 @@ def rasterize(
         out of its range, NaN or infinite (named with its index), or the backend cannot do what is
         asked.
     """
+    compiling.watch()
     settings = find_settings(settings)
     if values is None:
         values = colors(gaussians, camera)
