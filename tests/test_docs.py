@@ -122,8 +122,15 @@ def problem(line: str) -> str | None:
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=name)
 def test_commands_and_their_options_exist(page):
-    lines = [line for line in commands(page) if not line.startswith("slgaussian --")]
+    lines = [line for line in commands(page) if not re.match("slgaussian (--|COMMAND)", line)]
     assert {line: found for line in lines if (found := problem(line))} == {}
+
+
+def test_the_page_of_commands_has_each_of_them_once():
+    listed = re.findall(
+        r"^\| `slgaussian (\w+)` \|", read(ROOT / "docs/reference/commands.md"), re.M
+    )
+    assert sorted(listed) == sorted(COMMANDS.commands)
 
 
 def test_a_wrong_command_line_is_noticed():
