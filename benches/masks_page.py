@@ -110,14 +110,17 @@ def page(rows: dict[str, list[dict]], pairs: int, command: str, machine: str) ->
 
 Made by `{command}` on {machine}.
 
-{pairs} pairs of made-up rooms (`slgaussian.datasets.procedural`) have exact ids and get the depth
+{pairs} pairs of made-up rooms (`slgaussian.datasets.procedural`) have exact ids. They get the depth
 that the plane sweep predicts, as in a run, at 416 x 576. An object counts if both views see it in
-100 common pixels or more. *matched* is the share of objects whose main id is one and the same in
-both views, *things* that without walls and ceiling, and *alone* asks as well that no other object
-has that id for its main one. *IoU* is that of an object in the second view with the id that it has
-in the first; *pieces* counts the ids that hold 5 % of it or more in a view; *pixels* is the share
-of an object's common pixels whose ids agree. Seconds are those of the processor, for a pair: with
-proposals (*whole*) and without (*track*).
+100 common pixels or more. The columns are:
+
+- *matched*: the share of objects that have the same main id in both views;
+- *things*: the same without walls and ceiling;
+- *alone*: the same, if also no other object has that main id;
+- *IoU*: of an object in the second view with the id that it has in the first;
+- *pieces*: how many ids hold 5 % of an object or more in a view;
+- *pixels*: the share of an object's common pixels whose ids agree;
+- *whole*, *track*: processor seconds for a pair, with proposals and without.
 
 ![{PAIRS}](masks.jpg)
 
@@ -138,23 +141,23 @@ def copies_help(rows: list[dict]) -> str:
     same = [t for t in ("geometric", "flow") if _same(of[t, 1], of[t, 5])]
     told = " and ".join(f"`{tracker}`" for tracker in same)
     kept = (
-        f"With {told} five copies give what one gives, to the last digit: they return remembered "
-        "labels for a remembered image, so nothing wavers that a vote could settle, the further "
-        "copies are not even computed, and five cost what one costs. "
+        f"With {told} five copies give the same as one, to the last digit. They return remembered "
+        "labels for a remembered image, so a vote has nothing to decide. The further copies are "
+        "not computed, and five cost as much as one. "
         if same
         else ""
     )
     one, three, five, seven = (of["noisy", copies] for copies in (1, 3, 5, 7))
     return (
-        f"{kept}With a tracker that wavers, pixels go from {one['pixels']:.3f} with one copy to "
+        f"{kept}With a tracker that is noisy, pixels go from {one['pixels']:.3f} with one copy to "
         f"{three['pixels']:.3f} with three, {five['pixels']:.3f} with five and "
-        f"{seven['pixels']:.3f} with seven, and matched from {one['matched']:.3f} to "
-        f"{five['matched']:.3f} with five: the more copies, the better the vote, for a single "
-        "look loses a fifth of the image. But the first copy of a view is its detection, carried "
-        "labels joined with fresh proposals, and it alone is better than the vote. Copies are "
-        "worth their time with a tracker that sees a remembered image better than the detection "
-        "did, which none of these does. Five, the paper's number, stays the default: it costs "
-        "nothing where it changes nothing."
+        f"{seven['pixels']:.3f} with seven, and matched goes from {one['matched']:.3f} to "
+        f"{five['matched']:.3f} with five. A single look loses a fifth of the image, so more "
+        "copies give a better vote. But the first copy of a view is its detection: carried labels "
+        "joined with fresh proposals. The detection alone is better than the vote. Copies help "
+        "only with a tracker that segments a remembered image better than the detection, and none "
+        "of these does. Five, the number of the paper, stays the default, because it costs nothing "
+        "where it changes nothing."
     )
 
 

@@ -135,19 +135,19 @@ def page(rows: dict[str, list[dict]], scene: str, command: str, machine: str) ->
 
 Made by `{command}` on {machine}.
 
-What is timed is `slgaussian.rasterize` on a CPU, against the loop that anybody would write first
-(`benches/yardstick.py`: project, sort all, splat one after the other; compiled by Numba and on two
-threads as well). Every time is a median over rounds in which everybody draws once, so compare times
-within a table. Errors are absolute differences of values in [0, 1], so that 1/255 = 3.9e-3 is a
-grey level. The truth is the float64 reference, which leaves nothing out; in whole images of large
-scenes, where it would take hours, the cpu backend with `alpha_min` 2^-20 stands in for it.
+`slgaussian.rasterize` on a CPU is timed against a plain loop (`benches/yardstick.py`): it projects,
+sorts all Gaussians and splats one after the other, is compiled by Numba, and runs on two threads as
+well. Every time is a median over rounds in which each draws once, so compare times only within a
+table. Errors are absolute differences of values in [0, 1], so 1/255 = 3.9e-3 is a grey level. They
+are against the float64 reference, which cuts nothing. In whole images of large scenes the reference
+would take hours; there the cpu backend with `alpha_min` 2^-20 replaces it.
 
 ![{PICTURE}](rasterizer.svg)
 
 **What limits the speed.** {limits(rows["stages"][0])}
 
 The Gaussians are those that the plane sweep predicts from two photographs, about one a pixel, drawn
-from a third camera. All tables but the first two are of the scene {scene}.
+from a third camera. All tables except the first two show the scene {scene}.
 
 {tables}"""
 
@@ -157,9 +157,8 @@ def limits(stages: dict) -> str:
     whole = sum(stages[key] for key in ("project", "bin", "draw"))
     share = {key: f"{100 * stages[key] / whole:.0f} %" for key in ("project", "bin", "draw")}
     return (
-        f"Sorting and blending takes {share['draw']} of a picture, because {stages['listed']:.0f} "
-        "Gaussians on average matter to a block of 16 pixels, and coarser cut-offs drop few of "
-        f"them: only fewer Gaussians change that. Projecting all of them takes {share['project']} "
-        f"and listing them by tile {share['bin']}, which hardly depends on the image's size or its "
-        "channels."
+        f"Sorting and blending takes {share['draw']} of the time, because {stages['listed']:.0f} "
+        "Gaussians on average matter to a block of 16 pixels. Coarser cut-offs drop few of them, "
+        f"so only fewer Gaussians help. Projection takes {share['project']} and listing by tile "
+        f"takes {share['bin']}. Both hardly depend on the size of the image or on its channels."
     )
