@@ -3,11 +3,14 @@
 import re
 import shlex
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
+import slgaussian
 from flows.cli import app
 
 ROOT = Path(__file__).parents[1]
@@ -131,6 +134,18 @@ def test_the_page_of_commands_has_each_of_them_once():
         r"^\| `slgaussian (\w+)` \|", read(ROOT / "docs/reference/commands.md"), re.M
     )
     assert sorted(listed) == sorted(COMMANDS.commands)
+
+
+def test_the_readme_is_short():
+    assert len(read(ROOT / "README.md").split()) <= 1000
+
+
+def test_one_version_is_cited_and_described():
+    version = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]["version"]
+    cited = yaml.safe_load(read(ROOT / "CITATION.cff"))
+    assert cited["version"] == version == slgaussian.__version__
+    assert f"\n## {version} - " in read(ROOT / "CHANGELOG.md")
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
 
 
 def test_a_wrong_command_line_is_noticed():
