@@ -116,13 +116,16 @@ def page(
 
 Made by `{command}` on {machine}.
 
-A Gaussian carries the code of its object, a picture mixes them, and a pixel shows the object whose
-code is nearest. Three ways to choose codes are compared: `grid`, the paper's, random points of an
-even grid; `separated`, where a search gives neighbours codes whose mixtures stay away from every
-other code; and `exact`, no codes at all: the rasteriser itself adds up the light of each object and
-keeps the greatest. {rooms} made-up rooms for each number of objects, two novel views each; above 20
-objects, those there are were cut into pieces. The context views got their true labels, so that what
-is measured is codes and decoding, and the geometry, which is `exact`'s error.
+A Gaussian carries the code of its object. A rendered pixel is a mixture of codes, and it shows the
+object whose code is nearest. Three ways to choose codes are compared:
+
+- `grid`, the way of the paper: random points of an even grid;
+- `separated`: a search gives neighbours codes whose mixtures stay away from every other code;
+- `exact`: no codes. The rasteriser adds up the light of each object and keeps the greatest.
+
+There are {rooms} made-up rooms for each number of objects, with two novel views each. Above 20
+objects, objects are cut into pieces. The context views have their true labels. So the error comes
+from codes and decoding, and from geometry, which is all of the error of `exact`.
 
 ![{PICTURE}]({picture})
 
@@ -139,16 +142,16 @@ def verdict(tables: dict[str, list[dict]]) -> str:
     grid, ours, exact = (errors[most, name] for name in ("grid, 3", "separated, 3", "exact"))
     three = times["separated, 3"]["both"]
     return (
-        f"**What to take.** With {most:.0f} objects `grid` adds {percent(grid['added'])} % of "
-        f"wrong pixels to the {percent(exact['wrong'])} % of the geometry, and `separated` "
-        f"{percent(ours['added'])} %; with each pixel for itself, as in the paper, "
+        f"**What to take.** With {most:.0f} objects the geometry makes {percent(exact['wrong'])} % "
+        f"of the pixels wrong. `grid` adds {percent(grid['added'])} %, and `separated` adds "
+        f"{percent(ours['added'])} %. If each pixel is decoded alone, as in the paper, they add "
         f"{percent(grid['plain'] - exact['wrong'])} and {percent(ours['plain'] - exact['wrong'])} "
         "%. So `separated` with three numbers is the default. `exact` has no error of its own and "
-        f"takes {100 * times['exact']['both'] / three:.0f} % of the time; but it is drawn by the "
-        "cpu backend alone, and a Gaussian carries one object, nothing softer. Two numbers a code "
-        f"take {100 * times['separated, 2']['both'] / three:.0f} % of the time of three, one "
-        f"{100 * times['separated, 1']['both'] / three:.0f} %: the rasteriser sums four channels "
-        "at a time, and with colours and depth all of these are eight or a little less."
+        f"takes {100 * times['exact']['both'] / three:.0f} % of the time, but only the cpu backend "
+        "draws it, and a Gaussian carries exactly one object. Two numbers a code take "
+        f"{100 * times['separated, 2']['both'] / three:.0f} % of the time of three, and one takes "
+        f"{100 * times['separated, 1']['both'] / three:.0f} %, because the rasteriser sums four "
+        "channels at a time, and with colours and depth each of these needs eight or fewer."
     )
 
 
