@@ -24,14 +24,17 @@ from packaging.requirements import Requirement
 from flows.settings import Settings
 from slgaussian import __version__, threads
 from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_line
+from slgaussian.extras import PACKAGE, install_line, requirements
 from slgaussian.registry import names_of
 from slgaussian.remote import masked
 
-PACKAGE = "slgaussian"
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are told even if all is well."""
 MODULES = {"opencv-contrib-python-headless": "cv2", "scikit-image": "skimage", "pillow": "PIL"}
 """What packages are imported as, where that is not their name."""
+
+DEVELOPMENT = ("test", "docs")
+"""Extras for those who work on slgaussian itself."""
 
 ROOM = 2**30
 """Bytes that the disk of the store should have left: a scene of default size takes some 30 MB."""
@@ -100,7 +103,7 @@ def _tried(name: str, check: Callable[[], Findings]) -> Findings:
 def _packages() -> Findings:
     """Those that are always needed, with the bounds of pyproject.toml."""
     try:
-        needed = [needs for needs in _requirements() if needs.marker is None]
+        needed = requirements()
     except PackageNotFoundError:
         said = "slgaussian itself is not installed; run `pip install -c constraints.txt .`"
         yield Finding("packages", said, False)
@@ -120,17 +123,13 @@ def _packages() -> Findings:
 def _extras() -> Findings:
     """Those that are for more than the main job; none of them must be there."""
     for extra in metadata(PACKAGE).get_all("Provides-Extra") or []:
-        own = [n for n in _requirements() if n.marker and n.marker.evaluate({"extra": extra})]
-        if extra == "test":
+        if extra in DEVELOPMENT:
             continue
+        own = requirements(extra)
         there = [f"{needs.name} {version(needs.name)}" for needs in own if _wrong(needs) is None]
         wrong = [said for needs in own if (said := _wrong(needs)) is not None]
-        advice = f"; `pip install 'slgaussian[{extra}]'`" if wrong else ""
+        advice = f"; {install_line(extra)}" if wrong else ""
         yield Finding(f"[{extra}]", ", ".join([*there, *wrong]) + advice, None)
-
-
-def _requirements() -> list[Requirement]:
-    return [Requirement(line) for line in metadata(PACKAGE).get_all("Requires-Dist") or []]
 
 
 def _wrong(needs: Requirement) -> str | None:

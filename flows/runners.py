@@ -26,6 +26,7 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTa
 from flows.cluster import last_line, local_cluster
 from flows.server import LOOPBACK
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.store import ArtifactStore
 from tasks.shard import NO_EVENTS, send_no_events
 
@@ -229,8 +230,7 @@ def _imported(module: str, extra: str) -> ModuleType:
         return import_module(module)
     except ImportError as error:
         raise InputError(
-            f"runner: {extra} is not installed ({error}); install it with "
-            f'`pip install "slgaussian[{extra}]"`'
+            f"runner: {extra} is not installed ({error}); install it with {install_line(extra)}"
         ) from error
 
 

@@ -21,6 +21,7 @@ import torch
 
 from slgaussian import jsontext
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.store import sha256_of
 
 CONFIG, WEIGHTS, INDEX = "config.json", "model.safetensors", "model.safetensors.index.json"
@@ -91,7 +92,7 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
     except ImportError as problem:
         raise InputError(
             f"{part}: needs the package transformers ({problem}); "
-            "install it with: pip install 'slgaussian[models]'"
+            f"install it with {install_line('models')}"
         ) from None
     if model is None:
         raise InputError(
@@ -252,7 +253,7 @@ def _from_hub(
     except ImportError as problem:
         raise InputError(
             f"{kind} {name}: is no folder, and the hub needs the package huggingface_hub "
-            f"({problem}); install it with: pip install 'slgaussian[models]'"
+            f"({problem}); install it with {install_line('models')}"
         ) from None
     with contextlib.suppress(OSError, ValueError, InputError):
         cached = Path(snapshot_download(name, local_files_only=True))

@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -65,7 +66,7 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
     try:
         fs, path = fsspec.core.url_to_fs(text, use_listings_cache=False)
     except ImportError as error:
-        needed = "s3fs, which `pip install 'slgaussian[s3]'` brings" if _is_s3(text) else f"{error}"
+        needed = f"s3fs ({install_line('s3')})" if _is_s3(text) else f"{error}"
         raise InputError(f"{name} {text}: needs {needed}; or choose a folder") from error
     except ValueError as error:
         raise InputError(f"{name} {text}: {error}; or choose a folder") from error

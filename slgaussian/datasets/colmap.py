@@ -25,6 +25,7 @@ from slgaussian.datasets.photographs import (
 )
 from slgaussian.datasets.sparse import SparseCamera, SparseModel, model_files, read_model
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.scene import Camera, Scene, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
@@ -233,7 +234,7 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
     except ImportError:
         raise InputError(
             f"the camera model {camera.model} is distorted, and pycolmap, which knows it, is not "
-            "installed; pip install 'slgaussian[colmap]'"
+            f"installed; install it with {install_line('colmap')}"
         ) from None
     try:
         return pycolmap.Camera(
@@ -242,7 +243,7 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
     except (RuntimeError, ValueError):
         raise InputError(
             f"the camera model {camera.model} is not known to pycolmap {pycolmap.__version__}; "
-            "pip install 'slgaussian[colmap]'"
+            f"install another with {install_line('colmap')}"
         ) from None
 
 

@@ -19,6 +19,7 @@ from collections.abc import Callable
 import torch
 
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.settings import Settings
@@ -128,7 +129,7 @@ def load_gsplat() -> Callable:
     except ImportError as error:
         raise InputError(
             f"rasterize backend 'cuda': cannot import gsplat ({error}); install it with "
-            "`pip install slgaussian[cuda]`, or use backend 'cpu'"
+            f"{install_line('cuda')}, or use backend 'cpu'"
         ) from error
     if kernels is None:
         raise InputError(

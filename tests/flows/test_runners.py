@@ -148,7 +148,7 @@ def test_work_that_cannot_be_sent_is_told(tmp_path):
 @pytest.mark.parametrize("kind", ["dask", "ray"])
 def test_a_package_that_is_not_installed_is_named(kind, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, f"prefect_{kind}", None)
-    with pytest.raises(InputError, match=rf"{kind} is not installed.*slgaussian\[{kind}\]"):
+    with pytest.raises(InputError, match=rf"{kind} is not installed.*`pip install .prefect-{kind}"):
         run_tiny(ArtifactStore(tmp_path), {}, runner=kind)
 
 
