@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from lessons import HELD_OUT, TRAINING, Rooms, real_lessons
 from machine import machine
-from pairs import DATA_HELP
+from pairs import DATA_HELP, photographs
 from tables import Table, ms, thousandths
 
 from slgaussian import threads
@@ -234,7 +234,7 @@ def lift_times(lesson: Lesson, liftings: dict[str, Lifting]) -> dict[str, float]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cache", type=Path, help="folder for rooms and trainings")
-    parser.add_argument("--data", type=Path, required=True, help=DATA_HELP)
+    parser.add_argument("--data", type=photographs, required=True, help=DATA_HELP)
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("-o", "--output", type=Path, required=True)
     given = parser.parse_args()

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from cut_rooms import SIZE, Room, make_rooms
 from machine import machine
-from pairs import DATA_HELP, load_samples
+from pairs import DATA_HELP, labelled, load_samples
 from race import race
 from scipy.stats import rankdata
 
@@ -341,7 +341,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/measured/codes.md"))
     parser.add_argument("--rooms", type=int, default=4)
-    parser.add_argument("--data", type=Path, help=DATA_HELP)
+    parser.add_argument("--data", type=labelled, help=DATA_HELP)
     given = parser.parse_args()
     threads.share()
     command = f"python benches/codes.py --rooms {given.rooms}" + (" --data DATA" * bool(given.data))

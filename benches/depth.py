@@ -19,6 +19,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from pairs import photographs
 
 import slgaussian.threads
 from slgaussian import datasets
@@ -129,12 +130,13 @@ def pairs(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
     slgaussian.threads.share()
     planesweep.PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
     for stage in STAGES:
         setattr(planesweep, stage, timed(stage, getattr(planesweep, stage)))
     motorcycle()
     spent.update(dict.fromkeys(STAGES, 0.0))
-    if len(sys.argv) > 1:
-        pairs(Path(sys.argv[1]))
+    if data:
+        pairs(data)
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")

@@ -15,7 +15,7 @@ import masks_nms
 from machine import machine
 from masks_page import page
 from masks_picture import chart, pairs_picture
-from pairs import DATA_HELP
+from pairs import DATA_HELP, labelled
 
 KEYS = {
     "trackers": ("tracker", "proposals", "way"),
@@ -34,7 +34,7 @@ def rows_of(table: str, cells: association.Cells) -> list[dict]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, nargs="?", help=f"{DATA_HELP}, and labels/")
+    parser.add_argument("data", type=labelled, nargs="?", help=f"{DATA_HELP}, and labels/")
     parser.add_argument("--pairs", type=int, default=50, help="of made-up rooms")
     parser.add_argument("-o", "--out", type=Path, help="folder for masks.md, .svg and .jpg")
     parser.add_argument("--look", type=Path, help="picture of the pairs of DATA with their ids")

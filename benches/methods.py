@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 from machine import machine
+from pairs import data_folder
 from tables import Table, count, hundredths, thousandths
 
 from slgaussian import datasets, threads
@@ -134,7 +135,7 @@ def kilobytes(name: str) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="what the benchmark left")
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=data_folder("office/pairs.json"))
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--only", nargs="*", metavar="METHOD")
     parser.add_argument("--alone", help=argparse.SUPPRESS)

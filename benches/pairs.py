@@ -1,6 +1,7 @@
 """Pairs of photographs to run benches on: a made-up room, or those of a folder."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from slgaussian import datasets
@@ -13,6 +14,27 @@ DATA_HELP = (
     "nerfstudio folder with transforms.json and pairs.json, which holds "
     '{"scene": {"context": [two images], "target": [image]}, ...}'
 )
+
+
+def data_folder(*holds: str) -> Callable[[str], Path]:
+    """What reads the argument DATA: a folder that holds these files, or the bench ends at once."""
+
+    def read(given: str) -> Path:
+        folder = Path(given)
+        lacks = [name for name in holds if not (folder / name).exists()]
+        if not lacks:
+            return folder
+        near = [folder.parent, *(sorted(folder.iterdir()) if folder.is_dir() else [])]
+        good = [other for other in near if all((other / name).exists() for name in holds)]
+        advice = f"did you mean {good[0]}?" if good else f"give a folder with {', '.join(holds)}"
+        what = f"holds no {' and no '.join(lacks)}" if folder.is_dir() else "is no folder"
+        raise SystemExit(f"error: DATA: {given} {what}; {advice}")
+
+    return read
+
+
+photographs = data_folder("transforms.json", "pairs.json")
+labelled = data_folder("transforms.json", "pairs.json", "labels")
 
 
 def load_samples(folder: Path | None) -> dict[str, Sample]:

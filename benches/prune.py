@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from pairs import load_samples
+from pairs import load_samples, photographs
 from race import race
 from tables import Table, count, error, fraction, hundredths, ms
 
@@ -126,6 +126,6 @@ def run(data: Path | None) -> None:
 if __name__ == "__main__":
     threads.share()
     try:
-        run(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+        run(photographs(sys.argv[1]) if len(sys.argv) > 1 else None)
     except (InputError, OSError) as problem:
         sys.exit(f"error: {problem}")

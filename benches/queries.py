@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from hard_texts import error_rows, text_rows, unit
 from machine import machine
-from pairs import load_samples
+from pairs import load_samples, photographs
 from queries_page import TABLES, page
 from race import race
 from scipy.spatial import cKDTree
@@ -230,7 +230,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("data", nargs="?", type=Path, metavar="DATA")
+    parser.add_argument("data", nargs="?", type=photographs, metavar="DATA")
     parser.add_argument(
         "-o", dest="out", type=Path, metavar="FOLDER", help="write queries.md there, print nothing"
     )

@@ -13,7 +13,7 @@ import prune
 import sweeps
 import torch
 from machine import machine
-from pairs import DATA_HELP, load_samples
+from pairs import DATA_HELP, load_samples, photographs
 from rasterize_page import TABLES, page
 from rasterize_picture import picture
 from sweeps import Subject
@@ -42,7 +42,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("data", nargs="?", type=Path, metavar="DATA", help=DATA_HELP)
+    parser.add_argument("data", nargs="?", type=photographs, metavar="DATA", help=DATA_HELP)
     parser.add_argument("--scene", help="of all sweeps (default: the first of DATA)")
     parser.add_argument(
         "-o", dest="out", type=Path, metavar="FOLDER", help="write rasterizer.md and .svg there"

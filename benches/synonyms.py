@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from pairs import data_folder
 from tables import Table, count, hundredths
 
 from slgaussian.errors import InputError
@@ -48,7 +49,7 @@ def known(vocabulary: Vocabulary, word: str) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=data_folder("clip_text/lvis_names_clip_text.npz"))
     given = parser.parse_args()
     vocabulary = load_vocabulary()
     finder = Synonyms(given.model, vocabulary.words)

@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 import torch
 from machine import machine
+from pairs import data_folder
 from tradeoffs_page import DEFAULT, NOISE, PRUNED, chart, page
 
 from flows.settings import PRESETS, Method, Settings, make_settings
@@ -458,7 +459,7 @@ def method_of(values: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=data_folder("office/pairs.json"))
     parser.add_argument("-o", "--out", type=Path, help="folder for tradeoffs.md and .svg")
     parser.add_argument("--scenes", type=int, default=8, help="of the office set")
     parser.add_argument("--rooms", type=int, default=4)

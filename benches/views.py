@@ -17,11 +17,10 @@ photograph. Their share, and the share of pixels left open (alpha below one half
 """
 
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
-from pairs import load_samples
+from pairs import load_samples, photographs
 
 import slgaussian.threads
 from slgaussian.benchmark.metrics import psnr, ssim_with_map
@@ -101,7 +100,8 @@ def main() -> None:
     print(" " * 16 + "".join(f"| {name:27s}" for name in rows) + "| known  open")
     print(" " * 16 + "|  whole        known        " * 3)
     line = "| {:5.2f} {:.3f}  {:5.2f} {:.3f}  "
-    for name, sample in load_samples(Path(sys.argv[1]) if len(sys.argv) > 1 else None).items():
+    data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
+    for name, sample in load_samples(data).items():
         target = sample.targets[0]
         gaussians = PlaneSweep()(sample)
         render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, metadata, version
@@ -21,6 +21,7 @@ from typing import Any
 
 from packaging.requirements import Requirement
 
+from flows.environment import home_of, orchestration
 from flows.settings import Settings
 from slgaussian import __version__, threads
 from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_line
@@ -71,11 +72,11 @@ def examine(settings: Settings, runner: bool = False) -> Findings:
     with ExitStack() as stack:
         usable, begun = [], []
         store = list(_tried("store", lambda: _store(settings.store, usable)))
-        if not usable:
-            # The server has its database in the store.
+        if not usable or (usable[0].local and not home_of(usable[0]).exists()):
+            # The server would leave its database in the store.
             usable.append(_opened(stack.enter_context(tempfile.TemporaryDirectory())))
         # It comes up while the other checks import what they check.
-        server = list(_tried("server", lambda: _begin_server(usable[0], stack, begun)))
+        server = list(_tried("server", lambda: _begin_server(usable[-1], stack, begun)))
         yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
         yield from _tried("packages", _packages)
         yield from _tried("extras", _extras)
@@ -167,12 +168,13 @@ def _opened(place: str) -> Any:
 
 def _store(place: str, usable: list[Any]) -> Findings:
     store = _opened(place)
-    store.check_writable()
+    with _folders_removed(Path(store.path) if store.local else None):
+        store.check_writable()
+        free = shutil.disk_usage(store.path).free if store.local else None
     usable.append(store)
-    if not store.local:
+    if free is None:
         yield Finding("store", f"{store.root} answers and can be written")
         return
-    free = shutil.disk_usage(store.path).free
     left = f"{free / 2**30:.1f} GiB free"
     if free < ROOM:
         advice = "make room (`slgaussian store gc`), or choose another with --store"
@@ -181,10 +183,20 @@ def _store(place: str, usable: list[Any]) -> Findings:
         yield Finding("store", f"{store.root} can be written, {left}")
 
 
+@contextmanager
+def _folders_removed(place: Path | None) -> Iterator[None]:
+    """Remove what the block makes of the folders down to ``place``, if nothing is in them."""
+    missing = [] if place is None else [p for p in (place, *place.parents) if not p.exists()]
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for folder in missing:
+                folder.rmdir()
+
+
 def _begin_server(store: Any, stack: ExitStack, begun: list[Callable[[], Findings]]) -> Findings:
     """Add to ``begun`` the check of a server of our own, which is not up yet, or of that given."""
-    from flows.environment import orchestration
-
     given = os.environ.get("PREFECT_API_URL")
     ready = stack.enter_context(orchestration(store))
 

@@ -37,6 +37,19 @@ def test_a_healthy_installation(server, tmp_path, monkeypatch, capsys):
     assert {"[models]", "[s3]", "[cuda]"} <= {line.split()[0] for line in told["--"]}
 
 
+def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, capsys):
+    """With a server of its own, whose database is not left either."""
+    monkeypatch.delenv("PREFECT_API_URL")
+    monkeypatch.delenv("PREFECT_HOME", raising=False)
+    monkeypatch.chdir(tmp_path)
+    status, told = examined(monkeypatch, capsys)
+    assert told["BAD"] == [] and status == 0
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "mine").mkdir()
+    examined(monkeypatch, capsys, "--store", "mine/deep/store")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "mine"]
+
+
 def test_packages_out_of_bounds_are_named():
     for needs, said in [
         ("numpy<1", f"numpy: found {np.__version__}, expected <1"),

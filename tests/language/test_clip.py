@@ -379,5 +379,7 @@ def test_a_name_is_found_in_the_cache(folder, clip, tmp_path, monkeypatch):
 
 def test_without_transformers_the_extra_is_named(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(InputError, match=r"clip: needs the package transformers.*`pip install 'transformers"):
+    with pytest.raises(
+        InputError, match=r"clip: needs the package transformers.*`pip install 'transformers"
+    ):
         load_encoder("clip", model=folder)

@@ -290,7 +290,7 @@ def test_an_image_that_cannot_be_is_refused(folders, image, where, says):
 
 def test_without_transformers_the_extra_is_named(folders, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(InputError, match=r"needs the package transformers.*`pip install 'transformers"):
+    with pytest.raises(InputError, match=r"needs the package transformers.*install 'transformers"):
         load_proposer("sam", model=folders["sam"])
 
 
