@@ -21,6 +21,7 @@ from prefect.runner import Runner
 from prefect.runtime import deployment
 from pydantic import ValidationError
 
+from flows.child import import_path
 from flows.commands import perform
 from flows.corpus_settings import read_corpus
 from flows.settings import read_toml
@@ -121,6 +122,8 @@ def serve(
         },
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
+    # The runs it starts look for modules where we do, and not in the working folder.
+    os.environ.update(import_path())
     try:
         asyncio.run(runner.start())
     except KeyboardInterrupt:
