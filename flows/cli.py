@@ -17,10 +17,10 @@ from slgaussian import __version__, compiling
 from slgaussian.errors import InputError, SLGaussianError
 
 METHOD = (
-    "size", "near", "far", "predictor", "proposer", "tracker", "encoder", "codes", "lifting",
-    "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent", "seed",
-    "planesweep", "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip", "named",
-    "grid", "separated", "branch",
+    "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker", "encoder", "codes",
+    "lifting", "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent",
+    "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip",
+    "named", "grid", "separated", "branch",
 )  # fmt: skip
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")

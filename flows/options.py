@@ -71,7 +71,7 @@ def with_options(
 
 def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> inspect.Parameter:
     name = "_".join(path)
-    kinds = {int: int, int | None: int, float: float, float | None: float}
+    kinds = {bool: bool, int: int, int | None: int, float: float, float | None: float}
     kind = kinds.get(field.annotation, str)
     help_text = field.description
     choices = field.examples or []
@@ -79,7 +79,7 @@ def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> ins
         choices = names_of(name)
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
     value = field.default
-    if value is not None and value is not PydanticUndefined:
+    if value is not None and value is not False and value is not PydanticUndefined:
         shown = "x".join(map(str, value)) if isinstance(value, tuple) else value
         help_text += f" [default: {shown}]"
     metavar = "<path>" if field.annotation in (Path, Path | None) else "<name>" if choices else None

@@ -142,7 +142,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
         {"sample": "ingest"},
         where=labels,
     )
-    parts = method.identity
+    parts, trusted = method.identity, method.trust_cameras
     own = method.part_settings()
     where = {part: places(table) for part, table in own.items()}
     of_encoder = where.get(method.encoder, {})
@@ -162,7 +162,8 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
         truth,
         Step(
             "geometry",
-            _only(parts, "predictor"),
+            # What a check lets pass is the same with it and without.
+            {**_only(parts, "predictor"), **({"trust_cameras": True} if trusted else {})},
             {"sample": "ingest"},
             where=where.get(method.predictor, {}),
         ),

@@ -310,6 +310,10 @@ class Method(QueryRules):
         description="How objects get their ID codes; grid is the paper's, exact uses none.",
     )
     lifting: str = Field("hard", description="How Gaussians get their ID codes.")
+    trust_cameras: bool = Field(
+        False,
+        description="Go on even if the matches between the photographs contradict their cameras.",
+    )
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     seed: int = Field(0, ge=0, description="Seed of everything random.")
     planesweep: PlaneSweepTable = PlaneSweepTable()
@@ -345,7 +349,8 @@ class Method(QueryRules):
     def build_arguments(self) -> dict[str, Any]:
         """What :func:`slgaussian.build.build_field` takes besides the sample."""
         named = self.model_dump(include=PARTS | {"replicas", "seed"})
-        return {**named, "settings": self.part_settings()}
+        own = {"settings": self.part_settings(), "trust_cameras": self.trust_cameras}
+        return {**named, **own}
 
     @cached_property
     def identity(self) -> dict[str, Any]:

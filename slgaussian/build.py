@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from slgaussian import compiling
+from slgaussian.cameras.check import check_cameras
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
@@ -35,6 +36,7 @@ def build_field(
     replicas: int = 5,
     seed: int = 0,
     settings: PartSettings | None = None,
+    trust_cameras: bool = False,
 ) -> SemanticField:
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
@@ -51,6 +53,8 @@ def build_field(
     settings : mapping, optional
         Settings of these parts, each under its name (see its class):
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
+    trust_cameras : bool
+        Do not refuse cameras that the matches between the photographs contradict.
 
     Returns
     -------
@@ -60,14 +64,14 @@ def build_field(
     Raises
     ------
     InputError
-        If a name or a setting is unknown, a checkpoint does not fit, or the views cannot be used;
-        the message says which and why.
+        If a name or a setting is unknown, a checkpoint does not fit, the views cannot be used, or
+        their cameras are not theirs; the message says which and why.
     """
     settings = _with_defaults(encoder, lifting, settings or {})
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     compiling.watch()
-    gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample)
+    gaussians = predict(sample, predictor, settings, trust_cameras)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
     bank = remember(sample, gaussians, label_maps, encoder, codes, seed, settings)
     about = {
@@ -120,6 +124,22 @@ def check_parts(
             load(name, **settings.get(name, {}))
         except TypeError as error:
             raise InputError(f"settings of {name!r}: {error}") from None
+
+
+def predict(
+    sample: Sample, predictor: str, settings: PartSettings, trust_cameras: bool = False
+) -> Gaussians:
+    """Gaussians from the context views (paper, section 3.1), once their cameras are believed.
+
+    Raises
+    ------
+    InputError
+        As :func:`slgaussian.cameras.check.check_cameras`, unless cameras are trusted, and as the
+        predictor.
+    """
+    if not trust_cameras:
+        check_cameras(sample)
+    return load_predictor(predictor, **settings.get(predictor, {}))(sample)
 
 
 def label_views(

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from slgaussian.build import predict
 from slgaussian.parts import placed
-from slgaussian.predict import load_predictor
 from slgaussian.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "geometry"
-VERSION = 2
+VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``gaussians``. Settings: predictor, and under its name its own. Inputs: sample.
 
+    Also ``trust_cameras``, which may be left out.
     ``where["checkpoint"]`` is the file that the predictor's settings hold the SHA-256 of.
     """
     sample = sample_from_arrays(store.get(call.inputs["sample"]))
     name = call.settings["predictor"]
     own = placed(call.settings.get(name, {}), call.where, CHANGED)
-    gaussians = load_predictor(name, **own)(sample)
+    trust = call.settings.get("trust_cameras", False)
+    gaussians = predict(sample, name, {name: own}, trust)
     gaussians.check()
     return store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})

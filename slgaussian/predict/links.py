@@ -59,7 +59,7 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
     sources = [_nearest(views, i) for i in range(len(views))]
     links: dict[tuple[int, int], Link] = {}
     too_close: dict[int, str] = {}
-    for i, j in sorted({(min(i, j), max(i, j)) for i, js in enumerate(sources) for j in js}):
+    for i, j in neighbours(views):
         given = Relative.between(views[i].camera, views[j].camera)
         a, b = sift_matches(greys[i], greys[j])
         possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*greys[i].shape)
@@ -93,6 +93,12 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
         if not found:
             raise InputError(too_close[i])
     return linked
+
+
+def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
+    """The pairs (i, j), i < j, in order, of which one is among the other's nearest views."""
+    sources = [_nearest(views, i) for i in range(len(views))]
+    return sorted({(min(i, j), max(i, j)) for i, js in enumerate(sources) for j in js})
 
 
 def _nearest(views: Sequence[View], i: int) -> list[int]:

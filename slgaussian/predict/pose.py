@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -107,8 +109,32 @@ def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarr
     Returns
     -------
     float64 [M, 2], float64 [M, 2]
-        Pixels in each image, pixel centres at +0.5.
+        Pixels in each image, pixel centres at +0.5; read-only, as who asks again for the same two
+        images gets the same arrays.
     """
+    return _sift_matches(_Grey(ref), _Grey(src))
+
+
+@dataclass(frozen=True, eq=False)
+class _Grey:
+    """An image that is equal to another of the same content."""
+
+    pixels: np.ndarray
+
+    @cached_property
+    def content(self) -> tuple[tuple[int, ...], bytes]:
+        return self.pixels.shape, hashlib.sha256(np.ascontiguousarray(self.pixels)).digest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Grey) and self.content == other.content
+
+    def __hash__(self) -> int:
+        return hash(self.content)
+
+
+@lru_cache(maxsize=4)  # the cameras are checked by what depth is found from later
+def _sift_matches(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
+    ref, src = first.pixels, second.pixels
     sift = cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
     found = [sift.detectAndCompute(image, None) for image in (ref, src)]
     none = np.zeros((0, 2)), np.zeros((0, 2))
@@ -127,6 +153,8 @@ def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarr
     # OpenCV counts pixel centres at 0.
     xy_a = np.array([p.pt for p in points_a])[keep] + 0.5
     xy_b = np.array([p.pt for p in points_b])[best[keep]] + 0.5
+    for xy in (xy_a, xy_b):
+        xy.setflags(write=False)
     return xy_a, xy_b
 
 

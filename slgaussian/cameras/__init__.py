@@ -1,0 +1,1 @@
+"""Poses and focal lengths, and what the photographs themselves say of them."""

@@ -1,0 +1,293 @@
+"""Whether given cameras are those that the photographs were taken with: feature matches know.
+
+A match says where two photographs show one point. Under the right cameras it lies near its epipolar
+line, and its point in front of both; under exchanged poses, other axes or another focal length most
+matches do not. Matches may also be false, on repeated patterns or where two photographs share
+nothing, so cameras are judged only by matches that agree with one another: on some fundamental
+matrix, whatever cameras it stands for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.predict.links import neighbours
+from slgaussian.predict.pose import Relative, sift_matches
+from slgaussian.scene import Camera, Sample, View
+
+COARSE = 0.01
+FINE = 0.002
+"""Distances to the epipolar line, as shares of the image diagonal, up to which cameras explain a
+match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off by half a degree,
+which :func:`slgaussian.predict.pose.refine` mends and the coarse one forgives; the fine one tells
+which of several cameras fit best."""
+
+MIN_AGREEING = 30
+MIN_AGREEMENT = 0.4
+"""Fewest matches, and least share of them, that must agree with one another for a judgement."""
+
+BOUND = 0.35
+"""Cameras are refused if they explain less than this share of the matches that agree."""
+
+FITS = 0.6
+BETTER = 1.5
+"""A correction is the cause if it explains finely this share of the matches that agree as finely,
+and so many times those that the cameras explain as they are. `docs/cameras.md` has what both were
+chosen by."""
+
+WIDE = 30.0
+"""Degrees between the lines of sight of two cameras above which depth suffers."""
+
+Pair = tuple[Camera, Camera]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A usual mistake undone.
+
+    Attributes
+    ----------
+    advice : str
+        Ends a sentence that begins with "they fit".
+    apply : callable (Camera, Camera) -> (Camera, Camera)
+    """
+
+    advice: str
+    apply: Callable[[Camera, Camera], Pair]
+
+
+@dataclass(frozen=True)
+class PairCheck:
+    """What the matches of two photographs say of their cameras.
+
+    Attributes
+    ----------
+    views : (str, str)
+    matches : int
+    agreeing : int
+        Those that agree with one another.
+    coarse, fine : float
+        Shares of all matches that the cameras explain up to the distances in ``pixels``.
+    pixels : (float, float)
+        :data:`COARSE` and :data:`FINE` in pixels.
+    angle : float
+        Degrees between the two lines of sight, median of the explained matches; NaN without any.
+    gain : float
+        Finely explained matches under the best correction that fits, over those as given; 0 if none
+        fits.
+    correction : str or None
+        What would make the cameras fit, if that is known.
+    """
+
+    views: tuple[str, str]
+    matches: int
+    agreeing: int
+    coarse: float
+    fine: float
+    pixels: tuple[float, float]
+    angle: float
+    gain: float
+    correction: str | None
+
+    @property
+    def judged(self) -> bool:
+        """Whether enough matches agree with one another to tell anything."""
+        return self.agreeing >= max(MIN_AGREEING, MIN_AGREEMENT * self.matches)
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the cameras cannot be those of the photographs."""
+        few = self.coarse * self.matches < BOUND * self.agreeing
+        return self.judged and (few or self.correction is not None)
+
+
+def check_cameras(sample: Sample) -> list[PairCheck]:
+    """Check each context view with its nearest neighbours, the pairs that depth is found from.
+
+    Raises
+    ------
+    InputError
+        If the matches of a pair refute its cameras; the message says what would mend them, if a
+        usual mistake is the cause.
+    """
+    views = sample.context
+    checks = [check_pair(views[i], views[j]) for i, j in neighbours(views)]
+    bad = [check for check in checks if check.refuted]
+    if bad:
+        worst = min(bad, key=lambda check: (check.coarse, check.fine))
+        raise InputError(f"scene {sample.scene!r}: {_refusal(worst)}")
+    return checks
+
+
+def check_pair(a: View, b: View) -> PairCheck:
+    """Match two photographs and see what their cameras explain."""
+    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in (a, b)]
+    at_a, at_b = sift_matches(*greys)
+    diagonal = float(np.hypot(*greys[0].shape))
+    coarse, fine = COARSE * diagonal, FINE * diagonal
+    pair = a.camera, b.camera
+    agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
+    seen, close = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))
+    check = PairCheck(
+        views=(a.name, b.name),
+        matches=len(at_a),
+        agreeing=agreeing,
+        coarse=float(seen.mean()) if len(seen) else 0.0,
+        fine=float(close.mean()) if len(close) else 0.0,
+        pixels=(coarse, fine),
+        angle=float(np.median(angles(*pair, at_a[seen], at_b[seen]))) if seen.any() else np.nan,
+        gain=0.0,
+        correction=None,
+    )
+    if not check.judged:
+        return check
+    counts = [explained(*one.apply(*pair), at_a, at_b, fine).sum() for one in CORRECTIONS]
+    best = int(np.argmax(counts))
+    if counts[best] >= max(FITS * finely, MIN_AGREEING / 2):
+        gain = float(counts[best] / max(close.sum(), 1))
+        advice = CORRECTIONS[best].advice if gain >= BETTER else None
+        check = replace(check, gain=gain, correction=advice)
+    return check
+
+
+def explained(
+    a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray, distance: float
+) -> np.ndarray:
+    """Which matches [M, 2] and [M, 2] two cameras explain: bool [M].
+
+    Those at most ``distance`` pixels (Sampson's) from their epipolar lines whose points lie in
+    front of both cameras.
+    """
+    there = Relative.between(a, b)
+    if not np.linalg.norm(there.t) > 0:
+        return np.zeros(len(at_a), bool)
+    near = np.abs(there.epipolar_distance(at_a, at_b)) < distance
+    front = (there.triangulate(at_a, at_b) > 0) & (there.reversed().triangulate(at_b, at_a) > 0)
+    return near & front
+
+
+def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:
+    """Which matches [M, 2] and [M, 2] agree with one another on some geometry: bool [M].
+
+    Those at most ``distance`` pixels off the fundamental matrix that most of them fit (USAC,
+    Raguram et al. 2013, from a fixed seed).
+    """
+    if len(at_a) < 8:
+        return np.zeros(len(at_a), bool)
+    try:
+        _, found = cv2.findFundamentalMat(at_a, at_b, cv2.USAC_ACCURATE, distance, 0.999, 2000)
+    except cv2.error:  # all of them on one line, for instance
+        found = None
+    return np.zeros(len(at_a), bool) if found is None else found.ravel() > 0
+
+
+def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarray:
+    """Degrees [M] between the two rays of each match [M, 2] and [M, 2]."""
+    rays = []
+    for camera, pixels in ((a, at_a), (b, at_b)):
+        local = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(camera.K).T
+        world = local @ camera.c2w[:3, :3].T
+        rays.append(world / np.linalg.norm(world, axis=1, keepdims=True))
+    return np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
+
+
+def _refusal(check: PairCheck) -> str:
+    a, b = check.views
+    share = f"{check.coarse:.0%} of the {check.matches} matches"
+    agreed = check.agreeing / check.matches
+    if check.correction is None:
+        return (
+            f"{a!r} and {b!r}: the cameras explain {share} between the photographs to within "
+            f"{check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, and no "
+            "usual mistake explains it; check that each photograph has its own pose and its own "
+            "intrinsics (--trust-cameras goes on all the same)"
+        )
+    return (
+        f"{a!r} and {b!r}: the cameras explain {share} between the photographs to within "
+        f"{check.pixels[0]:.1f} pixels, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
+        f"{check.correction} (--trust-cameras goes on all the same)"
+    )
+
+
+_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+_XY = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def _exchanged(a: Camera, b: Camera) -> Pair:
+    return replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)
+
+
+def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
+    return lambda a, b: (replace(a, c2w=change(a.c2w)), replace(b, c2w=change(b.c2w)))
+
+
+def _focal(factor: float) -> Callable[[Camera, Camera], Pair]:
+    def change(camera: Camera) -> Camera:
+        K = camera.K.copy()
+        K[:2, :2] *= factor
+        return replace(camera, K=K)
+
+    return lambda a, b: (change(a), change(b))
+
+
+def _scaled(factor: float) -> Callable[[Camera, Camera], Pair]:
+    scale = np.diag([factor, factor, 1.0])
+    return lambda a, b: (replace(a, K=scale @ a.K), replace(b, K=scale @ b.K))
+
+
+_INVERTED = (
+    "if every pose is inverted, in the axes of {}: they are world-to-camera where "
+    "camera-to-world is expected, or the other way round"
+)
+
+CORRECTIONS = (
+    Correction("if the two poses are exchanged: give each photograph its own", _exchanged),
+    Correction(
+        "if the y and z axes of every pose are reversed: they follow OpenCV's axes where their "
+        "format has OpenGL's, or the other way round; multiply the second and the third column of "
+        "each by -1",
+        _posed(lambda c2w: c2w @ _YZ),
+    ),
+    Correction(
+        "if the x and y axes of every pose are reversed: multiply the first and the second column "
+        "of each by -1",
+        _posed(lambda c2w: c2w @ _XY),
+    ),
+    Correction(_INVERTED.format("OpenCV"), _posed(np.linalg.inv)),
+    Correction(_INVERTED.format("OpenGL"), _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ)),
+    *(
+        Correction(
+            f"if the focal length is {how}: it is too {wrong} for these photographs", _focal(factor)
+        )
+        for factor, how, wrong in (
+            (1 / 4, "divided by 4", "long"),
+            (1 / 3, "divided by 3", "long"),
+            (1 / 2, "halved", "long"),
+            (2 / 3, "divided by 1.5", "long"),
+            (3 / 4, "divided by 1.33", "long"),
+            (4 / 3, "multiplied by 1.33", "short"),
+            (3 / 2, "multiplied by 1.5", "short"),
+            (2, "doubled", "short"),
+            (3, "multiplied by 3", "short"),
+            (4, "multiplied by 4", "short"),
+        )
+    ),
+    *(
+        Correction(
+            f"if focal length and principal point are {how}: they are those of a {of} photograph",
+            _scaled(factor),
+        )
+        for factor, how, of in (
+            (1 / 4, "divided by 4", "larger"),
+            (1 / 2, "halved", "larger"),
+            (2, "doubled", "smaller"),
+            (4, "multiplied by 4", "smaller"),
+        )
+    ),
+)
+"""The usual mistakes undone, one at a time."""

@@ -1,0 +1,210 @@
+"""Cameras that are not those of the photographs are refused, and the likely mistake is named."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from slgaussian import build_field, datasets
+from slgaussian.cameras.check import (
+    COARSE,
+    agree,
+    angles,
+    check_cameras,
+    check_pair,
+    explained,
+)
+from slgaussian.errors import InputError
+from slgaussian.predict.pose import sift_matches
+from slgaussian.scene import Camera, Sample, View
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def room() -> Sample:
+    scene = datasets.load("procedural", seed=0, views=2, height=312, width=432, baseline=1.2)
+    return scene.sample(list(scene.cameras))
+
+
+def posed(sample: Sample, *cameras: Camera) -> Sample:
+    views = zip(sample.context, cameras, strict=True)
+    return replace(sample, context=tuple(replace(v, camera=c) for v, c in views))
+
+
+def changed(sample: Sample, change) -> Sample:
+    return posed(sample, *(change(view.camera) for view in sample.context))
+
+
+def focal(camera: Camera, factor: float) -> Camera:
+    K = camera.K.copy()
+    K[:2, :2] *= factor
+    return replace(camera, K=K)
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    step = np.eye(4)
+    step[:3, :3] = cv2.Rodrigues(np.radians(degrees) * np.array([0.0, 0.6, 0.8]))[0]
+    return replace(camera, c2w=camera.c2w @ step)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("baseline", [0.15, 0.6, 1.2])
+def test_rooms_have_their_own_cameras(seed, baseline):
+    scene = datasets.load(
+        "procedural", seed=seed, views=2, height=208, width=288, baseline=baseline
+    )
+    (check,) = check_cameras(scene.sample(list(scene.cameras)))
+    assert check.coarse > 0.45 and not check.refuted
+
+
+def test_what_a_pair_is_said_to_be(room):
+    (check,) = check_cameras(room)
+    assert check.views == ("view_00", "view_01") and check.judged and check.correction is None
+    assert check.coarse > 0.7 and check.agreeing > 100
+    assert check.pixels == pytest.approx((5.33, 1.07), abs=0.01)
+    # The arc's two ends look at one point from 1.2 m apart, some 3.4 m away.
+    assert 15 < check.angle < 27
+
+
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [
+        (lambda c: replace(c, c2w=c.c2w @ FLIP), "second and the third column of each by -1"),
+        (lambda c: replace(c, c2w=FLIP @ np.linalg.inv(c.c2w) @ FLIP), "in the axes of OpenGL"),
+        (lambda c: replace(c, c2w=np.linalg.inv(c.c2w)), "in the axes of OpenCV"),
+        (lambda c: focal(c, 2), "the focal length is halved"),
+        (lambda c: focal(c, 1 / 2), "the focal length is doubled"),
+        (
+            lambda c: replace(c, K=np.diag([2, 2, 1]) @ c.K),
+            "are halved: they are those of a larger",
+        ),
+    ],
+    ids=["axes", "inverted (OpenGL)", "inverted (OpenCV)", "long", "short", "larger"],
+)
+def test_a_usual_mistake_is_refused_and_named(room, mistake, said):
+    with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as refused:
+        check_cameras(changed(room, mistake))
+    assert said in str(refused.value) and "procedural_0" in str(refused.value)
+
+
+def test_exchanged_poses_are_named(room):
+    a, b = (view.camera for view in room.context)
+    with pytest.raises(InputError, match="the two poses are exchanged"):
+        check_cameras(posed(room, b, a))
+
+
+def test_exchanged_cameras_of_a_stereo_pair_are_known_by_what_lies_behind_them():
+    scene = datasets.load("stereo")
+    sample = scene.sample(["left", "right"], size=(250, 371))
+    (check,) = check_cameras(sample)
+    assert check.coarse > 0.95
+    a, b = (view.camera for view in sample.context)
+    swapped = posed(sample, replace(a, c2w=b.c2w), replace(b, c2w=a.c2w))
+    assert check_pair(*swapped.context).coarse < 0.05
+    with pytest.raises(InputError, match="the two poses are exchanged"):
+        check_cameras(swapped)
+
+
+def test_a_pose_of_somewhere_else_is_refused_without_a_cause(room):
+    a, b = (view.camera for view in room.context)
+    with pytest.raises(InputError, match="no usual mistake explains it"):
+        check_cameras(posed(room, a, turned(b, 12)))
+
+
+def test_a_pose_that_is_half_a_degree_off_passes(room):
+    a, b = (view.camera for view in room.context)
+    (check,) = check_cameras(posed(room, a, turned(b, 0.5)))
+    assert check.coarse > 0.6
+
+
+@pytest.mark.parametrize("kind", ["blank", "noise"])
+def test_photographs_without_matches_to_trust_are_not_judged(room, kind):
+    shape = room.context[0].image.shape
+    rng = np.random.default_rng(0)
+    pictures = {
+        "blank": lambda: np.full(shape, 128),
+        "noise": lambda: rng.integers(0, 256, shape),
+    }
+    views = []
+    for number, view in enumerate(room.context):
+        image = pictures[kind]().astype(np.uint8)
+        image[number, 0] = 255  # two photographs are never one picture
+        views.append(replace(view, image=image))
+    exchanged = [replace(v, camera=room.context[1 - k].camera) for k, v in enumerate(views)]
+    (check,) = check_cameras(replace(room, context=tuple(exchanged)))
+    assert not check.judged and not check.refuted
+
+
+def test_a_field_is_not_built_with_cameras_that_are_not_its_own(room):
+    a, b = (view.camera for view in room.context)
+    wrong = posed(room, a, turned(b, 12))
+    with pytest.raises(InputError, match="cameras explain"):
+        build_field(wrong)
+
+
+def test_matches_are_found_once_and_cannot_be_changed(room):
+    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in room.context]
+    a, _ = sift_matches(*greys)
+    again, _ = sift_matches(*(grey.copy() for grey in greys))
+    other, _ = sift_matches(*greys[::-1])
+    assert again is a and other is not a
+    with pytest.raises(ValueError):
+        a[0] = 0
+
+
+number = st.floats(-1, 1)
+
+
+@given(
+    arrays.arrays(np.float64, 3, elements=number),
+    arrays.arrays(np.float64, 3, elements=number),
+    st.floats(0.01, 1000),
+    st.integers(0, 2**32 - 1),
+)
+def test_true_cameras_explain_every_match_whatever_the_world_and_its_scale(spin, shift, size, seed):
+    """Points seen by both, in a world that is turned, moved and scaled at will."""
+    rng = np.random.default_rng(seed)
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = cv2.Rodrigues(spin * np.pi)[0], shift * size
+    K = np.array([[400.0, 0, 200], [0, 410, 150], [0, 0, 1]])
+    points = rng.uniform((-1, -1, 3), (1, 1, 6), (40, 3)) * size
+    cameras = []
+    for place in ((0, 0, 0), (0.7, 0.1, 0.2)):
+        c2w = np.eye(4)
+        c2w[:3, :3] = cv2.Rodrigues(rng.normal(0, 0.05, 3))[0]
+        c2w[:3, 3] = np.array(place) * size
+        cameras.append(Camera(K, world @ c2w, 400, 300))
+    moved = points @ world[:3, :3].T + world[:3, 3]
+    at_a, at_b = (camera.project(moved)[0] for camera in cameras)
+    a, b = cameras
+    assert explained(a, b, at_a, at_b, 0.01).all() and explained(b, a, at_b, at_a, 0.01).all()
+    assert agree(at_a, at_b, 0.1).all()
+    # Pushed off its epipolar line, a match is explained no longer; so is one behind a camera.
+    line = np.cross(*(np.append(b.project(a.center + k * (m - a.center))[0], 1)
+                      for k, m in ((1, moved[0]), (2, moved[0]))))  # fmt: skip
+    away = at_b.copy()
+    away[0] += 20 * line[:2] / np.linalg.norm(line[:2])
+    assert not explained(a, b, at_a, away, 5)[0]
+    swapped = replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)
+    rays = [m - c.center for c in cameras for m in moved]
+    true = [np.degrees(np.arccos(np.clip(p @ q / np.linalg.norm(p) / np.linalg.norm(q), -1, 1)))
+            for p, q in zip(rays[:40], rays[40:], strict=True)]  # fmt: skip
+    np.testing.assert_allclose(angles(a, b, at_a, at_b), true, atol=1e-5)
+    assert explained(*swapped, at_a, at_b, COARSE * 500).mean() < 0.9
+
+
+def test_too_few_matches_agree_on_nothing():
+    assert not agree(np.zeros((5, 2)), np.zeros((5, 2)), 1).any()
+    same = np.tile([[10.0, 20.0]], (40, 1))
+    assert agree(same, same, 1).shape == (40,)
+
+
+def test_views_of_one_size_each_may_be_checked_alone(room):
+    view: View = room.context[0]
+    other = replace(room.context[1], camera=view.camera)
+    assert check_pair(view, other).coarse == 0  # no baseline, nothing to explain
