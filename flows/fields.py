@@ -14,9 +14,10 @@ import numpy as np
 from flows.drawings import check_drawing, drawing
 from flows.settings import make_settings
 from flows.viewpoints import Choice, Viewpoint
-from slgaussian import datasets, harmonics
+from slgaussian import harmonics
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
+from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.field_folder import check_target
@@ -42,8 +43,7 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     """
     method = make_settings(options, "field")
     check_target(out)
-    scene = datasets.load("nerfstudio", cameras)
-    folder = cameras if cameras.is_dir() else cameras.parent
+    scene, folder = posed_scene(cameras, photos)
     names = [_view_of(scene, photo, folder) for photo in photos]
     start = time.perf_counter()
     sample = scene.sample(names, size=method.size, near=method.near, far=method.far)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.datasets.nerfstudio import read_cameras
+from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.scene import Camera, Scene
@@ -78,7 +78,7 @@ class Choice:
         return self._among(self._listed(), points)
 
     def _listed(self) -> Scene:
-        return _scene(str(self.file), read_cameras(self.file))
+        return _scene(str(self.file), cameras_in(self.file))
 
     def _among(self, scene: Scene, points: np.ndarray) -> list[Viewpoint]:
         if self.orbit is not None:

@@ -32,7 +32,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     Parameters
     ----------
     path : path
-        Folder with ``poses_bounds.npy``.
+        Folder with ``poses_bounds.npy``, or such a file.
     images : str, optional
         Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
         on. Whatever their size, the focal length follows.
@@ -44,8 +44,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         as rows.
     """
     path = Path(path)
-    file = path / FILE
-    folder = image_folder(path, images)
+    file = path if path.is_file() else path / FILE
+    folder = image_folder(file.parent, images)
     rows = _rows(file)
     photographs = photographs_in(folder)
     if len(photographs) != len(rows):
@@ -60,7 +60,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
             cameras[photograph.name] = _camera(row, stored_size(photograph))
         except InputError as bad:
             raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
-    name = path.resolve().name or "scene"
+    name = file.resolve().parent.name or "scene"
     return Scene(name, cameras, _Reader(file, files, cameras).read)
 
 

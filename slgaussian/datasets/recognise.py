@@ -1,0 +1,148 @@
+"""Cameras of any format, known by the names and the first bytes of files, and their photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from slgaussian.datasets import colmap, llff, nerfstudio, re10k
+from slgaussian.datasets.photographs import image_folder
+from slgaussian.datasets.sparse import model_files
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+
+EXPECTED = (
+    f"{nerfstudio.FILE} or another JSON file of nerfstudio's form, {llff.FILE}, a COLMAP model "
+    "(cameras and images, .bin or .txt, as in sparse/0), a folder of RealEstate10K chunks with its "
+    f"{re10k.INDEX}, or the folder of a scene that holds one of them"
+)
+
+
+def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scene, Path]:
+    """The scene whose cameras ``path`` holds, and the folder from which its views are named.
+
+    Parameters
+    ----------
+    path : path
+        File or folder, see :data:`EXPECTED`.
+    photographs : sequence of str
+        Those that views are wanted for. Of COLMAP and LLFF they may lie elsewhere than in the
+        folder ``images`` of the scene; of RealEstate10K they are named ``<clip>/<frame>``.
+
+    Raises
+    ------
+    InputError
+        If there are no cameras of a known format, or they cannot be read.
+    """
+    format, place = recognise(Path(path))
+    if format == "nerfstudio":
+        return nerfstudio.read(place), place if place.is_dir() else place.parent
+    if format == "re10k":
+        return _clip(place, photographs), place
+    scene = place if place.is_dir() else place.parent
+    reader = {"colmap": colmap, "llff": llff}[format]
+    folder = image_folder(scene)
+    files = [Path(name).resolve() for name in photographs if Path(name).is_file()]
+    if files and not any(file.is_relative_to(folder.resolve()) for file in files):
+        folder = files[0].parent if reader is llff else _root(scene, files) or folder
+    return reader.read(place, str(folder.resolve())), folder
+
+
+def cameras_in(path: str | Path) -> Mapping[str, Camera]:
+    """The cameras that ``path`` holds, by name, as :func:`posed_scene` knows them.
+
+    No photograph is needed where the format says their size and names, as all do but LLFF.
+    """
+    format, place = recognise(Path(path))
+    return (
+        nerfstudio.read_cameras(place) if format == "nerfstudio" else posed_scene(path)[0].cameras
+    )
+
+
+def recognise(path: Path) -> tuple[str, Path]:
+    """Name of the format of the cameras in a file or folder, and what its reader takes.
+
+    Raises
+    ------
+    InputError
+        If there are none of a format that is known.
+    """
+    if path.is_dir():
+        if (path / nerfstudio.FILE).is_file():
+            return "nerfstudio", path
+        if any(model_files(path / place) for place in colmap.PLACES):
+            return "colmap", _scene_folder(path)
+        if (path / llff.FILE).is_file():
+            return "llff", path
+        if (path / re10k.INDEX).is_file():
+            return "re10k", path
+        raise InputError(f"{path}: holds no cameras: {_found_in(path)}; expected {EXPECTED}")
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError as bad:
+        raise InputError(f"{path}: cannot be read ({bad.strerror}); expected {EXPECTED}") from None
+    if start.startswith(b"\x93NUMPY") or path.suffix == ".npy":
+        return "llff", path
+    if path in model_files(path.parent):
+        return "colmap", _scene_folder(path.parent)
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")) or path.suffix == ".json":
+        return "nerfstudio", path
+    raise InputError(f"{path}: is no file of cameras; expected {EXPECTED}")
+
+
+def _scene_folder(model: Path) -> Path:
+    """The folder of the scene that a folder with a COLMAP model belongs to: it has photographs."""
+    for folder in (model, *list(model.resolve().parents)[:3]):
+        inside = [(folder / place).resolve() for place in colmap.PLACES]
+        first = next((place for place in inside if model_files(place)), None)
+        if image_folder(folder).is_dir() and (folder == model or first == model.resolve()):
+            return folder
+    return model
+
+
+def _root(scene: Path, files: Sequence[Path]) -> Path | None:
+    """The folder from which the first file that the model of a scene names is called so."""
+    for name in colmap.read(scene).cameras:
+        for file in files:
+            if file.as_posix().endswith(f"/{name}"):
+                return file.parents[len(PurePosixPath(name).parts) - 1]
+    return None
+
+
+def _clip(place: Path, photographs: Sequence[str]) -> Scene:
+    keys = sorted({name.rpartition("/")[0] for name in photographs})
+    known = re10k.read_index(place)
+    if len(keys) != 1 or keys[0] not in known:
+        raise InputError(
+            f"{place}: name views of one clip as CLIP/FRAME, as in {next(iter(known), 'CLIP')}/0; "
+            f"found {', '.join(photographs) or 'none'}"
+        )
+    clip = re10k.read(place, keys[0])
+
+    def read(name: str) -> View:
+        return replace(clip.read(name.rpartition("/")[2]), name=name)
+
+    cameras: dict[str, Any] = {f"{keys[0]}/{name}": own for name, own in clip.cameras.items()}
+    return replace(clip, cameras=cameras, read=read)
+
+
+def _found_in(folder: Path) -> str:
+    scenes = sorted(
+        {
+            inside.relative_to(folder).parts[0]
+            for mark in (nerfstudio.FILE, llff.FILE, "sparse")
+            for inside in folder.glob(f"*/{mark}")
+        }
+    )
+    if scenes:
+        return (
+            f"it holds the folders of {len(scenes)} scenes, such as {scenes[0]}; give one of them"
+        )
+    others = sorted(file.name for file in folder.glob("*.json"))
+    if others:
+        return f"it has {', '.join(others[:3])}; give the file itself"
+    names = sorted(inside.name for inside in folder.iterdir())[:4]
+    return f"it has {', '.join(names)}" if names else "it is empty"
