@@ -7,7 +7,7 @@ from functools import partial
 
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.methods import ROWS, Row
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.parts import places
 from slgaussian.store import ArtifactRef
 from tasks.shard import Chain, Step, given
@@ -30,6 +30,7 @@ def chosen(names: Sequence[str]) -> dict[str, Row]:
         if name not in (*ROWS, "all"):
             raise InputError(
                 f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
+                f"{did_you_mean(name, ROWS)}"
             )
     return {
         name: row

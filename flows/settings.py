@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slgaussian import registry, threads
+from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.remote import check_url
 
@@ -90,6 +91,9 @@ Runner = Annotated[str, BeforeValidator(_parse_runner)]
 Count = Annotated[int | Literal["auto"], BeforeValidator(_parse_count)]
 
 
+FLOATS = ["float32", "bfloat16"]
+
+
 class PartTable(BaseModel):
     """Settings of one part: the table of its name in a file, options ``--NAME-KEY`` of a command.
 
@@ -118,7 +122,9 @@ class MVSplatTable(PartTable):
     """Those of the predictor ``mvsplat``."""
 
     checkpoint: Path | None = Field(None, description="Weights of mvsplat, such as re10k.ckpt.")
-    precision: str = Field("float32", description="Of mvsplat's layers: float32 or bfloat16.")
+    precision: str = Field(
+        "float32", examples=FLOATS, description="Of mvsplat's layers: float32 or bfloat16."
+    )
     depth_candidates: Count = Field(
         128,
         description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
@@ -132,13 +138,17 @@ class AutomaticTable(PartTable):
         None, description="Pretrained model: folder, or name on the Hugging Face hub."
     )
     preset: str = Field(
-        "grouping", description="Which masks are asked and kept: sam, sam2, langsplat or grouping."
+        "grouping",
+        examples=["sam", "sam2", "langsplat", "grouping"],
+        description="Which masks are asked and kept: sam, sam2, langsplat or grouping.",
     )
     points: int | None = Field(
         None, description="Points prompted along each side, if not as many as the preset says."
     )
     level: str = Field(
-        "all", description="Which masks of a point: s (parts), m (objects), l (groups) or all."
+        "all",
+        examples=["s", "m", "l", "all"],
+        description="Which masks of a point: s (parts), m (objects), l (groups) or all.",
     )
     batch: int = Field(16, description="Points prompted together: memory goes with it.")
 
@@ -188,12 +198,15 @@ class ClipTable(PartTable):
     )
     crops: str = Field(
         "masked",
+        examples=["masked", "context"],
         description="What CLIP sees of a region: masked, itself on black, or context, also what is "
         "around it.",
     )
     batch: int = Field(4, description="Regions encoded together: memory goes with it.")
     precision: str = Field(
-        "float32", description="Of CLIP's image tower on a CPU: float32 or bfloat16."
+        "float32",
+        examples=FLOATS,
+        description="Of CLIP's image tower on a CPU: float32 or bfloat16.",
     )
 
 
@@ -223,10 +236,10 @@ class SeparatedTable(PartTable):
 class BranchTable(PartTable):
     """Those of the lifting ``branch``."""
 
-    weights: str = Field(
-        "shipped",
-        description="Weights of the branch: file that `train` wrote, folder of versions that "
-        "`retrain` keeps, or shipped, those of the package.",
+    weights: str | None = Field(
+        None,
+        description="Weights of the branch: file that `train` wrote, or folder of versions that "
+        "`retrain` keeps.",
     )
 
 
@@ -437,7 +450,9 @@ class Settings(Engine, Method):
     method: str = Field("slgaussian", description="Name of the method in tables and folders.")
     data: Path | None = Field(None, description="Folder of a labelled set, as its format has it.")
     format: str | None = Field(
-        None, description="Its format, if the index does not say: nerfstudio if left out."
+        None,
+        examples=list(FILES),
+        description="Its format, if the index does not say: nerfstudio if left out.",
     )
     pairs: Path | None = Field(
         None, description="Its index: what `pairs` wrote, or a file made by hand."

@@ -22,7 +22,6 @@ from slgaussian.registry import resolve
 from slgaussian.scene import Sample
 from slgaussian.seeding import rng_for
 from slgaussian.semantic import load_lifting
-from slgaussian.semantic.branch import SHIPPED
 
 
 def build_field(
@@ -67,7 +66,7 @@ def build_field(
         If a name or a setting is unknown, a checkpoint does not fit, the views cannot be used, or
         their cameras are not theirs; the message says which and why.
     """
-    settings = _with_defaults(encoder, lifting, settings or {})
+    settings = _with_defaults(encoder, settings or {})
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     compiling.watch()
@@ -208,11 +207,8 @@ def lift_field(
     return SemanticField(lifted, bank, cameras, settings, where or {})
 
 
-def _with_defaults(encoder: str, lifting: str, settings: PartSettings) -> PartSettings:
-    """Models and weights are written down even where they are those that a part has by default."""
+def _with_defaults(encoder: str, settings: PartSettings) -> PartSettings:
+    """A model is written down even where it is the one that the encoder has by default."""
     model = getattr(resolve("encoder", ENCODERS, encoder), "model", None)
-    defaults = {} if model is None else {encoder: {"model": model}}
-    if lifting == "branch":
-        defaults[lifting] = {"weights": SHIPPED}
-    filled = {name: {**own, **settings.get(name, {})} for name, own in defaults.items()}
-    return {**settings, **filled}
+    own = {} if model is None else {encoder: {"model": model, **settings.get(encoder, {})}}
+    return {**settings, **own}

@@ -20,7 +20,7 @@ import numpy as np
 
 from slgaussian.benchmark import metrics, ranking
 from slgaussian.benchmark.boundaries import boundary_iou
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import langsplat
 from slgaussian.language.query import Rules
 
@@ -231,5 +231,8 @@ PROTOCOLS: Mapping[str, ScoringProtocol] = {
 def load_protocol(name: str) -> ScoringProtocol:
     """The protocol of that name; InputError, with the names there are, if it is not one."""
     if name not in PROTOCOLS:
-        raise InputError(f"protocol: found {name!r}, expected one of {', '.join(PROTOCOLS)}")
+        raise InputError(
+            f"protocol: found {name!r}, expected one of {', '.join(PROTOCOLS)}"
+            f"{did_you_mean(name, PROTOCOLS)}"
+        )
     return PROTOCOLS[name]

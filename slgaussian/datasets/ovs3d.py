@@ -14,7 +14,7 @@ from typing import Any
 
 from slgaussian.datasets import colmap, llff
 from slgaussian.datasets.lerf_ovs import find_scene
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.scene import Scene
 
 LABELS = "segmentations"
@@ -64,5 +64,8 @@ def _reader(folder: Path, cameras: str | None) -> ModuleType:
     if cameras is None:
         return colmap if (folder / "sparse").is_dir() else llff
     if cameras not in CAMERAS:
-        raise InputError(f"cameras: found {cameras!r}, expected one of {', '.join(CAMERAS)}")
+        raise InputError(
+            f"cameras: found {cameras!r}, expected one of {', '.join(CAMERAS)}"
+            f"{did_you_mean(cameras, CAMERAS)}"
+        )
     return CAMERAS[cameras]

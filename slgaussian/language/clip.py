@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language.crops import check_regions, region_crop
 from slgaussian.language.open_clip import load_open_clip
 from slgaussian.language.room import Surroundings
@@ -90,10 +90,11 @@ class Clip:
 
     def __post_init__(self) -> None:
         for name, choices in (("crops", CROPS), ("precision", PRECISIONS)):
-            if getattr(self, name) not in choices:
+            given = getattr(self, name)
+            if given not in choices:
                 raise InputError(
-                    f"clip {name}: found {getattr(self, name)!r}, expected "
-                    f"{' or '.join(map(repr, choices))}"
+                    f"clip {name}: found {given!r}, expected "
+                    f"{' or '.join(map(repr, choices))}{did_you_mean(given, choices)}"
                 )
         if self.batch < 1:
             raise InputError(f"clip batch: found {self.batch}, expected at least 1")

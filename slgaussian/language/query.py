@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from slgaussian.brief import said
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
@@ -77,9 +77,11 @@ class Rules:
     def __post_init__(self) -> None:
         check_temperature(self.temperature)
         for name, choices in (("protocol", PROTOCOLS), ("absent", ABSENT)):
-            if getattr(self, name) not in choices:
+            given = getattr(self, name)
+            if given not in choices:
                 raise InputError(
-                    f"{name}: found {getattr(self, name)!r}, expected one of {', '.join(choices)}"
+                    f"{name}: found {given!r}, expected one of {', '.join(choices)}"
+                    f"{did_you_mean(given, choices)}"
                 )
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(

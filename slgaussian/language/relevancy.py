@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import expit
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 
 UNIT_TOLERANCE = 1e-3
 """Largest allowed | |L| - 1 |. Rounding to half precision moves a length by at most 2^-11, half of
@@ -83,6 +83,7 @@ class Scorer:
         if absent not in ABSENT:
             raise InputError(
                 f"relevancy: absent is {absent!r}, expected one of {', '.join(ABSENT)}"
+                f"{did_you_mean(absent, ABSENT)}"
             )
         self._width = features.shape[2]
         self._present = present

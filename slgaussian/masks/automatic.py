@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.masks import Proposals
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
 from slgaussian.masks.regions import check_image
@@ -163,6 +163,7 @@ class AutomaticProposer(ABC):
         if not isinstance(self.preset, Automatic) and self.preset not in PRESETS:
             raise InputError(
                 f"{part} preset: found {self.preset!r}, expected one of {', '.join(PRESETS)}"
+                f"{did_you_mean(self.preset, PRESETS)}"
             )
         if self.level not in (*LEVELS, "all"):
             raise InputError(f"{part} level: found {self.level!r}, expected s, m, l or all")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,6 @@ def find_settings(settings: Settings | str) -> Settings:
     if settings not in PRESETS:
         raise InputError(
             f"unknown rasterize settings {settings!r}: expected one of {', '.join(PRESETS)}, or a "
-            "Settings"
+            f"Settings{did_you_mean(settings, PRESETS)}"
         )
     return PRESETS[settings]

@@ -37,12 +37,6 @@ from slgaussian.semantic.others import Others, find_others
 from slgaussian.threads import inside
 from slgaussian.versions import weights_in
 
-SHIPPED = "shipped"
-"""What stands for the weights that come with the package."""
-
-WITH_PACKAGE = Path(__file__).parent / "weights" / "branch.safetensors"
-"""Where those are."""
-
 DIMENSION = 3
 """Numbers an ID code, as in the paper."""
 
@@ -169,19 +163,25 @@ class BranchLifting:
         return replace(gaussians, features=features)
 
 
-def load_lifting(weights: str | Path = SHIPPED) -> BranchLifting:
+def load_lifting(weights: str | Path | None = None) -> BranchLifting:
     """The lifting by the branch with these weights.
 
     Parameters
     ----------
     weights : str or path
-        What :func:`find_weights` takes.
+        What :func:`find_weights` takes. The package has none.
 
     Raises
     ------
     InputError
-        If there are none, or they are damaged.
+        If none are given, there are none, or they are damaged.
     """
+    if weights is None:
+        raise InputError(
+            "lifting 'branch': no weights are given; train some with `slgaussian train` and give "
+            "the file, as in --branch-weights trained/branch.safetensors, or choose the lifting "
+            "'hard'"
+        )
     return BranchLifting(load_branch(find_weights(weights)))
 
 
@@ -191,24 +191,17 @@ def find_weights(place: str | Path) -> Path:
     Parameters
     ----------
     place : str or path
-        A file that :func:`save_branch` wrote, a folder of versions, of which it is the one in use
-        (:mod:`slgaussian.versions`), or :data:`SHIPPED`.
+        A file that :func:`save_branch` wrote, or a folder of versions, of which it is the one in
+        use (:mod:`slgaussian.versions`).
 
     Raises
     ------
     InputError
-        If no weights come with the package, or no version is in use.
+        If no version is in use.
     SpecError
         If the version in use is damaged.
     """
-    if str(place) != SHIPPED:
-        return weights_in(place) if Path(place).is_dir() else Path(place)
-    if not WITH_PACKAGE.is_file():
-        raise InputError(
-            "lifting 'branch': no weights come with this install; train some with "
-            "`slgaussian train` and give the file, or choose the lifting 'hard'"
-        )
-    return WITH_PACKAGE
+    return weights_in(place) if Path(place).is_dir() else Path(place)
 
 
 def input_images(

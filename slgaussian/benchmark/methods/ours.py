@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from slgaussian.benchmark.methods.inputs import Inputs
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
 from slgaussian.language import CODES, load_codes
@@ -38,6 +38,7 @@ class Ours:
             if given is not None and given not in table:
                 raise InputError(
                     f"slgaussian {name}: found {given!r}, expected one of {', '.join(table)}"
+                    f"{did_you_mean(given, table)}"
                 )
 
     def __call__(self, inputs: Inputs) -> SemanticField:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import link_views
@@ -89,7 +89,7 @@ class MVSplat:
         if self.precision not in PRECISIONS:
             raise InputError(
                 f"mvsplat precision: found {self.precision!r}, expected one of "
-                f"{', '.join(PRECISIONS)}"
+                f"{', '.join(PRECISIONS)}{did_you_mean(self.precision, PRECISIONS)}"
             )
         most = self.config.candidates
         if self.depth_candidates != "auto" and self.depth_candidates not in range(2, most + 1):
