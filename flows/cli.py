@@ -45,7 +45,7 @@ ENGINE = ("store", "runner", "workers")
 COMMON = {
     "demo": ("preset", "size", *PARTS, "seed", *ENGINE),
     "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
-    "run": ("preset", "size", *PARTS, "seed", *ENGINE),
+    "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS, "lifting", "seed"),
     "query": ("protocol", "threshold", "canonical"),
@@ -53,7 +53,7 @@ COMMON = {
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "train": ("steps", "rate", "codes", "seed", "store"),
-    "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", *ENGINE),
+    "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),
 }
 """The settings that most people need of a command: `--help` shows these, `--help-all` the rest."""
@@ -68,16 +68,18 @@ app = App(
 )
 app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
 
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for every stage.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
 Texts = Annotated[
-    list[str], typer.Argument(metavar="TEXT...", help='What to look for, as "red basket".')
+    list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
 ]
 Views = Annotated[
     list[str] | None,
     typer.Option(
-        "--view", help="A view by name, or its number from 0; may be repeated. [default: 0]"
+        "--view",
+        metavar="<name>",
+        help="Look from this view, by name or number from 0; may be repeated. [default: 0]",
     ),
 ]
 CameraFile = Annotated[
@@ -85,19 +87,19 @@ CameraFile = Annotated[
     typer.Option(
         "--camera",
         "--cameras",
-        help="One camera as JSON, or a transforms.json: look from these, not from the field's own.",
+        help="Look from cameras of your own: one as JSON, or a transforms.json.",
     ),
 ]
 Between = Annotated[
     tuple[str, str, float] | None,
     typer.Option(
-        metavar="A B T", help="Look from between two views, at share T of the way from A to B."
+        metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to view B."
     ),
 ]
 Orbit = Annotated[
     int | None,
     typer.Option(
-        metavar="N", help="A short turn of N frames among the views; -o turn.mp4 or .gif."
+        metavar="N", help="Look from N places on a short turn; for -o turn.mp4 or turn.gif."
     ),
 ]
 Picture = Annotated[
@@ -132,14 +134,16 @@ def slgaussian(
 @app.command(rich_help_panel=FIELDS)
 @with_options(*RUN, common=COMMON["demo"])
 def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) -> None:
-    """Run the whole job on scenes that ship with the installation, and write a report.
+    """Try everything on scenes that come with the installation.
 
-    A real stereo pair with true depth and three made-up rooms in which everything is known. Takes
-    a few minutes; a second time what is unchanged comes from the store.
+    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes a
+    few minutes and leaves a report and a field of every scene. Run it again, and what is unchanged
+    comes from the store.
 
     \b
     slgaussian demo
-    slgaussian demo -o report --store /data/slg --workers 1
+    slgaussian query slg-demo/fields/room_0 "red ball" -o hit.png
+    slgaussian demo --preset fast --store /data/slg -o fast
     """
     from flows.demo import demo_scenes
     from flows.settings import make_settings
@@ -148,30 +152,39 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
     _run("demo", make_settings(given, "demo"), verbose)
 
 
+def _rivals() -> list[str]:
+    """Of those whose names a shell takes as one word."""
+    from slgaussian.benchmark.methods import ROWS
+
+    return [name for name in ("all", *ROWS) if " " not in name]
+
+
 @app.command(rich_help_panel=SCORES)
-@with_options(*RUN, "data", "pairs", "labels", "format", "rooms", common=COMMON["benchmark"])
+@with_options("data", "pairs", "labels", "format", "rooms", *RUN, common=COMMON["benchmark"])
 def benchmark(
     settings: dict,
     against: Annotated[
         list[str] | None,
-        typer.Option(help="Another method to score as well, by name, or all; may be repeated."),
+        typer.Option(
+            metavar="<name>",
+            autocompletion=_rivals,
+            help="Another method to score as well, by name, or all; may be repeated.",
+        ),
     ] = None,
     out: Out = Path("slg-benchmark"),
     verbose: Verbose = False,
 ) -> None:
-    """Score a labelled set: a field from each scene's context frames, asked in its target frames.
+    """Score the method, and others, on a labelled set.
 
-    Leaves samples.parquet and .csv (a row a scene, frame, query, method and protocol),
-    scores.parquet and .csv, report.html and report.md, manifest.json, times.json, every predicted
-    mask under predictions/, and failures.parquet with the scenes that could not be done.
-    The published index of RealEstate10K is scored in the clips that are there; with labels, a
-    folder of each clip's name, in those that are labelled.
+    Builds a field from each scene's context views and asks it in its target views. Leaves a report,
+    scores and samples as tables, predicted masks, fields, and the scenes that could not be done in
+    failures.parquet. Of an index of RealEstate10K, it scores the clips that are there.
 
     \b
-    slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels -o scores
-    slgaussian benchmark --data lerf_ovs --pairs pairs.json --against all -o scores
     slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
-    slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json -o scores
+    slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json
+    slgaussian benchmark --data office --pairs office/pairs.json \\
+        --labels office/labels -o scores
     """
     from flows.settings import make_settings
 
@@ -187,10 +200,10 @@ def compare(
         Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
     ] = None,
 ) -> None:
-    """Compare two reports: what differs in how they were made, and by how much in the scores.
+    """Compare the settings and the scores of two reports.
 
-    Differences are B minus A, on the queries that both were asked, with bootstrap intervals over
-    scenes; each method with itself.
+    Differences are B minus A, for each method, on the queries that both were asked, with bootstrap
+    intervals over scenes.
 
     \b
     slgaussian benchmark --rooms 0-9 -o before
@@ -206,20 +219,21 @@ def compare(
 @with_options(*IndexSettings.model_fields, of=IndexSettings, common=COMMON["pairs"])
 def pairs(
     settings: dict,
-    data: Annotated[Path, typer.Argument(help="Folder of the data, as its format has it.")],
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="Folder of the data, as its format has it.")
+    ],
     labels: Annotated[
         Path | None,
         typer.Option(help="Folder of labels, if the format has none of its own, or other ones."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="JSON file.")] = Path("pairs.json"),
 ) -> None:
-    """Choose two context views for every labelled frame, and write them as an index.
+    """Choose context views for the labelled frames of a set.
 
-    Labelled frames are never context views. The two are sharp, overlap, have some distance, have
-    the labelled frame between them and see nearly all of it; the best such pair is taken. The file
-    holds the rule with its settings, what was measured, and the frames without a pair: with it
-    anybody scores the same pairs. Labels are JSON as LERF-OVS has it, beside data of any format, or
-    the class masks of 3D-OVS.
+    Writes an index that `benchmark` reads: two context views for each labelled frame. They are
+    never labelled themselves; they are sharp, overlap, and see nearly all of the labelled frame,
+    which lies between them. The best such pair is taken. The file also holds the rule, what was
+    measured, and the frames without a pair, so that anybody can score the same pairs.
 
     \b
     slgaussian pairs lerf_ovs --format lerf_ovs -o pairs.json
@@ -243,13 +257,15 @@ def pairs(
 @with_options(*RUN, common=COMMON["run"])
 def run(
     settings: dict,
-    config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results.")] = None,
     verbose: Verbose = False,
 ) -> None:
-    """Run a configuration file; options given here win over the file.
+    """Run a configuration file, and write its report and fields.
 
-    Paths in the file are relative to the file. A scene names its photographs in the camera file:
+    Options given here win over the file. Paths in the file are relative to the file.
 
     \b
     out = "results"
@@ -260,6 +276,10 @@ def run(
     context = ["0001.png", "0009.png"]
     targets = ["0005.png"]
     queries = ["red kettle", "wooden table"]
+
+    \b
+    slgaussian run kitchen.toml
+    slgaussian run kitchen.toml --preset accurate -o accurate
     """
     from flows.settings import read_toml
 
@@ -271,11 +291,14 @@ def run(
 @with_options(*BUILD, common=COMMON["field"])
 def field(
     settings: dict,
-    photos: Annotated[list[str], typer.Argument(help="Two or more photographs.")],
+    photos: Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")],
     cameras: Annotated[Path, typer.Option(help="transforms.json that has their cameras.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
     """Build a field from two or more posed photographs.
+
+    A field is a folder with the scene as Gaussians and what words need to find its objects.
+    `query`, `segment`, `render` and `export` open it.
 
     \b
     slgaussian field a.png b.png --cameras transforms.json -o field/
@@ -298,25 +321,22 @@ def query(
     camera: CameraFile = None,
     orbit: Orbit = None,
     listing: Annotated[
-        bool, typer.Option("--list", help="Every object of the scene, with the best of the texts.")
+        bool, typer.Option("--list", help="List all objects, each with the text that fits it best.")
     ] = False,
     out: Picture = None,
     as_json: AsJson = False,
 ) -> None:
-    """Ask a field for words, seen from any camera, or list what is in the scene.
+    """Ask a field where something is, in words.
 
-    Without a threshold all objects are taken that fit about as well as the best one, and none if
-    no object fits better than the canonical phrases ("object", "things" ...) do. A field built with
-    clip or named is asked with the same files: say where they are if they were moved.
-
-    The exit status is 1 if nothing is found for any text, or a text is refused.
+    Selects the objects that fit the text about as well as the best one does, and none if no object
+    fits better than canonical phrases ("object", "things" ...). The exit status is 1 if nothing is
+    found for any text, or a text is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
     slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
     slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
     slgaussian query field/ "red basket" --orbit 60 -o turn.mp4
-    slgaussian query field/ "red basket" --camera camera.json --threshold 0.6
     slgaussian query field/ --list wall floor "red basket" "plant" -o objects.png
     """
     import json
@@ -359,15 +379,14 @@ def segment(
     out: Picture = None,
     as_json: AsJson = False,
 ) -> None:
-    """Give everything that a camera sees the one of several texts that fits it best.
+    """Give each object in view the text that fits it best.
 
-    What fits no text better than the canonical phrases ("object", "things" ...) stays without one;
-    another --threshold than 0.5 says otherwise. Prints a row a text: its label, its share of the
-    pixels, how well it fits them on average, and its objects.
+    What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
+    moves that bound from 0.5. Prints a row a text: its label, its share of the pixels, how well it
+    fits them on average, and its objects. The exit status is 1 if a text is refused.
 
     -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
-    bits, whose pixels are labels, 1 for the first text and 0 for none. The exit status is 1 if a
-    text is refused.
+    bits, whose pixels are labels, 1 for the first text and 0 for none.
 
     \b
     slgaussian segment field/ wall floor "red sofa" -o labels.png
@@ -392,7 +411,9 @@ def segment(
 
 @app.command(rich_help_panel=FIELDS)
 def words() -> None:
-    """List the words that the lexicon knows, by family, synonyms in brackets.
+    """List the words that the encoder lexicon knows.
+
+    By family, with synonyms in brackets.
 
     \b
     slgaussian words
@@ -416,16 +437,16 @@ def render(
     camera: CameraFile = None,
     orbit: Orbit = None,
 ) -> None:
-    """Render a field, or a .ply of Gaussians that anybody made; no GPU is needed.
+    """Draw a field, or any .ply of Gaussians, from a camera.
 
-    Colour and depth; of a field its objects too, and from one of its own cameras unless others are
-    given. A .ply comes without cameras: theirs must be in its world, photographs are not needed.
+    Draws colour and depth, and of a field its objects. A field knows its own cameras; a .ply knows
+    none, so give some in its world with --camera. No GPU and no photograph is needed.
 
     \b
     slgaussian render field/ -o picture.png --view 1
     slgaussian render field/ -o middle.png --between 0 1 0.5
     slgaussian render field/ -o turn.mp4 --orbit 60
-    slgaussian render scene.ply --camera transforms.json --view 0007.png -o picture.png
+    slgaussian render scene.ply --camera transforms.json -o picture.png
     """
     from flows.fields import picture
     from flows.viewpoints import Choice
@@ -439,11 +460,11 @@ def export(
     field: Folder,
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file.")],
 ) -> None:
-    """Write a field as a standard 3DGS .ply that viewers open.
+    """Write a field as a 3DGS .ply that other viewers open.
 
-    Beside what viewers read, each Gaussian has its code times its weight and that weight (f_sem_0
-    and on; without codes the number of its object's row), the pixel that it came from (source) and
-    its object (label, 0 for none).
+    Viewers read colour and shape. Each Gaussian also carries its ID code and weight (f_sem_0 and
+    on; without codes the number of its object), the pixel that it came from (source), and its
+    object (label, 0 for none).
 
     \b
     slgaussian export field/ -o scene.ply
@@ -462,16 +483,16 @@ def pack(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="SOURCE...",
+            metavar="SOURCE",
             help="nerfstudio folder, or procedural:FIRST-LAST (seeds of rooms).",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the chunks.")],
 ) -> None:
-    """Write scenes as chunks of the format in which RealEstate10K is published.
+    """Write scenes as chunks, the format of RealEstate10K.
 
-    Each scene is one clip, called as its folder is. Into a folder that has chunks, new ones are
-    added; clips that are there already are refused.
+    Each scene becomes one clip with the name of its folder. New clips are added to chunks that are
+    there; a clip that is there already is refused.
 
     \b
     slgaussian pack procedural:0-39 office_walk -o chunks/train
@@ -490,15 +511,15 @@ def pack(
 @app.command(rich_help_panel=CORPORA)
 @with_options(*INGEST, of=CorpusSettings, common=COMMON["ingest"])
 def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
-    """Look at every view of a corpus of RealEstate10K chunks and choose samples to learn from.
+    """Choose samples to learn from in a corpus of chunks.
 
-    Leaves views.parquet (camera, blur, exposure, distance of each view), samples.parquet (two
-    context views and three targets each) and failures.parquet (what could not be used, and why).
-    What is unchanged comes from the store: after new chunks were added, only those are read.
+    Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
+    samples.parquet (two context and three target views each) and failures.parquet (what could not
+    be used, and why). After new chunks were added, only those are read.
 
     \b
     slgaussian ingest chunks/train -o corpus
-    slgaussian ingest s3://bucket/re10k/train -o corpus --min-overlap 0.5 --most 2
+    slgaussian ingest s3://bucket/re10k/train -o corpus --most 2
     """
     _prepare("ingest", {**settings, "chunks": chunks, "out": out}, verbose)
 
@@ -506,14 +527,16 @@ def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -
 @app.command(rich_help_panel=CORPORA)
 @with_options(*SUPERVISE, of=CorpusSettings, common=COMMON["supervise"])
 def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
-    """Predict Gaussians and label all views of every sample of a corpus: lessons for training.
+    """Label the samples of a corpus: lessons for `train`.
 
-    Leaves what `ingest` does, lessons.parquet and, under sheets/, a picture a chunk of photographs
-    with their labels: look at some. Gaussians are kept apart: other masks do not predict them anew.
+    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, lessons.parquet,
+    and under sheets/ pictures of the labels: look at some. Other masks do not predict Gaussians
+    again.
 
     \b
     slgaussian supervise chunks/train -o corpus
-    slgaussian supervise chunks/train -o corpus --proposer sam --sam-model facebook/sam-vit-base
+    slgaussian supervise chunks/train -o corpus \\
+        --proposer sam --sam-model facebook/sam-vit-base
     """
     _prepare("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
 
@@ -530,15 +553,15 @@ def train(
     ] = None,
     verbose: Verbose = False,
 ) -> None:
-    """Train the semantic branch on lessons, and judge it on clips that it has not seen.
+    """Train the semantic branch on lessons, and judge it.
 
-    Leaves branch.safetensors, metrics.parquet (a row a step), judgements.parquet (a row a held-out
-    lesson and lifting) and report.html. The same lessons and settings are not trained again; a
-    training that was interrupted, or killed, goes on where it was.
+    It is judged on clips that it has not seen. Leaves branch.safetensors, report.html,
+    metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting).
+    A training that was interrupted goes on where it was.
 
     \b
     slgaussian train --lessons corpus -o trained
-    slgaussian train --lessons corpus --from trained/branch.safetensors --steps 500 -o more
+    slgaussian train --lessons corpus --from trained/branch.safetensors -o more
     slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
         --branch-weights trained/branch.safetensors -o field/
     """
@@ -562,7 +585,7 @@ def train(
 def retrain(
     settings: dict,
     config: Annotated[
-        Path | None, typer.Argument(help="TOML file with any of the settings.")
+        Path | None, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
     ] = None,
     every: Annotated[
         float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
@@ -572,23 +595,15 @@ def retrain(
     ] = None,
     verbose: Verbose = False,
 ) -> None:
-    """Learn what is new in a corpus, and put the new weights to use if they are better.
+    """Learn what is new in a corpus; use it if it is better.
 
-    Chunks that arrived are ingested and supervised; a candidate is trained from the weights in use;
-    both are judged on the same held-out clips, and the candidate is put to use if its gain is
-    beyond noise. Every version is kept; see `versions`. Without anything new nothing is done.
-
-    With --every or --cron it waits for its times; that needs a Prefect server, which `prefect
-    server start` starts, and PREFECT_API_URL. Options win over the file, whose relative paths are
-    relative to it:
+    New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
+    is put to use if it is better on held-out clips, beyond noise. Every version is kept; see
+    `versions`. --every and --cron wait for their times, which needs `prefect server start` and
+    PREFECT_API_URL. A file has chunks, out, models, store and other settings; options win over it.
 
     \b
-    chunks = "chunks/train"
-    out = "corpus"
-    models = "models"
-    store = "slg-data"
-    \b
-    slgaussian retrain retrain.toml
+    slgaussian retrain --chunks chunks/train --out corpus --models models
     slgaussian retrain retrain.toml --cron "0 3 * * *"
     slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
         --branch-weights models -o field/
@@ -621,7 +636,7 @@ def versions(
         bool, typer.Option("--roll-back", help="Put to use what the one in use was trained from.")
     ] = False,
 ) -> None:
-    """List the weights that `retrain` keeps, or put others of them to use.
+    """List the weights that `retrain` keeps, or switch to others.
 
     \b
     slgaussian versions models
@@ -648,13 +663,14 @@ def versions(
 @app.command(rich_help_panel=UPKEEP)
 @with_options("store", "runner", *FILES, common=COMMON["doctor"])
 def doctor(settings: dict) -> None:
-    """Check what a run needs: packages, threads, store, Prefect server, and what options name.
+    """Check what a run needs, and say what to do about it.
 
-    A line for each: ok, BAD with what to do about it, or -- for what need not be there, such as
-    packages of the extras. Of models only the headers are read, and none is downloaded. The exit
-    status is 1 if anything is BAD.
+    Looks at packages, threads, the store, the Prefect server and the files that options name, and
+    says of each: ok, BAD with what to do, or -- for what is missing and need not be there. Nothing
+    is downloaded. The exit status is 1 if anything is BAD.
 
     \b
+    slgaussian doctor
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
     slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
     """

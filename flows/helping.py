@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import re
 from collections.abc import Callable, Iterable
 from itertools import groupby
 from typing import Any
@@ -51,9 +52,13 @@ class Command(TyperCommand):
         if self._all is None:
             self._all = copy.copy(self.get_help_option(ctx))
             self._all.name, self._all.opts = "help_all", [ALL]
-            self._all.help = "Show every option, by what it belongs to, and exit."
+            self._all.help = "Show all options, by what they belong to, and exit."
             self._all.callback = _show_all
         return [*super().get_params(ctx), self._all]
+
+    def collect_usage_pieces(self, ctx: typer.Context) -> list[str]:
+        """`[OPTIONS]`, and the arguments by their names."""
+        return ["[OPTIONS]", *map(_usage, self._arguments(ctx))]
 
     def format_help_text(self, ctx: typer.Context, formatter: Any) -> None:
         """What the command does, then its examples: the lines that begin with the program."""
@@ -71,8 +76,9 @@ class Command(TyperCommand):
         params = self.get_params(ctx)
         special = [param for param in params if _heading(param)]
         common = [p for p in params if not _heading(p) and (special or p is not self._all)]
-        arguments = [p for p in common if p.param_type_name == "argument"]
-        _write(ctx, formatter, "Arguments", arguments)
+        if arguments := self._arguments(ctx):
+            with formatter.section("Arguments"):
+                formatter.write_dl([(_usage(p), p.help) for p in arguments])
         _write(ctx, formatter, "Options", [p for p in common if p not in arguments])
         if ctx.meta.get(ALL):
             for heading, under in groupby(sorted(special, key=_order(special)), _heading):
@@ -84,6 +90,9 @@ class Command(TyperCommand):
         if hidden and not ctx.meta.get(ALL):
             formatter.write_paragraph()
             formatter.write_text(f"{hidden} more options: {ctx.command_path} {ALL}")
+
+    def _arguments(self, ctx: typer.Context) -> list:
+        return [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
 
 
 class Group(TyperGroup):
@@ -119,7 +128,7 @@ def told(error: TyperException) -> str:
     if hasattr(error, "possibilities"):
         names = [n for p in context.command.get_params(context) for n in (*p.opts,)]
         said = f"no such option {error.option_name}{did_you_mean(error.option_name, names)}"
-    said = said[0].lower() + said[1:]
+    said = re.sub(r"^\w|: [A-Z]", lambda begin: begin[0].lower(), said)
     return said if context is None else f"{said} (see `{context.command_path} --help`)"
 
 
@@ -128,6 +137,11 @@ def _show_all(ctx: typer.Context, _: Any, value: bool) -> None:
         ctx.meta[ALL] = True
         typer.echo(ctx.get_help())
         ctx.exit()
+
+
+def _usage(argument: Any) -> str:
+    name = argument.display_name_raw + ("..." if argument.nargs < 0 else "")
+    return name if argument.required else f"[{name}]"
 
 
 def _is_example(paragraph: str) -> bool:

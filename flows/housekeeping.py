@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 DAY = 86400.0
 
 store_app = App(
-    help="Look after a store: what may go, what is damaged, how much there is.",
+    help="Look after a store: clean it, check it, measure it.",
 )
 
 
@@ -27,7 +27,7 @@ store_app = App(
 def gc(
     settings: dict,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Remove it. Without, it is only said.")
+        bool, typer.Option("--yes", help="Remove it. Otherwise it is only listed.")
     ] = False,
     age: Annotated[
         float, typer.Option(help="Days; what was written since then stays, whatever it is.")
@@ -41,10 +41,13 @@ def gc(
     ] = False,
     keep: Annotated[
         list[Path] | None,
-        typer.Option(help="Table such as lessons.parquet; what it names stays. May be repeated."),
+        typer.Option(
+            metavar="<path>",
+            help="Table such as lessons.parquet; what it names stays. May be repeated.",
+        ),
     ] = None,
 ) -> None:
-    """Say what nothing in a store refers to any more, and with --yes remove it.
+    """Say what nothing in a store refers to, and remove it with --yes.
 
     What a record names stays, with its parts: so does all that the next run would find. Files that
     a killed program left half-written go too. A run may go on meanwhile: what it makes is younger
@@ -86,9 +89,10 @@ def verify(
         bool, typer.Option("--remove", help="Delete what is damaged: it is then made again.")
     ] = False,
 ) -> None:
-    """Read everything in a store and compare it with its spec and digest.
+    """Read everything in a store, and name what is damaged.
 
-    Names what is damaged, and ends with status 1 if something is and stays.
+    Each file is compared with its spec and digest. The exit status is 1 if something is damaged
+    and stays.
 
     \b
     slgaussian store verify
@@ -120,9 +124,10 @@ def verify(
 @store_app.command()
 @with_options("store")
 def du(settings: dict) -> None:
-    """Count what is in a store: files and bytes by spec, and by the stage that made them.
+    """Count the files and bytes in a store, by spec and stage.
 
     \b
+    slgaussian store du
     slgaussian store du --store s3://bucket/slg
     """
     from slgaussian.housekeeping import usage

@@ -39,6 +39,7 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
         If the data cannot be read, nothing is labelled, or no labelled frame has a pair.
     """
     rule = Rule(Bounds(**settings.bounds()), settings.min_cover, settings.max_aside)
+    datasets.check_format(settings.format)
     if labels is None and settings.format not in PLACES:
         raise InputError(
             f"data format {settings.format!r} has no labels of its own; give their folder with "

@@ -75,7 +75,7 @@ def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> ins
     kind = kinds.get(field.annotation, str)
     help_text = field.description
     choices = field.examples or []
-    if name in PARTS:
+    if name in PARTS and not choices:
         choices = names_of(name)
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
     value = field.default
@@ -102,7 +102,7 @@ def _heading(path: tuple[str, ...], of: type[BaseModel]) -> str:
     if len(path) > 1:
         part = path[0].replace("_", "-")
         kind = next(kind for kind in PARTS if part in names_of(kind))
-        return f"The {kind} {part}"
+        return f"{kind.capitalize()} {part}"
     owner = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
     return owner.model_config["title"]
 

@@ -73,6 +73,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     parts = settings.part_names()
     check_parts(**parts, settings=settings.part_settings())
     Rules(**settings.rules())
+    rivals.chosen(settings.against)
     store.check_writable()
     check_folder(settings.out)
     kept.check_places([scene.name for scene in scenes], settings.out)

@@ -263,29 +263,34 @@ class QueryRules(BaseModel):
     protocol: str = Field(
         "slgaussian",
         examples=["slgaussian", "langsplat"],
-        description="How masks and points are made: slgaussian, of whole objects, or langsplat, of "
-        "the smoothed relevancy.",
+        description="How answers are made: slgaussian, of whole objects, or langsplat, of smoothed "
+        "relevancy.",
     )
     threshold: float | None = Field(
-        None, gt=0, lt=1, description="Relevancy above which objects are selected."
+        None,
+        gt=0,
+        lt=1,
+        description="Select the objects above this relevancy, 0 to 1. Without it: those that fit "
+        "about as well as the best one.",
     )
     share: float = Field(
         0.7,
         gt=0,
         le=1,
-        description="Without a threshold: objects are selected from this share of the best one's "
-        "lead over the canonical phrases.",
+        description="Without a threshold: select the objects that have this share of the best "
+        "one's lead over the canonical phrases.",
     )
     temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
     canonical: str | None = Field(
         None,
-        description="Phrases that a query competes with, commas between, or lerf; the encoder's "
-        "own if left out.",
+        description="Phrases that a text competes with, with commas between, or lerf for LERF's "
+        "four; the encoder's own if left out.",
     )
     absent: str = Field(
         "skip",
         examples=["skip", "zero"],
-        description="What a view says of an object it does not hold: skip, or zero.",
+        description="What a view says of an object that it does not hold: skip (nothing), or zero "
+        "(as the paper).",
     )
 
 
@@ -302,27 +307,27 @@ class Method(QueryRules):
 
     size: Size = Field(
         "auto",
-        description="Height and width, as 416x576; 'original'; 'at most 312x432': shrunk to as "
-        "many pixels if larger; or 'auto': at most 416x576.",
+        description="Height and width to work at: 416x576, 'at most 416x576' (smaller views stay), "
+        "original, or auto, which is at most 416x576.",
     )
     near: float | None = Field(
         None,
         gt=0,
-        description="Least depth in scene units, found from the photographs if left out.",
+        description="Least depth, in scene units; found from the photographs if left out.",
     )
     far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
     predictor: str = Field(
         "planesweep",
         description="What makes Gaussians of photographs.",
     )
-    proposer: str = Field("regions", description="What proposes object masks.")
+    proposer: str = Field("regions", description="What finds object masks in a photograph.")
     tracker: str = Field("geometric", description="What carries masks from view to view.")
     encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
     codes: str = Field(
         "separated",
-        description="How objects get their ID codes; grid is the paper's, exact uses none.",
+        description="How objects get ID codes (grid as in the paper, exact without any).",
     )
-    lifting: str = Field("hard", description="How Gaussians get their ID codes.")
+    lifting: str = Field("hard", description="What gives Gaussians their ID codes.")
     trust_cameras: bool = Field(
         False,
         description="Go on even if the matches between the photographs contradict their cameras.",
@@ -423,15 +428,17 @@ class Engine(BaseModel):
 
     model_config = ConfigDict(title="Who does the work")
 
-    store: str = Field("./slg-data", description="Where artifacts are kept: folder or fsspec URL.")
+    store: str = Field(
+        "./slg-data", description="Folder or fsspec URL that keeps the results of every stage."
+    )
     runner: Runner = Field(
         "threads",
         examples=list(RUNNERS),
-        description="Who does the work: threads, processes, dask or ray, or the workers of a "
-        "cluster that runs, dask://host:port or ray://host:port.",
+        description="Who does the work: threads, processes, dask or ray; or a cluster, as "
+        "dask://host:port.",
     )
     workers: int = Field(
-        min(2, threads.cores()), ge=1, description="Scenes, or chunks, worked on at the same time."
+        min(2, threads.cores()), ge=1, description="Scenes (or chunks) done at a time."
     )
 
 
@@ -443,8 +450,7 @@ class Settings(Engine, Method):
     preset: str | None = Field(
         None,
         examples=list(PRESETS),
-        description="Settings to begin from, over which those that are given win: "
-        f"{', '.join(PRESETS)}.",
+        description=f"Begin from named settings: {', '.join(PRESETS)}; other options win.",
     )
     out: Path = Field(Path("out"), description="Folder for the report and the tables.")
     method: str = Field("slgaussian", description="Name of the method in tables and folders.")

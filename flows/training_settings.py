@@ -33,7 +33,11 @@ class TrainSettings(Training):
 
     model_config = ConfigDict(title="The training")
 
-    codes: str = Field("separated", description="How ID codes are drawn: separated or grid.")
+    codes: str = Field(
+        "separated",
+        examples=["separated", "grid"],
+        description="How ID codes are drawn: separated or grid.",
+    )
     seed: int = Method.model_fields["seed"]
     store: str = CorpusSettings.model_fields["store"]
     lessons: Path = Field(description="Folder that `supervise` wrote.")

@@ -78,14 +78,19 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
     InputError
         If the format is unknown or reads no folder, or what lists its scenes cannot be read.
     """
-    resolve("data format", READERS, format)
-    if format not in FILES:
-        raise InputError(f"data format {format!r} reads no folder; expected {', '.join(FILES)}")
+    check_format(format)
     if format in SETS:
         return resolve("data format", SETS, format)(path)
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     return {folder.resolve().name or "scene": {}}
+
+
+def check_format(format: str) -> None:
+    """InputError, with the formats that there are, if this is none that reads a folder."""
+    resolve("data format", READERS, format)
+    if format not in FILES:
+        raise InputError(f"data format {format!r} reads no folder; expected {', '.join(FILES)}")
 
 
 def _check(format: str, function: Callable, args: tuple, settings: dict[str, Any]) -> None:

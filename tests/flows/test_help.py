@@ -1,0 +1,236 @@
+"""What the command line says of itself: help, completion, and slips of the fingers."""
+
+import inspect
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from command import run, said
+from typer.main import get_command
+
+from flows import settings
+from flows.cli import app
+from flows.helping import ALL
+from slgaussian import __version__
+from slgaussian.errors import did_you_mean
+
+ROOT = Path(__file__).parents[2]
+ROOT_COMMAND = get_command(app)
+COMMANDS = {
+    (name, *more): command
+    for name, first in ROOT_COMMAND.commands.items()
+    for more, command in (
+        {(inner,): c for inner, c in first.commands.items()} if hasattr(first, "commands") else {
+            (): first
+        }
+    ).items()
+}  # fmt: skip
+"""Every command by its words, such as ``("store", "gc")``."""
+GROUPS = [(), *{words[:-1] for words in COMMANDS if len(words) > 1}]
+EACH = pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+
+
+@pytest.fixture
+def shown(monkeypatch, capsys):
+    """What ``slgaussian WORDS`` prints in a terminal of so many columns."""
+
+    def shown(*words: str, columns: int = 80) -> str:
+        # click's own variable: there is no terminal to ask here.
+        monkeypatch.setenv("COLUMNS", str(columns))
+        assert run(monkeypatch, *words) == 0
+        return capsys.readouterr().out
+
+    return shown
+
+
+def options_in(text: str) -> set[str]:
+    return set(re.findall(r"^  (?:-\w, )?(--[a-z0-9-]+)", text, re.MULTILINE))
+
+
+TABLES = settings.TABLES
+KEYS = {t: [key.replace("_", "-") for key in of.model_fields] for t, of in TABLES.items()}
+
+
+@EACH
+def test_help_is_one_screen_and_teaches_by_examples(words, shown):
+    text = shown(*words, "--help")
+    lines = text.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    assert "Examples:\n" in text
+    assert "Undefined" not in text and "None" not in text
+    assert shown(*words, "-h") == text
+
+
+@pytest.mark.parametrize("words", GROUPS, ids=lambda words: " ".join(words) or "slgaussian")
+def test_the_help_of_a_group_is_one_screen_of_whole_sentences(words, shown):
+    text = shown(*words, "--help")
+    assert len(text.splitlines()) <= 40
+    assert "..." not in text.replace("[ARGS]...", "")
+    assert shown(*words, "-h") == text
+
+
+@EACH
+def test_help_all_has_every_option_under_a_heading(words, shown):
+    short, text = shown(*words, "--help"), shown(*words, ALL, columns=120)
+    assert "Undefined" not in text
+    takes = {o for p in COMMANDS[words].params for o in p.opts if o.startswith("--")}
+    assert takes <= options_in(text)
+    hidden = takes - options_in(short)
+    assert f"{len(hidden)} more options: slgaussian {' '.join(words)} {ALL}" in short or not hidden
+    heading = None
+    for line in text.splitlines():
+        heading = line[:-1] if re.match(r"\w.*:$", line) else heading
+        for option in options_in(line) & hidden:
+            tables = {f"--{t.replace('_', '-')}-{key}": t for t in TABLES for key in KEYS[t]}
+            part = tables.get(option, "").replace("_", "-")
+            assert heading != "Options" and heading.endswith(part), option
+
+
+@EACH
+def test_every_example_is_understood(words):
+    """All that can be told without doing the work: names, options and their types."""
+    doc = inspect.cleandoc(COMMANDS[words].help).replace("\\\n", " ")
+    examples = [line for line in map(str.strip, doc.splitlines()) if line.startswith("slgaussian ")]
+    assert examples
+    for line in examples:
+        asked = shlex.split(line)[1:]
+        at = 2 if tuple(asked[:2]) in COMMANDS else 1
+        command = COMMANDS[tuple(asked[:at])]
+        with typer.Context(ROOT_COMMAND, info_name="slgaussian") as above:
+            command.make_context(" ".join(asked[:at]), asked[at:], parent=above)
+    assert any(line.split()[1 : len(words) + 1] == list(words) for line in examples)
+
+
+def test_choices_that_are_listed_are_those_that_are_taken():
+    """Of what is too heavy to ask where options are declared."""
+    from slgaussian.language import clip, query, relevancy
+    from slgaussian.masks import automatic
+    from slgaussian.predict.mvsplat import predictor
+
+    def listed(name: str, of=settings.Method) -> set[str]:
+        return set(of.model_fields[name].examples)
+
+    assert listed("protocol") == set(query.PROTOCOLS)
+    assert listed("absent") == set(relevancy.ABSENT)
+    assert listed("preset", settings.SamTable) == set(automatic.PRESETS)
+    assert listed("level", settings.SamTable) == {*automatic.LEVELS, "all"}
+    assert listed("crops", settings.ClipTable) == set(clip.CROPS)
+    assert listed("precision", settings.ClipTable) == set(clip.PRECISIONS)
+    assert listed("precision", settings.MVSplatTable) == set(predictor.PRECISIONS)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("slgaussian fie", {"field"}),
+        ("slgaussian store ", {"gc", "verify", "du"}),
+        ("slgaussian field --predictor ", {"planesweep", "mvsplat"}),
+        ("slgaussian field --predictor mv", {"mvsplat"}),
+        ("slgaussian demo --preset ", set(settings.PRESETS)),
+        ("slgaussian demo --tracker s", {"sam2-video"}),
+        ("slgaussian run --sam-l", {"--sam-level"}),
+        ("slgaussian run --sam-level ", {"s", "m", "l", "all"}),
+        ("slgaussian pairs walk --format l", {"llff", "lerf_ovs"}),
+        ("slgaussian benchmark --against near", {"nearest-view"}),
+        ("slgaussian query fie", set()),  # left to the shell: a folder
+    ],
+)
+def test_completion_knows_commands_options_and_names(line, expected, monkeypatch, capsys):
+    """As the scripts of bash ask; ``--show-completion`` prints them."""
+    monkeypatch.setenv("_SLGAUSSIAN_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - (not line.endswith(" "))))
+    assert run(monkeypatch) == 0
+    assert set(capsys.readouterr().out.split()) == expected
+
+
+def test_completion_and_help_need_no_heavy_library():
+    code = (
+        "import sys\nfrom flows.cli import main\ntry: main()\nexcept SystemExit: pass\n"
+        "heavy = {'torch', 'numpy', 'prefect', 'numba', 'cv2'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {heavy}' if heavy else 0)"
+    )
+    asked = {"COMP_WORDS": "slgaussian field --encoder ", "COMP_CWORD": "3"}
+    env = {**os.environ, **asked, "_SLGAUSSIAN_COMPLETE": "complete_bash"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [b"lexicon", b"clip", b"named"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
+    """``shell`` runs it, as the shell in use is found among the parents of the program."""
+    pytest.importorskip("shellingham")
+    code = f"from typer._completion_shared import install; print(install({shell!r}, 'slgaussian'))"
+    env = {**os.environ, "HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True)
+    written = [p.read_text() for p in tmp_path.rglob("*slgaussian*")]
+    assert any("_SLGAUSSIAN_COMPLETE" in text for text in written)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["feild"], "no such command 'feild'; did you mean 'field'? (see `slgaussian --help`)"),
+        (["store", "verfy"], "did you mean 'verify'? (see `slgaussian store --help`)"),
+        (["demo", "--encodr", "clip"], "no such option --encodr; did you mean '--encoder'?"),
+        (["field", "--help_all"], "did you mean '--help-all'?"),
+        (["xyzzy"], "no such command 'xyzzy' (see `slgaussian --help`)"),
+        (["field"], "missing argument 'PHOTO' (see `slgaussian field --help`)"),
+        (["demo", "--workers", "two"], "invalid value for '--workers': input should be a valid"),
+        (["demo", "--out"], "option '--out' requires an argument"),
+        (["words", "red"], "unexpected extra argument(s) (red) (see `slgaussian words --help`)"),
+        (["demo", "--encoder", "lexcion"], "unknown encoder 'lexcion': expected one of clip, "),
+        (["demo", "--encoder", "lexcion"], "; did you mean 'lexicon'?"),
+        (["demo", "--preset", "acurate"], "; did you mean 'accurate'?"),
+        (["demo", "--protocol", "langsplatt"], "; did you mean 'langsplat'?"),
+        (["demo", "--codes", "seperated"], "; did you mean 'separated'?"),
+        (["demo", "--runner", "proceses"], "; did you mean 'processes'?"),
+        (["pairs", ".", "--format", "lerf-ovs"], "; did you mean 'lerf_ovs'?"),
+        (["benchmark", "--rooms", "0-0", "--against", "lerflike"], "; did you mean 'lerf-like'?"),
+        (["demo", "--lifting", "branch"], "no weights are given; train some"),
+    ],
+)
+def test_a_slip_is_one_sentence_with_the_nearest_name(
+    words, expected, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, *words) == 2
+    assert expected in said(capsys)
+    assert [p.name for p in tmp_path.iterdir()] == []
+
+
+def test_the_nearest_name_is_near():
+    known = ["planesweep", "mvsplat", "sam2-video"]
+    assert did_you_mean("MVSplat", known) == "; did you mean 'mvsplat'?"
+    assert did_you_mean("sam2_video", known) == "; did you mean 'sam2-video'?"
+    assert did_you_mean("regions", known) == did_you_mean("", known) == did_you_mean(3, []) == ""
+
+
+def test_nothing_given_is_help_and_no_success(monkeypatch, capsys):
+    assert run(monkeypatch) == 2
+    assert "Usage: slgaussian" in capsys.readouterr().err
+
+
+def test_python_runs_the_program_whatever_the_working_folder_holds(tmp_path, shown):
+    assert shown("--version") == f"slgaussian {__version__}\n"
+    for name in ("flows", "tasks", "data_specs", "email"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('a stranger')")
+    for more in ([], ["-P"]):
+        command = [sys.executable, *more, "-m", "slgaussian"]
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        for words in (["--version"], ["feild"]):
+            done = subprocess.run(
+                [*command, *words], cwd=tmp_path, env=env, capture_output=True, text=True
+            )
+            if words == ["--version"]:
+                assert done.stdout == f"slgaussian {__version__}\n", done.stderr
+            else:
+                assert done.returncode == 2 and "did you mean 'field'" in done.stderr
