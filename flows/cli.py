@@ -48,8 +48,8 @@ COMMON = {
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS, "lifting", "seed"),
-    "query": ("protocol", "threshold", "canonical"),
-    "segment": ("threshold", "canonical"),
+    "query": ("threshold",),
+    "segment": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "train": ("steps", "rate", "codes", "seed", "store"),
@@ -328,9 +328,9 @@ def query(
 ) -> None:
     """Ask a field where something is, in words.
 
-    Selects the objects that fit the text about as well as the best one does, and none if no object
-    fits better than canonical phrases ("object", "things" ...). The exit status is 1 if nothing is
-    found for any text, or a text is refused.
+    Takes the objects that fit the text about as well as the best one does, and none if no object
+    fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
+    The exit status is 1 if nothing is found for any text, or a text is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png

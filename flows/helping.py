@@ -159,7 +159,12 @@ def _order(shown: Iterable[Any]) -> Callable[[Any], int]:
 
 
 def _write(ctx: typer.Context, formatter: Any, heading: str | None, params: Iterable[Any]) -> None:
-    rows = [row for param in params if (row := param.get_help_record(ctx))]
+    rows = []
+    for param in params:
+        names, said = param.get_help_record(ctx) or ("", "")
+        for other in [name for name in param.opts if name.startswith("--")][1:]:
+            names = names.replace(f", {other}", "")  # taken, but not taught
+        rows += [(names, said)] if names else []
     if rows:
         with formatter.section(heading):
             formatter.write_dl(rows)

@@ -270,8 +270,7 @@ class QueryRules(BaseModel):
         None,
         gt=0,
         lt=1,
-        description="Select the objects above this relevancy, 0 to 1. Without it: those that fit "
-        "about as well as the best one.",
+        description="Take what fits a text above this relevancy, 0 to 1.",
     )
     share: float = Field(
         0.7,

@@ -5,6 +5,12 @@ That they fire is shown by ``benches/schedule.py``: a server, and two times of a
 
 import inspect
 import logging
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
 import time
 from importlib import import_module
 from pathlib import Path
@@ -122,6 +128,49 @@ def test_a_report_by_the_clock_is_that_of_the_command(tmp_path, server, capsys):
     assert said in capsys.readouterr().out
     first, *_, last = (tmp_path / "scores" / "log.jsonl").read_text("utf-8").splitlines()
     assert '"command": "run"' in first and '"how": "finished"' in last
+
+
+LINES = (
+    "prefect server start",
+    "export PREFECT_API_URL=http://127.0.0.1:4200/api",
+    "prefect work-pool create slgaussian --type process",
+    "prefect --no-prompt deploy --all",
+    "prefect worker start --pool slgaussian",
+)
+"""What it takes to deploy, in this order."""
+
+
+def documented() -> dict[str, list[str]]:
+    """The commands of every passage that deploys, without what is said of them."""
+    found = {"prefect.yaml": (ROOT / "prefect.yaml").read_text("utf-8").split("\nname:")[0]}
+    for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
+        for i, block in enumerate(page.read_text("utf-8").split("```")[1::2]):
+            if "deploy --all" in block:
+                found[f"{page.relative_to(ROOT)} {i}"] = block
+    # Remarks stand three spaces behind the command, or behind a hash.
+    return {
+        name: [re.split(r" {3,}| #", line.lstrip("# "))[0].strip() for line in text.splitlines()]
+        for name, text in found.items()
+    }
+
+
+def test_whoever_is_told_to_deploy_is_told_all_that_it_takes():
+    passages = documented()
+    assert len(passages) >= 3
+    for name, lines in passages.items():
+        assert [line for line in lines if line in LINES] == list(LINES), name
+
+
+def test_the_documented_lines_deploy(server, tmp_path):
+    """With the server of the tests; `benches/deployments.py` runs what is deployed, by a worker."""
+    shutil.copy(ROOT / "prefect.yaml", tmp_path)
+    env = {**os.environ, "PREFECT_API_URL": server.url, "PREFECT_HOME": str(tmp_path / "home")}
+    for line in LINES[2:4]:
+        command = [sys.executable, "-m", *shlex.split(line)]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    made = {d["name"]: d["work_pool_name"] for d in asked(server, "deployments/filter", {})}
+    assert made.items() >= {d["name"]: "slgaussian" for d in DEPLOYMENTS}.items()
 
 
 def test_the_scheduler_of_the_server_can_plan_runs(server):
