@@ -47,7 +47,7 @@ COMMON = {
     "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
-    "field": ("preset", "size", *PARTS, "lifting", "seed"),
+    "field": ("preset", "size", *PARTS, "trust_cameras", "seed"),
     "query": ("threshold",),
     "segment": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
