@@ -37,8 +37,8 @@ BOUND = 0.35
 FITS = 0.6
 BETTER = 1.5
 """A correction is the cause if it explains finely this share of the matches that agree as finely,
-and so many times those that the cameras explain as they are. `docs/cameras.md` has what both were
-chosen by."""
+and so many times those that the cameras explain as they are. `docs/measured/cameras.md` has
+what both were chosen by."""
 
 WIDE = 30.0
 """Degrees between the lines of sight of two cameras above which depth suffers."""
