@@ -38,6 +38,10 @@ SUPERVISE = (
     "size", "near", "far", "predictor", "proposer", "tracker", "replicas",
     "planesweep", "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
 )  # fmt: skip
+MASKS = (
+    "preset", "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker",
+    "replicas", "planesweep", "mvsplat", "sam", "sam2", "sam2_video",
+)  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
 PARTS = ("predictor", "proposer", "tracker", "encoder")
@@ -48,6 +52,7 @@ COMMON = {
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS, "trust_cameras", "seed"),
+    "masks": ("preset", "size", *PARTS[:3], "replicas"),
     "query": ("threshold",),
     "segment": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
@@ -308,6 +313,31 @@ def field(
 
     made = build(photos, cameras, out, settings)
     typer.echo(made)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*MASKS, common=COMMON["masks"])
+def masks(
+    settings: dict,
+    photos: Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")],
+    cameras: Annotated[Path, typer.Option(help="transforms.json that has their cameras.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
+) -> None:
+    """Label the objects of posed photographs: one id an object, the same in all views.
+
+    Writes a map a view, a grey PNG with 16 bits whose pixels are ids and 0 for none, and look.jpg
+    to look at. They are what the tracker precomputed reads: change them, and build a field.
+
+    \b
+    slgaussian masks a.png b.png --cameras transforms.json -o ids/
+    slgaussian masks a.png b.png --cameras transforms.json --proposer sam -o ids/
+    slgaussian field a.png b.png --cameras transforms.json --tracker precomputed \\
+        --precomputed-folder ids/ -o field/
+    """
+    from flows.labelling import label, tabled
+
+    typer.echo(tabled(label(photos, cameras, out, settings)))
+    typer.echo(out)
 
 
 @app.command(rich_help_panel=FIELDS)

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
+from slgaussian.masks.precomputed import encode_ids
 from slgaussian.store import replacing, write_atomic
 
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -92,10 +93,8 @@ def write_picture(path: Path, image: np.ndarray) -> None:
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
-    """Write ids int32 [H, W] of at most 65,535 as a grey PNG with 16 bits: the value is the id."""
-    out = io.BytesIO()
-    Image.fromarray(ids.astype(np.uint16)).save(out, "PNG")
-    _write(path, out.getvalue())
+    """Write ids int32 [H, W] as :func:`slgaussian.masks.precomputed.encode_ids` does."""
+    _write(path, encode_ids(ids)[1])
 
 
 def below_each_other(images: Sequence[np.ndarray]) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from flows.drawings import check_drawing, drawing
-from flows.settings import make_settings
+from flows.settings import Settings, make_settings
 from flows.viewpoints import Choice, Viewpoint
 from slgaussian import harmonics
 from slgaussian.benchmark import pictures
@@ -24,7 +24,7 @@ from slgaussian.field_folder import check_target
 from slgaussian.gaussians import Gaussians
 from slgaussian.ply import load_ply, save_ply
 from slgaussian.rasterize import rasterize
-from slgaussian.scene import Scene
+from slgaussian.scene import Sample, Scene
 from slgaussian.semantic.decode import VISIBLE
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
@@ -43,14 +43,12 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     """
     method = make_settings(options, "field")
     check_target(out)
-    scene, folder = posed_scene(cameras, photos)
-    names = [_view_of(scene, photo, folder) for photo in photos]
     start = time.perf_counter()
-    sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
+    sample = posed_sample(photos, cameras, method)
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(method.part_names().values())
     print(
-        f"building a field from {len(names)} views of {width}x{height} with {parts}",
+        f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
         file=sys.stderr,
     )
     field = build_field(sample, **method.build_arguments())
@@ -58,6 +56,13 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
     return out
+
+
+def posed_sample(photos: Sequence[str], cameras: Path, method: Settings) -> Sample:
+    """The photographs with their cameras, at the size that ``method`` asks for."""
+    scene, folder = posed_scene(cameras, photos)
+    names = [_view_of(scene, photo, folder) for photo in photos]
+    return scene.sample(names, size=method.size, near=method.near, far=method.far)
 
 
 def picture(source: Path, choice: Choice, out: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from data_specs import load_spec, mismatch
 from slgaussian import __version__, jsontext
 from slgaussian.errors import InputError, SpecError
 from slgaussian.scene import Camera
-from slgaussian.store import Arrays, arrays_digest, decode, is_digest
+from slgaussian.store import Arrays, arrays_digest, decode, is_digest, replacing_folder
 
 FORMAT = 1
 """Version of the folder: what its files are and mean. One without a number was made before."""
@@ -132,23 +131,10 @@ def write(path: Path, text: str, fill: Callable[[str, Path], None]) -> None:
         If the folder cannot be written, or holds something that is not a field.
     """
     check_target(path)
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        draft.chmod(0o755)
+    with replacing_folder(path) as draft:
         for spec, name in FILES.items():
             fill(spec, draft / name)
         (draft / ABOUT).write_text(text, "utf-8")
-        if path.exists():
-            os.rename(path, old := Path(f"{draft}-old"))
-            os.rename(draft, path)
-            shutil.rmtree(old)
-        else:
-            os.rename(draft, path)
-    except BaseException as error:
-        shutil.rmtree(draft, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise _unwritable(path, error) from error
-        raise
 
 
 def read_about(path: Path) -> tuple[About, dict[str, str]]:
@@ -188,17 +174,19 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     return arrays
 
 
-def check_target(path: Path) -> None:
+def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
     """Make the parents of ``path`` and see that a field may be written there.
+
+    Or another folder that is known by the file ``marker`` in it; ``what`` names it.
 
     Call it before the work, so that hours are not lost to a folder that cannot be written.
 
     Raises
     ------
     InputError
-        If a parent cannot be made or written, or ``path`` holds something that is not a field.
+        If a parent cannot be made or written, or ``path`` holds something that is no such folder.
     """
-    check_free(path)
+    check_free(path, marker, what)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
@@ -206,11 +194,11 @@ def check_target(path: Path) -> None:
         raise _unwritable(path, error) from error
 
 
-def check_free(path: Path) -> None:
-    """Raise :class:`InputError` if ``path`` holds something that is not a field."""
+def check_free(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
+    """Raise :class:`InputError` if ``path`` holds something that is not ``what``."""
     empty = path.is_dir() and not any(path.iterdir())
-    if path.exists() and not (path / ABOUT).is_file() and not empty:
-        raise InputError(f"{path}: exists and is not a field; choose another folder, or remove it")
+    if path.exists() and not (path / marker).is_file() and not empty:
+        raise InputError(f"{path}: exists and is not {what}; choose another folder, or remove it")
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:

@@ -13,6 +13,8 @@ import io
 import json
 import os
 import re
+import shutil
+import tempfile
 import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,6 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -443,6 +446,36 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
         if os.path.exists(temporary):
             os.remove(temporary)
         raise
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """A folder to fill, which takes the place of the folder ``path`` once it is whole.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written; what is at ``path`` stays then.
+    """
+    try:
+        draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        try:
+            draft.chmod(0o755)
+            yield draft
+            if path.exists():
+                os.rename(path, old := Path(f"{draft}-old"))
+                os.rename(draft, path)
+                shutil.rmtree(old)
+            else:
+                os.rename(draft, path)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose a folder that you may write "
+            "to, on a disk with room"
+        ) from error
 
 
 def sha256_of(file: str | os.PathLike[str]) -> str:

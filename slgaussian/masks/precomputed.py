@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.images import opened, read_npy
@@ -21,6 +24,8 @@ MOST_STRETCH = 2.0
 crop from 16:9 to a square is 1.8, a quarter turn of 3:2 is 2.3."""
 
 TOP = 2**31 - 1
+TOP_PNG = 2**16 - 1
+"""The largest id, in any map and in a grey PNG."""
 
 
 @dataclass(eq=False)
@@ -102,6 +107,43 @@ class Precomputed:
             f"{folder}: has no id map of view {str(name)!r}; expected {name.stem}.png or "
             f"{name.stem}.npy"
         )
+
+
+def map_names(views: Sequence[str]) -> dict[str, str]:
+    """What the maps of views are called, by view and without suffix, so that they are found.
+
+    The plain names of the views if they are unique, or else with their folders.
+
+    Raises
+    ------
+    InputError
+        If two views would have one map, or a map would lie outside the folder.
+    """
+    for names in (
+        {view: Path(view).stem for view in views},
+        {view: Path(view).with_suffix("").as_posix() for view in views},
+    ):
+        if len(set(names.values())) == len(names):
+            break
+    else:
+        raise InputError(f"views {', '.join(views)}: two would have one id map; rename one of them")
+    for view, name in names.items():
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise InputError(
+                f"view {view!r}: its id map would lie outside the folder; give all photographs "
+                "different names"
+            )
+    return names
+
+
+def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
+    """Suffix and content of the map int32 [H, W]: a grey PNG of 16 bits, or NPY for large ids."""
+    out = io.BytesIO()
+    if ids.max(initial=0) <= TOP_PNG:
+        Image.fromarray(ids.astype(np.uint16)).save(out, "PNG")
+        return ".png", out.getvalue()
+    np.save(out, ids)
+    return ".npy", out.getvalue()
 
 
 def folder_digest(folder: Path | str) -> str:
