@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import subprocess
 import tomllib
 from pathlib import Path
 
@@ -74,19 +73,15 @@ def test_every_page_is_in_the_index():
     assert sorted(name(page) for page in pages - linked) == []
 
 
-def tracked(*suffixes: str) -> list[Path]:
-    """Files of the repository, by git where there is one and by folder where there is none."""
-    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
-    listed = [ROOT / found for found in done.stdout.decode().split("\0") if found]
-    if not listed:
-        folders = ("slgaussian", "flows", "tasks", "data_specs", "tests", "benches", "docs")
-        listed = [file for folder in folders for file in (ROOT / folder).rglob("*")]
-    return [file for file in listed if file.suffix in suffixes and file.exists()]
+def sources() -> list[Path]:
+    folders = ("slgaussian", "flows", "tasks", "data_specs", "tests", "benches", "docs", "docker")
+    files = [*ROOT.iterdir(), *(file for folder in folders for file in (ROOT / folder).rglob("*"))]
+    return [file for file in files if file.suffix in (".py", ".toml", ".yaml")]
 
 
 def test_files_that_are_named_exist():
     missing = {}
-    for file in {*PAGES, *tracked(".py", ".toml", ".yaml")} - {Path(__file__)}:
+    for file in {*PAGES, *sources()} - {Path(__file__)}:
         for found in set(OWN_FILE.findall(read(file))) - TO_BE_WRITTEN:
             if not any(ROOT.glob(found)) and not (file.parent / found).exists():
                 missing.setdefault(name(file), []).append(found)
