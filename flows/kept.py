@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
@@ -32,13 +33,18 @@ def check_places(scenes: Iterable[str], out: Path) -> None:
 
 
 def write_fields(
-    store: ArtifactStore, fields: Mapping[str, ArtifactRef], places: Mapping[str, str], out: Path
+    store: ArtifactStore,
+    fields: Mapping[str, ArtifactRef],
+    places: Mapping[str, str],
+    out: Path,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Write the fields by scene below folder ``out``, and a table of them.
 
     Their files are links to those in the store where there can be any: of all that a run leaves
     they are by far the largest. What is there already stays as it is; fields that an earlier run
-    left and this one has not are taken away. ``places`` are those of the encoder's files.
+    left and this one has not are taken away. ``places`` are those of the encoder's files, and
+    ``tell`` is told of what takes time.
 
     Raises
     ------
@@ -63,13 +69,15 @@ def write_fields(
     ]
     write_table(TABLE, pa.Table.from_pylist(rows, schema=load_spec(TABLE).schema), out)
 
-    def write(scene: str) -> None:
+    def look(scene: str) -> _Kept | None:
         about, parts = about_field(store, fields[scene])
-        folder, text = place(scene, out), about.to_json(places)
-        if not _is_there(store, folder, text, parts):
-            field_folder.write(folder, text, lambda spec, file: store.lay_out(parts[spec], file))
+        one = _Kept(place(scene, out), about.to_json(places), parts)
+        return None if one.is_there(store) else one
 
-    store.at_once(write, list(fields), SIDE_BY_SIDE)
+    missing = [one for one in store.at_once(look, list(fields)) if one is not None]
+    if missing and not store.near:
+        tell(f"copying {len(missing)} fields from {store.root}")
+    store.at_once(lambda one: one.write(store), missing, SIDE_BY_SIDE)
 
 
 def _earlier(out: Path) -> set[str]:
@@ -81,13 +89,27 @@ def _earlier(out: Path) -> set[str]:
         return set()
 
 
-def _is_there(
-    store: ArtifactStore, folder: Path, text: str, parts: Mapping[str, ArtifactRef]
-) -> bool:
-    try:
-        same = (folder / field_folder.ABOUT).read_text("utf-8") == text
-    except (OSError, ValueError):
-        return False
-    return same and all(
-        store.is_laid_out(ref, folder / field_folder.FILES[spec]) for spec, ref in parts.items()
-    )
+@dataclass(frozen=True)
+class _Kept:
+    """A field in its folder: ``text`` is that of ``field.json``."""
+
+    folder: Path
+    text: str
+    parts: Mapping[str, ArtifactRef]
+
+    def is_there(self, store: ArtifactStore) -> bool:
+        """Whether it is as :meth:`write` left it."""
+        try:
+            same = (self.folder / field_folder.ABOUT).read_text("utf-8") == self.text
+        except (OSError, ValueError):
+            return False
+        return same and all(
+            store.is_laid_out(ref, self.folder / field_folder.FILES[spec])
+            for spec, ref in self.parts.items()
+        )
+
+    def write(self, store: ArtifactStore) -> None:
+        """Write it whole, or not at all."""
+        field_folder.write(
+            self.folder, self.text, lambda spec, file: store.lay_out(self.parts[spec], file)
+        )

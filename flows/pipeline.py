@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -82,7 +82,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         progress.line(text)
     made = _pipeline(settings, scenes, store, progress)
     try:
-        results = _write(settings, store, made)
+        results = _write(settings, store, made, progress.line)
     except OSError as error:
         raise InputError(
             f"{settings.out}: cannot write the results ({error.strerror}); they are kept in the "
@@ -203,7 +203,9 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def _write(settings: Settings, store: ArtifactStore, made: _Made) -> list[SceneResult]:
+def _write(
+    settings: Settings, store: ArtifactStore, made: _Made, tell: Callable[[str], None]
+) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
     write_atomic(out / "failures.parquet", encode_table(failures_table(made.failures)))
@@ -241,7 +243,7 @@ def _write(settings: Settings, store: ArtifactStore, made: _Made) -> list[SceneR
             # That of an earlier run is not about these scenes.
             (out / name).unlink(missing_ok=True)
     of_encoder = places(settings.part_settings().get(settings.encoder, {}))
-    kept.write_fields(store, made.fields, of_encoder, out)
+    kept.write_fields(store, made.fields, of_encoder, out, tell)
     return results
 
 

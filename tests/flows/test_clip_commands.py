@@ -174,6 +174,11 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
     moved = shutil.copytree(model, tmp_path / "moved")
     pipeline.run(settings_for(moved, tmp_path / "again"), store)
     assert "room  benchmark  cached" in capsys.readouterr().err
+    # The field is asked with the model where each run had it.
+    for out, place in (("out", model), ("again", moved)):
+        field = SemanticField.load(tmp_path / out / "fields" / "room")
+        assert field.places == {"model": str(place.resolve())}
+        assert field.describe(["red ball"])
     pipeline.run(settings_for(moved, tmp_path / "third", crops="context"), store)
     progress = capsys.readouterr().err
     assert "room  masks  cached" in progress and "room  supervision  cached" not in progress
