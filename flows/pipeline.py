@@ -7,6 +7,7 @@ import os
 import platform
 import shlex
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -253,19 +254,19 @@ def _ready(made: _Made, out: Path) -> str:
     Of the first scene whose answer is known to be right, or else of the first that has one. A field
     without is drawn.
     """
-    asked = {
-        scene: ref.meta["example"] for scene, ref in made.answers.items() if scene in made.fields
-    }
+    asked = {scene: ref.meta["example"] for scene, ref in made.answers.items()}
     examples = {scene: example for scene, example in asked.items() if example is not None}
     known = [scene for scene, example in examples.items() if example["iou"] is not None]
     scene = next(iter([*known, *examples, *made.fields]), None)
     if scene is None:
         return ""
-    folder = str(kept.place(scene, out))
+    folder = kept.place(scene, out)
+    with suppress(ValueError):  # it is not below the working folder
+        folder = folder.relative_to(Path.cwd())
     if scene not in examples:
-        return shlex.join(["slgaussian", "render", folder, "-o", "picture.png"])
+        return shlex.join(["slgaussian", "render", str(folder), "-o", "picture.png"])
     text = examples[scene]["text"]
-    return shlex.join(["slgaussian", "query", folder, text, "-o", "hit.png"])
+    return shlex.join(["slgaussian", "query", str(folder), text, "-o", "hit.png"])
 
 
 def _json(content: dict[str, Any]) -> bytes:

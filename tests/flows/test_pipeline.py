@@ -114,12 +114,35 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     own = build_field(replace(sample, scene="room"), **settings.build_arguments())
     own.save(tmp_path / "own")
     assert files_below(left) == files_below(tmp_path / "own")
-    # The command that a run ends with works as it stands.
-    words = shlex.split(finished.ready)
-    assert words[:3] == ["slgaussian", "query", str(left)]
+    assert finished.ready.startswith("slgaussian query ")
+
+
+def test_the_last_line_of_a_run_is_a_command_that_works(first, tmp_path, monkeypatch, capsys):
+    folder, _, _ = first
+    scene = "\n".join(f"{key} = {_toml(value)}" for key, value in ROOM.items())
+    config = tmp_path / "run.toml"
+    config.write_text(f'size = "64x96"\n[[scenes]]\n{scene}\n')
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, *words[1:]) == 0
+    words = ["run", config, "--store", folder / "store", "-o", "out of it's reach"]
+    assert run(monkeypatch, *words) == 0
+    told = capsys.readouterr()
+    assert "room  benchmark  cached" in told.err
+    words = shlex.split(told.out.splitlines()[-1])
+    assert words[:3] == ["slgaussian", "query", "out of it's reach/fields/room"]
+    assert run(monkeypatch, *words[1:], "--json") == 0
+    (answer,) = map(json.loads, capsys.readouterr().out.splitlines())
+    assert answer["text"] == words[3] and answer["pixels"] > 0 and answer["score"] > 0.5
     assert (tmp_path / words[-1]).read_bytes()[:4] == b"\x89PNG"
+    # It is asked what the truth says is answered rightly.
+    rows = pq.read_table("out of it's reach/samples.parquet").to_pylist()
+    ious = [row["iou"] for row in rows if row["query"] == words[3] and row["iou"] is not None]
+    assert ious and min(ious) > 0.5
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key} = {json.dumps(one)}' for key, one in value.items())}}}"
+    return json.dumps(value)
 
 
 def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
