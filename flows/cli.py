@@ -75,7 +75,9 @@ app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
 
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
-Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
+Folder = Annotated[
+    Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
+]
 Texts = Annotated[
     list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
 ]
@@ -142,12 +144,12 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
     """Try everything on scenes that come with the installation.
 
     A stereo pair with true depth, and three made-up rooms in which everything is known. It takes a
-    few minutes and leaves a report and a field of every scene. Run it again, and what is unchanged
-    comes from the store.
+    few minutes, leaves a report and a field of every scene, and ends with a command that asks one.
+    Run it again, and what is unchanged comes from the store.
 
     \b
     slgaussian demo
-    slgaussian query slg-demo/fields/room_0 "red ball" -o hit.png
+    slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
     slgaussian demo --preset fast --store /data/slg -o fast
     """
     from flows.demo import demo_scenes

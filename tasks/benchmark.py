@@ -5,6 +5,8 @@ from __future__ import annotations
 from statistics import fmean
 from typing import Any
 
+import numpy as np
+
 from slgaussian.benchmark.evaluate import SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
@@ -52,18 +54,20 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     """What to ask a field first: ``text``, and its mean ``iou``, None if there is no truth.
 
     Of the queries that the truth says are answered rightly in every frame, the best; or else the
-    one that scored highest without truth. Only those count whose best object the first context view
-    holds: there it is asked without further ado. None if there is no such query.
+    one that scored highest without truth. Only those count for which the first context view, where
+    it is asked without further ado, holds an object that fits about as well as any. None if there
+    is no such query.
     """
+    rules = Rules()
     asked: dict[str, list[dict[str, Any]]] = {}
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
             asked.setdefault(row["query"], []).append(row)
     found = []
     for text, rows in asked.items():
-        (gaps,) = field.reader.gaps([text], Rules())
-        best = int(gaps.argmax())
-        if gaps[best] <= 0 or not field.bank.present[best, 0]:
+        (gaps,) = field.reader.gaps([text], rules)
+        here = gaps[field.bank.present[:, 0]].max(initial=-np.inf)
+        if here <= 0 or here < rules.share * gaps.max():
             continue
         ious = [row["iou"] for row in rows]
         if None in ious:

@@ -13,13 +13,16 @@ import pytest
 from command import room_sample
 
 from flows import kept
+from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.housekeeping import collect, verify
+from slgaussian.language.query import Rules
 from slgaussian.records import Records
 from slgaussian.store import ArtifactStore, DamagedError
 from tasks.artifacts import about_field, put_field
+from tasks.benchmark import example
 
 SCENES = {"room": "room", "a room/of *mine*": "a room_of _mine_-"}
 """Scenes, and how the names of their folders begin."""
@@ -168,3 +171,40 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
     changed = replace(field, settings={**field.settings, "scene": "other"})
     changed.save(file.parent)
     assert SemanticField.load(file.parent).settings["scene"] == "other"
+
+
+def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True, **own) -> dict:
+    given = {"query": query, "frame": frame, "iou": iou, "hit_mask": hit, "score": 0.6, "note": ""}
+    return {**given, "protocol": "slgaussian@1", **own}
+
+
+def asked(field: SemanticField, *rows: dict) -> str | None:
+    found = example(SceneResult("room", list(rows), {}, {}, {}, {}), field)
+    return None if found is None else found["text"]
+
+
+def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
+    assert asked(field, row("blue wall", iou=0.8), row("floor")) == "floor"
+    assert asked(field, row("blue wall", iou=0.8), row("floor", hit=False)) == "blue wall"
+    assert (
+        asked(field, row("blue wall", iou=0.6), row("floor"), row("floor", "b", 0.4)) == "blue wall"
+    )
+    assert (
+        asked(field, row("blue wall", iou=0.8), row("floor", protocol="langsplat@1")) == "blue wall"
+    )
+    # What was asked without truth comes after all that is known to be right.
+    unknown = {"iou": None, "hit": None}
+    assert asked(field, row("blue wall", **unknown, score=0.9), row("floor", iou=0.6)) == "floor"
+    assert asked(field, row("blue wall", **unknown), row("floor", **unknown, score=0.7)) == "floor"
+    assert asked(field, row("blue wall", iou=0.3), row("floor", note="unknown: x")) is None
+    assert asked(field) is None
+    # What the first view does not hold is not asked there.
+    bank = field.bank
+    (gaps,) = field.reader.gaps(["floor"], Rules())
+    gone = np.outer(gaps > 0, [True, False])
+    features = np.where(gone[..., None], 0, bank.features)
+    elsewhere = replace(bank, present=bank.present & ~gone, features=features, boxes=None)
+    assert (bank.present & gone).any()
+    assert (
+        asked(field.changed(bank=elsewhere), row("blue wall", iou=0.8), row("floor")) == "blue wall"
+    )
