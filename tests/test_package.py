@@ -2,10 +2,14 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import slgaussian
+
+# Of programs: it holds the package, installed or not, and wherever the tests are started.
+ROOT = Path(__file__).parents[1]
 
 CHECK = """
 import sys
@@ -18,12 +22,12 @@ assert not bad, bad
 
 
 def test_the_library_never_imports_the_pipeline():
-    subprocess.run([sys.executable, "-c", CHECK], check=True)
+    subprocess.run([sys.executable, "-c", CHECK], cwd=ROOT, check=True)
 
 
 def test_importing_the_package_is_light():
     heavy = "import sys, slgaussian; assert not {'torch', 'numba', 'cv2'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", heavy], check=True)
+    subprocess.run([sys.executable, "-c", heavy], cwd=ROOT, check=True)
 
 
 def test_an_unknown_attribute_is_an_attribute_error():

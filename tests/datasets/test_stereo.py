@@ -19,6 +19,16 @@ def test_true_depth_sends_left_pixels_a_disparity_to_the_left():
     assert (left.depth[~known] == 0).all() and (left.depth[known] > 0).all()
 
 
+def test_the_cameras_are_those_of_the_published_calibration():
+    """That of the whole photographs, in which pixel centres lie at whole numbers; four are one."""
+    scene = stereo.read()
+    for name, cx in (("left", 1244.772), ("right", 1369.115)):
+        K = scene.cameras[name].K
+        assert np.allclose((4 * K[0, 0], 4 * K[1, 1]), 3979.911, rtol=0, atol=2e-3)
+        assert np.allclose(4 * K[:2, 2] - 0.5, (cx, 1019.507), rtol=0, atol=3e-3)
+    assert scene.cameras["right"].center.tolist() == [0.193001, 0, 0]
+
+
 def test_the_right_photograph_agrees_with_that_and_with_no_other_offset():
     scene = stereo.read()
     left, right = scene.read("left"), scene.read("right")

@@ -1,5 +1,6 @@
 """Training learns, leaves the same bytes whatever happens to it, and says what stops it."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import Architecture, Branch, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
 from slgaussian.semantic.training import TrainingSettings, loss_of, train
+
+ROOT = Path(__file__).parents[2]
 
 
 def bytes_in(folder: Path) -> dict[str, bytes]:
@@ -57,7 +60,8 @@ def test_it_learns_and_its_metrics_say_so(tmp_path):
 @pytest.mark.parametrize("step", [2, 7])
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, uninterrupted, step):
     script = Path(__file__).with_name("train_and_die.py")
-    killed = subprocess.run([sys.executable, script, tmp_path, str(step)], check=False)
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (script.parent, ROOT)))}
+    killed = subprocess.run([sys.executable, script, tmp_path, str(step)], env=env, check=False)
     assert killed.returncode == -signal.SIGKILL
     assert (tmp_path / CHECKPOINT).is_file() == (step >= SETTINGS.every)
     steps = []

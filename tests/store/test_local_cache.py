@@ -2,12 +2,14 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from slgaussian.errors import InputError
 from slgaussian.local_cache import ABANDONED, LocalCache, parse_size
 
+ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
 
 
@@ -71,7 +73,7 @@ for number in range(400):
 
 def test_processes_may_share_it(tmp_path):
     command = [sys.executable, "-c", WRITER, str(tmp_path)]
-    running = [subprocess.Popen(command) for _ in range(3)]
+    running = [subprocess.Popen(command, cwd=ROOT) for _ in range(3)]
     assert [process.wait(60) for process in running] == [0, 0, 0]
     assert size_of(tmp_path) <= 64000 * 17 / 16
 
