@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.codes import grid_codes
+from slgaussian.language.separated import _points
 from slgaussian.semantic.decode import Decoder
 
 # Written out, not imported: a slip in the module must show here.
@@ -77,6 +78,8 @@ def borders(seed: int, n: int, dimension: int, size=(40, 30)) -> tuple[np.ndarra
     """A picture of patches with blurred borders, noise, thin and empty places."""
     rng = np.random.default_rng(seed)
     codes = grid_codes(n, rng, dimension)
+    if seed % 2:  # as on a chessboard, where the next code in L1 is not the next in L2
+        codes = rng.permutation(_points(n, dimension).astype(np.float32))[:n]
     patches = codes[rng.integers(n, size=(size[0] // 8 + 1, size[1] // 8 + 1))]
     sharp = patches.repeat(8, 0).repeat(8, 1)[: size[0], : size[1]]
     soft = (sharp + np.roll(sharp, 1, 0) + np.roll(sharp, 1, 1) + np.roll(sharp, 2, 1)) / 4

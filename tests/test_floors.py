@@ -1,0 +1,45 @@
+"""The quality of the whole method has a floor, within what chance moves it by.
+
+Means and standard deviations are those that ``python -m benches.floors 10 DATA`` printed. A floor
+is the mean less some four deviations of one seed, so that another seed, or a processor that rounds
+otherwise, stays above it, and what costs a few points falls below.
+"""
+
+import pytest
+
+from benches import floors
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    return floors.rooms(seed=0)
+
+
+def test_words_are_found_in_made_up_rooms(rooms):
+    """Measured: 0.616 +- 0.011, which is the noise of one seed."""
+    assert rooms["iou"] > 0.57
+
+
+def test_novel_views_of_made_up_rooms_are_as_sharp(rooms):
+    """Measured: 27.33 +- 0.02 dB; of another processor some more is allowed for."""
+    assert rooms["psnr"] > 27.2
+
+
+def test_depth_of_the_motorcycle_pair():
+    """Measured: bad-2.0 6.19 +- 0.15 %, mean relative error 1.80 +- 0.02 %.
+
+    OpenCV's semi-global matcher has 17.9 % bad pixels.
+    """
+    found = floors.motorcycle(seed=0)
+    assert found["bad2"] < 0.068
+    assert found["abs_rel"] < 0.0187
+
+
+def test_words_are_found_in_photographs_of_an_office(real_data):
+    """Measured on four of its eight pairs, at a quarter of the pixels: 0.353 +- 0.010."""
+    assert floors.office(real_data, seed=0)["iou"] > 0.31
+
+
+def test_words_are_found_in_photographs_of_other_places(real_data):
+    """Measured on three of them, at a quarter of the pixels: 0.280 +- 0.012."""
+    assert floors.places(real_data, seed=0)["iou"] > 0.23
