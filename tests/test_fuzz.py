@@ -1,4 +1,4 @@
-"""A small part of what ``benches/fuzz.py`` does, whose table is in ``docs/guides/security.md``."""
+"""A small part of what ``benches/fuzz.py`` does, whose table is in ``docs/measured/fuzz.md``."""
 
 import random
 
