@@ -5,6 +5,8 @@ is the mean less some four deviations of one seed, so that another seed, or a pr
 otherwise, stays above it, and what costs a few points falls below.
 """
 
+from pathlib import Path
+
 import pytest
 
 from benches import floors
@@ -35,11 +37,18 @@ def test_depth_of_the_motorcycle_pair():
     assert found["abs_rel"] < 0.0187
 
 
-def test_words_are_found_in_photographs_of_an_office(real_data):
+def having(folder: Path, name: str) -> Path:
+    """The folder of real data, if it has the set of that name."""
+    if not (folder / name).is_dir():
+        pytest.skip(f"SLG_TEST_DATA has no folder {name}")
+    return folder
+
+
+def test_words_are_found_in_photographs_of_the_office(real_data):
     """Measured on four of its eight pairs, at a quarter of the pixels: 0.353 +- 0.010."""
-    assert floors.office(real_data, seed=0)["iou"] > 0.31
+    assert floors.office(having(real_data, "office"), seed=0)["iou"] > 0.31
 
 
 def test_words_are_found_in_photographs_of_other_places(real_data):
     """Measured on three of them, at a quarter of the pixels: 0.280 +- 0.012."""
-    assert floors.places(real_data, seed=0)["iou"] > 0.23
+    assert floors.places(having(real_data, "places"), seed=0)["iou"] > 0.23
