@@ -89,6 +89,21 @@ def test_a_camera_that_cannot_be_is_refused(change, sentence):
         Camera(**{**good, **change})
 
 
+@pytest.mark.parametrize("size", [(11, 15), (24, 32), (37, 50)])
+def test_resized_truths_are_those_of_pixels_and_no_mixtures(size):
+    """Between the objects 2 and 90 there is no object 46, and between two surfaces no third one."""
+    full = view(cam=camera())
+    left = np.arange(32) < 13
+    ids = np.where(left, 2, 90).astype(np.int32)[None].repeat(24, 0)
+    depth = np.where(left, 1.0, 5.0).astype(np.float32)[None].repeat(24, 0)
+    found = replace(full, instances=ids, depth=depth).resized(*size)
+    assert found.instances.shape == found.depth.shape == size
+    assert set(np.unique(found.instances)) == {2, 90}
+    np.testing.assert_array_equal(found.depth, np.where(found.instances == 2, 1.0, 5.0))
+    # The border stays where it was, to a pixel.
+    assert abs((found.instances[0] == 2).sum() - 13 / 32 * size[1]) <= 1
+
+
 def test_an_image_of_another_size_than_its_camera_is_refused():
     with pytest.raises(InputError, match="check w and h"):
         View("a", camera(), np.zeros((10, 10, 3), np.uint8))
