@@ -141,7 +141,10 @@ def main() -> None:
             f"| {group} | {len(judged)} of {len(checks)} | {matches} | {min(shares):.2f}, "
             f"{np.median(shares):.2f} | {max(gains):.2f} | {sum(c.refuted for c in checks)} |"
         )
-    print(f"\nRefused below {BOUND} of those that agree, or from {BETTER} times more explained.\n")
+    print(
+        f"\nRefused below {BOUND} of those that agree, or where a correction explains finely "
+        f"{BETTER:g} times as many.\n"
+    )
     print(f"| refused, with the cause named | {' | '.join(true)} |\n|---|{'---|' * len(true)}")
     for name, groups in {**wrong, "pose of another photograph": strangers}.items():
         print(f"| {name} | {' | '.join(_caught(groups.get(group, [])) for group in true)} |")

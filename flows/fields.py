@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from flows.viewpoints import Choice, Viewpoint
 from slgaussian import harmonics
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
+from slgaussian.cameras.quality import Quality
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -29,6 +31,21 @@ from slgaussian.semantic.decode import VISIBLE
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 """A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
+
+
+COMMON_THINGS = (
+    "floor",
+    "wall",
+    "table",
+    "chair",
+    "sofa",
+    "door",
+    "window",
+    "plant",
+    "box",
+    "book",
+)
+"""What is looked for in a new field, so that its first question has an answer."""
 
 
 def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, Any]) -> Path:
@@ -55,6 +72,12 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     field.save(out)
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
+    quality = Quality(**field.settings["quality"])
+    for warning in quality.warnings():
+        print(f"warning: {warning}", file=sys.stderr)
+    print(quality.summary(), file=sys.stderr)
+    command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
+    print(f"ask it: {shlex.join(command)}", file=sys.stderr)
     return out
 
 
@@ -122,6 +145,14 @@ def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panel
     # Over black, as such files are trained; where little is seen, its mean depth says nothing.
     rgb = np.rint(seen.values.numpy().clip(0, 1) * 255).astype(np.uint8)
     return rgb, np.where(alpha >= VISIBLE, seen.depth.numpy(), 0), []
+
+
+def _word(field: SemanticField) -> str:
+    """A word to ask for: of some common things the one that an object answers to most."""
+    if field.settings["encoder"] != "lexicon":  # another one may take long to load
+        return COMMON_THINGS[0]
+    best = max(field.describe(COMMON_THINGS), key=lambda one: one.relevancy, default=None)
+    return COMMON_THINGS[0] if best is None else best.text
 
 
 def _view_of(scene: Scene, photo: str, folder: Path) -> str:

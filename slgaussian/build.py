@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from slgaussian import compiling
-from slgaussian.cameras.check import check_cameras
+from slgaussian.cameras.check import check_cameras, check_pairs
+from slgaussian.cameras.quality import Quality, measure
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
@@ -58,7 +59,8 @@ def build_field(
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this; see :func:`slgaussian.parts.described`.
+        Its own ``settings`` say all this, see :func:`slgaussian.parts.described`, and under
+        ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`.
 
     Raises
     ------
@@ -83,6 +85,7 @@ def build_field(
         "lifting": lifting,
         "replicas": replicas,
         "seed": seed,
+        "quality": quality_of(sample, gaussians).as_json(),
         **made_by,
     }
     where = places(settings.get(encoder, {}))
@@ -139,6 +142,13 @@ def predict(
     if not trust_cameras:
         check_cameras(sample)
     return load_predictor(predictor, **settings.get(predictor, {}))(sample)
+
+
+def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
+    """What the context views share and confirm of what was predicted from them."""
+    cameras = [view.camera for view in sample.context]
+    names = [view.name for view in sample.context]
+    return measure(cameras, source_depths(gaussians, cameras), check_pairs(sample), names)
 
 
 def label_views(

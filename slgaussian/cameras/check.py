@@ -27,6 +27,9 @@ match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off b
 which :func:`slgaussian.predict.pose.refine` mends and the coarse one forgives; the fine one tells
 which of several cameras fit best."""
 
+LEAST = 1.0
+"""Pixels of the fine distance at least: matches are no sharper in a small photograph."""
+
 MIN_AGREEING = 30
 MIN_AGREEMENT = 0.4
 """Fewest matches, and least share of them, that must agree with one another for a judgement."""
@@ -35,12 +38,12 @@ BOUND = 0.35
 """Cameras are refused if they explain less than this share of the matches that agree."""
 
 FITS = 0.6
-BETTER = 1.5
+BETTER = 2.0
 """A correction is the cause if it explains finely this share of the matches that agree as finely,
 and so many times those that the cameras explain as they are. `docs/measured/cameras.md` has
 what both were chosen by."""
 
-WIDE = 30.0
+WIDE = 20.0
 """Degrees between the lines of sight of two cameras above which depth suffers."""
 
 Pair = tuple[Camera, Camera]
@@ -74,7 +77,7 @@ class PairCheck:
     coarse, fine : float
         Shares of all matches that the cameras explain up to the distances in ``pixels``.
     pixels : (float, float)
-        :data:`COARSE` and :data:`FINE` in pixels.
+        What :data:`COARSE` and :data:`FINE` are here.
     angle : float
         Degrees between the two lines of sight, median of the explained matches; NaN without any.
     gain : float
@@ -115,8 +118,7 @@ def check_cameras(sample: Sample) -> list[PairCheck]:
         If the matches of a pair refute its cameras; the message says what would mend them, if a
         usual mistake is the cause.
     """
-    views = sample.context
-    checks = [check_pair(views[i], views[j]) for i, j in neighbours(views)]
+    checks = check_pairs(sample)
     bad = [check for check in checks if check.refuted]
     if bad:
         worst = min(bad, key=lambda check: (check.coarse, check.fine))
@@ -124,12 +126,18 @@ def check_cameras(sample: Sample) -> list[PairCheck]:
     return checks
 
 
+def check_pairs(sample: Sample) -> list[PairCheck]:
+    """What the matches say of each context view with its nearest neighbours; nothing is refused."""
+    views = sample.context
+    return [check_pair(views[i], views[j]) for i, j in neighbours(views)]
+
+
 def check_pair(a: View, b: View) -> PairCheck:
     """Match two photographs and see what their cameras explain."""
     greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in (a, b)]
     at_a, at_b = sift_matches(*greys)
     diagonal = float(np.hypot(*greys[0].shape))
-    coarse, fine = COARSE * diagonal, FINE * diagonal
+    coarse, fine = COARSE * diagonal, max(FINE * diagonal, LEAST)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
     seen, close = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))

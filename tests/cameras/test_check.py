@@ -77,7 +77,7 @@ def test_what_a_pair_is_said_to_be(room):
         (lambda c: replace(c, c2w=c.c2w @ FLIP), "second and the third column of each by -1"),
         (lambda c: replace(c, c2w=FLIP @ np.linalg.inv(c.c2w) @ FLIP), "in the axes of OpenGL"),
         (lambda c: replace(c, c2w=np.linalg.inv(c.c2w)), "in the axes of OpenCV"),
-        (lambda c: focal(c, 2), "the focal length is halved"),
+        (lambda c: focal(c, 3), "the focal length is divided by 3"),
         (lambda c: focal(c, 1 / 2), "the focal length is doubled"),
         (
             lambda c: replace(c, K=np.diag([2, 2, 1]) @ c.K),

@@ -1,0 +1,61 @@
+"""What is said of a pair's quality: true numbers where truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slgaussian import datasets
+from slgaussian.cameras.check import check_pairs
+from slgaussian.cameras.quality import Quality, measure
+from slgaussian.scene import Camera, Sample
+
+GOOD = Quality(0.7, 0.6, 12.0, 200, 0.9, 7.1, True)
+
+
+@pytest.fixture(scope="module")
+def room() -> Sample:
+    scene = datasets.load("procedural", seed=1, views=2, height=156, width=216)
+    return scene.sample(list(scene.cameras))
+
+
+def of(sample: Sample, depths: np.ndarray) -> Quality:
+    cameras = [view.camera for view in sample.context]
+    return measure(cameras, depths, check_pairs(sample), [view.name for view in sample.context])
+
+
+def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
+    depths = np.stack([view.depth for view in room.context])
+    good = of(room, depths)
+    assert 0.7 < good.overlap < 1 and 0.8 * good.overlap < good.confirmed <= 1
+    wrong = depths.copy()
+    wrong[1] *= 1.1
+    assert of(room, wrong).confirmed < 0.1
+    half = depths.copy()
+    half[:, :, :108] = 0  # what has no surface is neither seen again nor confirmed
+    assert of(room, half).overlap < 0.55 and of(room, half).confirmed < 0.55
+
+
+def test_two_planes_are_counted_by_hand():
+    """A wall at depth 2 seen from 0.5 apart: f b / Z = 25 of 100 columns fall outside."""
+    K = np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]])
+    right = np.eye(4)
+    right[0, 3] = 0.5
+    cameras = [Camera(K, np.eye(4), 100, 80), Camera(K, right, 100, 80)]
+    depths = np.full((2, 80, 100), 2.0, np.float32)
+    room = datasets.load("procedural", views=2, height=16, width=16)
+    (check,) = check_pairs(room.sample(list(room.cameras)))
+    found = measure(cameras, depths, [replace(check, views=("a", "b"))], ["a", "b"])
+    assert found.overlap == pytest.approx(0.75, abs=0.011)
+    assert found.confirmed == pytest.approx(0.75, abs=0.011)
+
+
+def test_what_people_read():
+    assert GOOD.summary() == (
+        "quality: views overlap by 70%, lines of sight 12 degrees apart; the cameras explain 90% "
+        "of 200 matches within 7.1 pixels; another view confirms 60% of the pixels"
+    )
+    assert not GOOD.warnings() and Quality(**GOOD.as_json()) == GOOD
+    assert "48 degrees" in replace(GOOD, angle=48.0).warnings()[0]
+    assert "share 12%" in replace(GOOD, overlap=0.12).warnings()[0]
+    assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()
