@@ -56,8 +56,11 @@ def watch() -> None:
             event.register("numba:compile", Listener())
 
 
-class _Watch(threading.local):
-    """What a thread has compiled; kernels that a kernel calls are compiled within it."""
+class _Watch:
+    """What was compiled so far. Numba lets one thread compile at a time, and so speak to this.
+
+    Kernels that a kernel calls are compiled within it.
+    """
 
     said_once = False
 
@@ -76,7 +79,7 @@ class _Watch(threading.local):
         if spent >= SILENT and now - self.told >= AGAIN:
             self.told, self.showing = now, True
             self._say(
-                "compiling kernels for this processor, once, about a minute in all: "
+                "compiling kernels for this processor, once, which takes a minute or two: "
                 f"{self.kernels} so far, {spent:.0f} s"
             )
 
@@ -94,4 +97,4 @@ class _Watch(threading.local):
             tell(text)
         elif text and not _Watch.said_once:
             _Watch.said_once = True
-            _log.warning("compiling kernels for this processor, once; it takes about a minute")
+            _log.warning("compiling kernels for this processor, once; it takes a minute or two")
