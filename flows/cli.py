@@ -325,10 +325,10 @@ def masks(
     cameras: Annotated[Path, typer.Option(help="transforms.json that has their cameras.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
-    """Label the objects of posed photographs: one id an object, the same in all views.
+    """Label the objects of posed photographs, alike in all views.
 
-    Writes a map a view, a grey PNG with 16 bits whose pixels are ids and 0 for none, and look.jpg
-    to look at. They are what the tracker precomputed reads: change them, and build a field.
+    Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
+    look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
 
     \b
     slgaussian masks a.png b.png --cameras transforms.json -o ids/
@@ -500,7 +500,7 @@ def export(
 
     \b
     slgaussian export field/ -o scene.ply
-    slgaussian render scene.ply --cameras transforms.json -o picture.png
+    slgaussian render scene.ply --camera transforms.json -o picture.png
     """
     from flows.fields import to_ply
 
