@@ -92,12 +92,35 @@ def read_npy(file: Path) -> np.ndarray:
 
 def unreadable(path: str | Path, bad: Exception) -> InputError:
     """The error that says of a file that its content cannot be read, and why."""
+    kind = _phone_kind(path)
+    if kind is not None:
+        jpeg = Path(path).with_suffix(".jpg").name
+        return InputError(
+            f"{path}: is a photograph in {kind}, which is not read; convert it to JPEG, as with "
+            f"`magick {Path(path).name} {jpeg}` (ImageMagick) or `sips -s format jpeg "
+            f"{Path(path).name} --out {jpeg}` (macOS), and name the new file in the camera file"
+        )
     if isinstance(bad, TooLargeError):
         return InputError(f"{path}: cannot be read: {bad}")
     reason = _reason(bad).replace(str(path), "the file").strip(" .")
     return InputError(
         f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
     )
+
+
+def _phone_kind(path: str | Path) -> str | None:
+    """HEIC or AVIF, as telephones write, by the first bytes (ISO/IEC 23008-12, `ftyp` box)."""
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(12)
+    except (OSError, ValueError):
+        return None
+    if start[4:8] != b"ftyp":
+        return None
+    brands = {b"avif": "AVIF", b"avis": "AVIF"} | dict.fromkeys(
+        (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"), "HEIC"
+    )
+    return brands.get(start[8:12])
 
 
 def _reason(bad: Exception) -> str:

@@ -255,9 +255,11 @@ class Sample:
         for view in others:
             if view.image.shape != first.image.shape:
                 (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
+                least = min(h0, h1), min(w0, w1)
                 raise InputError(
                     f"scene {self.scene!r}: {first.name!r} is {w0}x{h0} and {view.name!r} is "
-                    f"{w1}x{h1}; context views must have one size; give the size to bring them to"
+                    f"{w1}x{h1}; context views must have one size; give one to bring them to, "
+                    f"height first: --size {least[0]}x{least[1]}, or size={least} in Python"
                 )
         for i, a in enumerate(self.context):
             for b in self.context[i + 1 :]:

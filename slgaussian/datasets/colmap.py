@@ -182,7 +182,7 @@ def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path | None]) 
             K, straight = _pinhole(stored, f"{source}: camera {image.camera}")
             lens = _Lens(stored, (0, 0), K, straight)
         if lens.size == (0, 0) and file is not None:
-            size = _shrunk(lens.stored, stored_size(file))
+            size = _shrunk(lens.stored, stored_size(file, (lens.stored.width, lens.stored.height)))
             scale = np.array([size[0] / lens.stored.width, size[1] / lens.stored.height, 1])
             lens = replace(lens, size=size, K=scale[:, None] * lens.K)
         lenses[image.camera] = lens

@@ -57,7 +57,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     for photograph, row in zip(photographs, rows, strict=True):
         files[photograph.name] = photograph
         try:
-            cameras[photograph.name] = _camera(row, stored_size(photograph))
+            cameras[photograph.name] = _camera(row, _size(row, photograph))
         except InputError as bad:
             raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
     name = file.resolve().parent.name or "scene"
@@ -97,6 +97,11 @@ def _rows(file: Path) -> np.ndarray:
             "photograph"
         )
     return rows.astype(np.float64)
+
+
+def _size(row: np.ndarray, photograph: Path) -> tuple[int, int] | None:
+    height, width = row[[4, 9]]
+    return stored_size(photograph, (width, height) if width >= 1 and height >= 1 else None)
 
 
 def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:

@@ -47,7 +47,8 @@ def read(path: str | Path) -> Scene:
     views keep their K, and what the lens did not see is black, with depth 0.
 
     Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
-    black; an EXIF orientation is not applied, as poses and intrinsics belong to the stored pixels.
+    black; an EXIF orientation is applied only where w and h are those of the turned photograph, see
+    :func:`slgaussian.datasets.photographs.open_rgb`.
     Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resized to the
     image by nearest pixel, and 0 where it is not a positive number; a view whose depth file is
     missing has no depth, as no method needs it.
@@ -243,7 +244,7 @@ class _Frame:
         return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
 
     def image(self, camera: Camera) -> np.ndarray:
-        pixels = open_rgb(self.image_path)
+        pixels = open_rgb(self.image_path, (camera.width, camera.height))
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "

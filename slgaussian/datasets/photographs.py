@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 
 from slgaussian.datasets.lens import Maps, straightened
 from slgaussian.errors import InputError
@@ -44,25 +44,40 @@ def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> 
     return found
 
 
-def open_rgb(path: Path) -> np.ndarray:
+def open_rgb(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     """Pixels of a file as uint8 [H, W, 3], as :func:`rgb` gives them; InputError if damaged.
 
-    An EXIF orientation is not applied, as poses and intrinsics belong to the stored pixels.
+    Poses and intrinsics belong to the pixels that some tool read: the stored ones with COLMAP, the
+    upright ones with others. ``size``, width and height by the camera, tells which: an EXIF
+    orientation is applied only if the stored photograph has not that shape and the turned one has.
     """
     try:
         with opened(path) as image:
-            return rgb(image)
+            return rgb(ImageOps.exif_transpose(image) if _is_turned(image, size) else image)
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
 
 
-def stored_size(path: Path) -> tuple[int, int] | None:
-    """Width and height of a stored photograph, None if it cannot be opened."""
+def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
+    """Width and height that :func:`open_rgb` gives a photograph; None if it cannot be opened."""
     try:
         with opened(path) as image:
-            return image.size
+            return image.size[::-1] if _is_turned(image, size) else image.size
     except (OSError, ValueError):
         return None
+
+
+def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
+    """Whether a camera of that size saw the photograph as its EXIF orientation turns it."""
+    if size is None or image.getexif().get(ExifTags.Base.Orientation) not in (5, 6, 7, 8):
+        return False
+    return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
+
+
+def _has_shape(found: tuple[int, int], size: tuple[int, int]) -> bool:
+    """Whether one size is the other's shape, up to whole pixels."""
+    (w, h), (width, height) = found, size
+    return abs(w / width - h / height) <= 1 / width + 1 / height
 
 
 def is_there(path: Path) -> bool:
@@ -104,7 +119,7 @@ def posed_view(
     InputError
         If it cannot be read, or is not of its camera's size.
     """
-    pixels = open_rgb(path)
+    pixels = open_rgb(path, (camera.width, camera.height))
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(

@@ -74,6 +74,8 @@ def recognise(path: Path) -> tuple[str, Path]:
             return "nerfstudio", path
         if any(model_files(path / place) for place in colmap.PLACES):
             return "colmap", _scene_folder(path)
+        if model_files(path / "0"):  # the folder `sparse` itself
+            return "colmap", _scene_folder(path / "0")
         if (path / llff.FILE).is_file():
             return "llff", path
         if (path / re10k.INDEX).is_file():

@@ -1,0 +1,137 @@
+"""Cameras of every format that holds files are known, and anything else is named."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slgaussian import datasets
+from slgaussian.datasets.photographs import open_rgb, stored_size
+from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
+from slgaussian.errors import InputError
+from slgaussian.scene import Sample
+
+NAMES = ("a.png", "b.png")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two photographs and their cameras in three formats, each in a folder of its own."""
+    room = datasets.load("procedural", views=2, height=48, width=64)
+    views = [room.read(name) for name in room.cameras]
+    for kind in ("nerf", "llff", "colmap"):
+        (tmp_path / kind / "images").mkdir(parents=True)
+        for name, view in zip(NAMES, views, strict=True):
+            Image.fromarray(view.image).save(tmp_path / kind / "images" / name)
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {"file_path": f"images/{n}", "transform_matrix": (v.camera.c2w @ flip).tolist()}
+        for n, v in zip(NAMES, views, strict=True)
+    ]
+    focal = float(views[0].camera.K[0, 0])
+    about = {"fl_x": focal, "w": 64, "h": 48, "frames": frames}
+    (tmp_path / "nerf/transforms.json").write_text(json.dumps(about))
+    rows = []
+    for view in views:
+        right, down, forward, center = view.camera.c2w[:3].T
+        matrix = np.stack([down, right, -forward, center, [48, 64, focal]], 1)
+        rows.append([*matrix.ravel(), 1.0, 9.0])
+    np.save(tmp_path / "llff/poses_bounds.npy", np.array(rows))
+    model = tmp_path / "colmap/sparse/0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text(f"1 PINHOLE 64 48 {focal} {focal} 32 24\n")
+    lines = []
+    for number, (name, view) in enumerate(zip(NAMES, views, strict=True), 1):
+        turn = _quaternion(view.camera.w2c[:3, :3])
+        place = [number, *turn, *view.camera.w2c[:3, 3], 1, name]
+        lines += [" ".join(map(str, place)), ""]
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    return tmp_path
+
+
+def _quaternion(R: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return np.roll(Rotation.from_matrix(R).as_quat(), 1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "nerf",
+        "nerf/transforms.json",
+        "llff",
+        "llff/poses_bounds.npy",
+        "colmap",
+        "colmap/sparse",
+        "colmap/sparse/0",
+        "colmap/sparse/0/images.txt",
+    ],
+)
+def test_every_format_gives_the_same_sample(folder, given):
+    kind = given.split("/")[0]
+    photographs = [str(folder / kind / "images" / name) for name in NAMES]
+    scene, start = posed_scene(folder / given, photographs)
+    files = {(start / name).resolve(): name for name in scene.cameras}
+    sample = scene.sample([files[Path(p).resolve()] for p in photographs])
+    assert isinstance(sample, Sample)
+    room = datasets.load("procedural", views=2, height=48, width=64)
+    for view, name in zip(sample.context, room.cameras, strict=True):
+        true = room.read(name)
+        np.testing.assert_array_equal(view.image, true.image)
+        np.testing.assert_allclose(view.camera.c2w, true.camera.c2w, atol=1e-9)
+        np.testing.assert_allclose(view.camera.K, true.camera.K, atol=1e-9)
+    assert len(cameras_in(folder / given)) == 2
+
+
+@pytest.mark.parametrize("kind", ["llff/poses_bounds.npy", "colmap/sparse/0"])
+def test_photographs_may_lie_elsewhere(folder, kind):
+    shutil.move(folder / kind.split("/")[0] / "images", folder / "mine")
+    photographs = [str(folder / "mine" / name) for name in NAMES]
+    scene, start = posed_scene(folder / kind, photographs)
+    assert start.resolve() == (folder / "mine").resolve()
+    assert scene.read("b.png").image.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda p: None, "No such file"),
+        (lambda p: p.mkdir(), "it is empty"),
+        (lambda p: (p / "one/sparse").mkdir(parents=True), "1 scenes, such as one"),
+        (lambda p: (p.mkdir(), (p / "t.json").write_text("{}")), "it has t.json; give the file"),
+        (lambda p: p.write_text("hello"), "is no file of cameras"),
+    ],
+    ids=["nothing", "empty", "set", "json", "text"],
+)
+def test_anything_else_is_one_clear_sentence(tmp_path, make, said):
+    make(tmp_path / "x")
+    with pytest.raises(InputError, match=r"expected transforms\.json") as refused:
+        recognise(tmp_path / "x")
+    assert said in str(refused.value) and str(tmp_path / "x") in str(refused.value)
+
+
+def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):
+    stored = np.zeros((40, 60, 3), np.uint8)
+    stored[:20, :30] = 255  # bright at the top left as stored
+    exif = Image.Exif()
+    exif[0x0112] = 6  # to be turned clockwise
+    file = tmp_path / "a.png"
+    Image.fromarray(stored).save(file, exif=exif)
+    np.testing.assert_array_equal(open_rgb(file, (60, 40)), stored)
+    np.testing.assert_array_equal(open_rgb(file), stored)
+    upright = np.rot90(stored, -1)
+    np.testing.assert_array_equal(open_rgb(file, (40, 60)), upright)
+    assert stored_size(file, (80, 120)) == (40, 60) and stored_size(file) == (60, 40)
+    Image.fromarray(stored).save(file)  # without the tag nothing is guessed
+    np.testing.assert_array_equal(open_rgb(file, (40, 60)), stored)
+
+
+def test_a_photograph_of_a_telephone_is_named(tmp_path):
+    file = tmp_path / "IMG_1.heic"
+    file.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
+    with pytest.raises(InputError, match=r"in HEIC.*magick IMG_1\.heic IMG_1\.jpg"):
+        open_rgb(file)
