@@ -78,6 +78,14 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results."
 Folder = Annotated[
     Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
 ]
+Photos = Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")]
+Cameras = Annotated[
+    Path,
+    typer.Option(
+        help="Their cameras: transforms.json, poses_bounds.npy, or the folder of a COLMAP model or "
+        "scene."
+    ),
+]
 Texts = Annotated[
     list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
 ]
@@ -298,8 +306,8 @@ def run(
 @with_options(*BUILD, common=COMMON["field"])
 def field(
     settings: dict,
-    photos: Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")],
-    cameras: Annotated[Path, typer.Option(help="transforms.json that has their cameras.")],
+    photos: Photos,
+    cameras: Cameras,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
     """Build a field from two or more posed photographs.
@@ -309,6 +317,7 @@ def field(
 
     \b
     slgaussian field a.png b.png --cameras transforms.json -o field/
+    slgaussian field images/1.jpg images/2.jpg --cameras sparse/0 -o field/
     slgaussian query field/ "red basket" -o hit.png
     """
     from flows.fields import build
@@ -321,8 +330,8 @@ def field(
 @with_options(*MASKS, common=COMMON["masks"])
 def masks(
     settings: dict,
-    photos: Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")],
-    cameras: Annotated[Path, typer.Option(help="transforms.json that has their cameras.")],
+    photos: Photos,
+    cameras: Cameras,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
     """Label the objects of posed photographs, alike in all views.
