@@ -48,6 +48,23 @@ def test_exact_matches_lie_on_their_epipolar_lines_and_triangulate():
     assert np.allclose(relative.triangulate(pixels, there), w)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_matches_do_not_tell_stays_as_it_was_given(seed):
+    """Of what is far away, noise alone has an opinion on where the camera went.
+
+    Measured: up to 0.3 degrees; without the given pose as a prior 38 to 88.
+    """
+    rng = np.random.default_rng(seed)
+    given = Relative.between(camera(), camera(x=0.3))
+    here = rng.uniform((0, 0), (camera().width, camera().height), (60, 2))
+    there = given.project(here, 1 / 50)[0] + rng.normal(0, 0.5, (60, 2))
+    found = refine(given, here, there)
+    cosine = found.t @ given.t / np.linalg.norm(found.t) / np.linalg.norm(given.t)
+    assert np.degrees(np.arccos(min(cosine, 1))) < 3
+    turned = cv2.Rodrigues(found.R @ given.R.T)[0]
+    assert np.degrees(np.linalg.norm(turned)) < 0.6
+
+
 @pytest.mark.parametrize("turn", [(0.4, 0, 0), (0, 0, 0.4), (0.3, -0.2, 0.25)])
 def test_refinement_takes_back_a_turned_pose(turn):
     pixels, there, _ = matches(noise=0.1)
