@@ -79,8 +79,8 @@ class _Watch:
         if spent >= SILENT and now - self.told >= AGAIN:
             self.told, self.showing = now, True
             self._say(
-                "compiling kernels for this processor, once, which takes a minute or two: "
-                f"{self.kernels} so far, {spent:.0f} s"
+                "compiling kernels for this processor, once, a minute or two: "
+                f"{self.kernels} in {spent:.0f} s"
             )
 
     def ended(self) -> None:
