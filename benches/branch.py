@@ -154,7 +154,7 @@ def judged(
     """Rows of IoU; ``shown`` gives the labels of a lesson by what they are called."""
     scores: dict[tuple[str, str], list[float]] = {}
     for index, lesson in enumerate(lessons):
-        kinds = {kind: corrupt(lesson.labels, rng_for(7, lesson.sample, kind), kinds=(kind,))
+        kinds = {kind: corrupt(lesson.labels, rng_for(7, lesson.content, kind), kinds=(kind,))
                  for kind in KINDS}  # fmt: skip
         for labels, maps in {**shown(index), **kinds}.items():
             for name, score in label_iou(lesson, liftings, maps).items():

@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -53,7 +52,7 @@ def motorcycle(seed: int) -> dict[str, float]:
     """``bad2`` and ``abs_rel`` of the left view's depth, at full size."""
     sample = datasets.load("stereo").sample(["left", "right"], size="original")
     left, right = (view.camera for view in sample.context)
-    gaussians = load_predictor("planesweep")(_reseeded(sample, seed))
+    gaussians = load_predictor("planesweep")(sample, seed)
     depth = source_depths(gaussians, [left, right])[0]
     scale = left.K[0, 0] * float(np.linalg.norm(right.center - left.center))
     found = depth_errors(depth, sample.context[0].depth, scale)
@@ -81,12 +80,8 @@ def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
     return {"iou": float(np.mean(ious))}
 
 
-def _reseeded(sample: Sample, seed: int) -> Sample:
-    return replace(sample, scene=f"{sample.scene}/{seed}")
-
-
 def _scores(sample: Sample, truth: Mapping, seed: int, boxes: Mapping | None = None) -> dict:
-    field = build_field(_reseeded(sample, seed), seed=seed)
+    field = build_field(sample, seed=seed)
     unused = np.zeros((1, 1, 1), np.int32)  # what is drawn of label maps
     maps = LabelMaps(unused, unused)
     return evaluate(

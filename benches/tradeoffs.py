@@ -244,7 +244,7 @@ class Stages:
         predictor = chosen.predictor, own.get(chosen.predictor, {})
         gaussians, geometry = self.once(
             ["geometry", shape, predictor],
-            lambda: load_predictor(predictor[0], **predictor[1])(sample),
+            lambda: load_predictor(predictor[0], **predictor[1])(sample, chosen.seed),
         )
         masks_of = chosen.proposer, chosen.tracker, chosen.replicas
         labels, masks = self.once(
@@ -260,7 +260,7 @@ class Stages:
         strategy = load_codes(chosen.codes, **own.get(chosen.codes, {}))
         codes, drawing = self.once(
             ["codes", strategy, chosen.seed, same],
-            lambda: strategy(labels, rng_for(chosen.seed, sample.scene, "codes")),
+            lambda: strategy(labels, rng_for(chosen.seed, sample.content, "codes")),
         )
         bank = replace(bare, codes=codes)
 

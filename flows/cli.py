@@ -35,7 +35,7 @@ INGEST = (
     "most", "store", "runner", "workers",
 )  # fmt: skip
 SUPERVISE = (
-    "size", "near", "far", "predictor", "proposer", "tracker", "replicas",
+    "size", "near", "far", "predictor", "proposer", "tracker", "replicas", "seed",
     "planesweep", "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
 )  # fmt: skip
 MASKS = (

@@ -94,7 +94,7 @@ def steps(
         Step("pairs", {"bounds": settings.bounds()}, {"views": "views"}),
         Step(
             "predictions",
-            {**content, **views, **parts("predictor")},
+            {**content, **views, **parts("predictor"), "seed": settings.seed},
             {"pairs": "pairs"},
             {**places(own.get(settings.predictor, {})), **where},
         ),

@@ -64,7 +64,7 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
         file=sys.stderr,
     )
     start = time.perf_counter()
-    gaussians = predict(sample, method.predictor, own, method.trust_cameras)
+    gaussians = predict(sample, method.predictor, method.seed, own, method.trust_cameras)
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     maps = associate(sample.context, proposer, tracker, method.replicas, depths)
     print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)

@@ -165,7 +165,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
         Step(
             "geometry",
             # What a check lets pass is the same with it and without.
-            {**_only(parts, "predictor"), **({"trust_cameras": True} if trusted else {})},
+            {**_only(parts, "predictor", "seed"), **({"trust_cameras": True} if trusted else {})},
             {"sample": "ingest"},
             where=where.get(method.predictor, {}),
         ),

@@ -49,7 +49,8 @@ def build_field(
     replicas : int
         How many copies of each view vote on its labels (five in the paper, section 3.2).
     seed : int
-        Decides which ID codes are drawn; the same seed gives the same bytes.
+        Of everything random: the planes that fill depth, and the ID codes. The same seed gives
+        the same bytes, whatever scene and views are called.
     settings : mapping, optional
         Settings of these parts, each under its name (see its class):
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
@@ -72,7 +73,7 @@ def build_field(
     check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
     made_by = described(settings)
     compiling.watch()
-    gaussians = predict(sample, predictor, settings, trust_cameras)
+    gaussians = predict(sample, predictor, seed, settings, trust_cameras)
     label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
     bank = remember(sample, gaussians, label_maps, encoder, codes, seed, settings)
     about = {
@@ -129,7 +130,7 @@ def check_parts(
 
 
 def predict(
-    sample: Sample, predictor: str, settings: PartSettings, trust_cameras: bool = False
+    sample: Sample, predictor: str, seed: int, settings: PartSettings, trust_cameras: bool = False
 ) -> Gaussians:
     """Gaussians from the context views (paper, section 3.1), once their cameras are believed.
 
@@ -141,7 +142,7 @@ def predict(
     """
     if not trust_cameras:
         check_cameras(sample)
-    return load_predictor(predictor, **settings.get(predictor, {}))(sample)
+    return load_predictor(predictor, **settings.get(predictor, {}))(sample, seed)
 
 
 def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
@@ -186,7 +187,7 @@ def remember(
     """
     settings = settings or {}
     strategy = load_codes(codes, **settings.get(codes, {}))
-    drawn = strategy(label_maps, rng_for(seed, sample.scene, "codes"))
+    drawn = strategy(label_maps, rng_for(seed, sample.content, "codes"))
     loaded = load_encoder(encoder, **settings.get(encoder, {}))
     names = true_names(sample, label_maps) if encoder == "named" else None
     cameras = [view.camera for view in sample.context]

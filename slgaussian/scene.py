@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.images import MOST_PIXELS
+from slgaussian.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
@@ -223,7 +225,7 @@ class Sample:
     Attributes
     ----------
     scene : str
-        Scene id; seeds and store paths derive from it.
+        Scene id, as tables and messages say it. No result depends on it.
     context : tuple of View
         Two or more photographs of the same size.
     targets : tuple of View
@@ -264,6 +266,18 @@ class Sample:
         for i, a in enumerate(self.context):
             for b in self.context[i + 1 :]:
                 _check_pair(self.scene, a, b)
+
+    @cached_property
+    def content(self) -> str:
+        """What the context views are, images and cameras in their order, whatever they are called.
+
+        SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.seeding`).
+        """
+        parts: list[np.ndarray] = []
+        for view in self.context:
+            seen = view.camera
+            parts += [view.image, seen.K, seen.c2w, np.array([seen.near or 0.0, seen.far or 0.0])]
+        return content_of(*parts)
 
     def resized(self, height: int, width: int) -> Sample:
         """All views scaled and centre-cropped to one size."""

@@ -13,7 +13,7 @@ VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``gaussians``. Settings: predictor, and under its name its own. Inputs: sample.
+    """Spec ``gaussians``. Settings: predictor, seed, under its name its own. Inputs: sample.
 
     Also ``trust_cameras``, which may be left out.
     ``where["checkpoint"]`` is the file that the predictor's settings hold the SHA-256 of.
@@ -22,6 +22,6 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     name = call.settings["predictor"]
     own = placed(call.settings.get(name, {}), call.where, CHANGED)
     trust = call.settings.get("trust_cameras", False)
-    gaussians = predict(sample, name, {name: own}, trust)
+    gaussians = predict(sample, name, call.settings["seed"], {name: own}, trust)
     gaussians.check()
     return store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})

@@ -22,7 +22,7 @@ from tasks.learning import StoredLessons, branch_from_arrays
 from tasks.stage import StageCall, tell
 
 STAGE = "judge"
-VERSION = 1
+VERSION = 2
 
 LABELS = ("as found", "corrupted")
 """What liftings are shown."""
@@ -62,4 +62,4 @@ def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:
     """Labels of the context views of a kind of :data:`LABELS`, int32 [V, H, W]."""
     if kind == "as found":
         return lesson.labels
-    return corrupt(lesson.labels, rng_for(seed, lesson.sample, "corrupted"))
+    return corrupt(lesson.labels, rng_for(seed, lesson.content, "corrupted"))

@@ -27,7 +27,7 @@ VERSION = 1000 * geometry.VERSION + 1
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``predictions``. Inputs: pairs.
 
-    Settings: chunk (its SHA-256), size, near, far, predictor, and under its name its own.
+    Settings: chunk (its SHA-256), size, near, far, seed, predictor, and under its name its own.
     ``where["chunk"]`` is the chunk, ``where["checkpoint"]`` the file that the predictor's settings
     hold the SHA-256 of. A sample that cannot be done is named in ``meta["left_out"]``.
     """
@@ -38,7 +38,8 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     rows, bad = [], []
     for row in store.get(call.inputs["pairs"]).to_pylist():
         try:
-            gaussians = predict(read_sample(clips[row["clip"]], row, call.settings, targets=False))
+            sample = read_sample(clips[row["clip"]], row, call.settings, targets=False)
+            gaussians = predict(sample, call.settings["seed"])
             gaussians.check()
         except InputError as error:
             bad.append(left_out(row["sample"], error))

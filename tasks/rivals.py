@@ -21,7 +21,7 @@ from tasks.artifacts import (
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "rivals"
-VERSION = 2
+VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

@@ -11,7 +11,7 @@ from tasks.artifacts import sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "supervision"
-VERSION = 3
+VERSION = 4
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

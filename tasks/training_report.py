@@ -13,7 +13,7 @@ from tasks.learning import StoredLessons
 from tasks.stage import StageCall
 
 STAGE = "training_report"
-VERSION = 1
+VERSION = 2
 
 SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""

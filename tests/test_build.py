@@ -1,6 +1,7 @@
 """The front door: which settings of parts it takes, and how they are written down."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.parts import described
+from slgaussian.scene import Sample
 
 NAMES = {
     "predictor": "planesweep",
@@ -74,3 +76,35 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         depths[far] = source_depths(field.gaussians, cameras).max()
     assert 0.9 < depths[10.0] < 10.001
     assert depths[10.0] != depths[20.0]
+
+
+def of_pair(sample: Sample, seed: int = 0) -> dict[str, bytes]:
+    """All arrays of the field of the stereo pair, and an answer, as bytes."""
+    field = build_field(sample, replicas=1, seed=seed)
+    arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
+    arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
+    view = field.render(sample.context[0].camera)
+    answer = view.query("red")
+    arrays |= {"ids": view.ids, "mask": answer.mask, "relevancy": answer.relevancy}
+    return {name: array.tobytes() for name, array in arrays.items()}
+
+
+@pytest.fixture(scope="module")
+def pair() -> Sample:
+    return datasets.load("stereo").sample(context=["left", "right"], size=(120, 168))
+
+
+@pytest.fixture(scope="module")
+def of_first(pair):
+    return of_pair(pair)
+
+
+def test_a_name_reaches_no_byte(pair, of_first):
+    views = tuple(replace(view, name=f"other {view.name}") for view in pair.context)
+    assert of_pair(replace(pair, scene="renamed", context=views)) == of_first
+
+
+def test_the_seed_reaches_depth_and_codes(pair, of_first):
+    other = of_pair(pair, seed=1)
+    for name in ("Gaussians means", "bank codes"):
+        assert other[name] != of_first[name]

@@ -19,8 +19,11 @@ PREDICTORS = {
 class GaussianPredictor(Protocol):
     """Anything that turns the context views of a sample into Gaussians."""
 
-    def __call__(self, sample: Sample) -> Gaussians:
-        """Predict Gaussians in the world frame of the sample; targets must not be read."""
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
+        """Predict Gaussians in the world frame of the sample; targets must not be read.
+
+        Whatever is drawn at random depends on ``seed`` and on what the context views show.
+        """
 
 
 def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:

@@ -125,10 +125,11 @@ class PlaneSweep:
                 f"number from {CANDIDATES[0]} to {CANDIDATES[-1]}"
             )
 
-    def __call__(self, sample: Sample) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Gaussians in the world frame of ``sample``.
 
         First one a context pixel, in the order of ``source``; then a few for what no view sees.
+        ``seed`` decides which planes are tried where matching gave no depth.
 
         Raises
         ------
@@ -140,7 +141,7 @@ class PlaneSweep:
         views = sample.context
         links = link_views(views)
         swept = self._sweep(sample, links)
-        whole = _complete(sample, links, swept)
+        whole = _complete(sample, links, swept, seed)
         opacities = [_opacity(i, links[i], swept, whole) for i in range(len(views))]
         gains = color_gains([v.image for v in views], whole, [s.answered for s in swept], links)
         exposed = [
@@ -218,12 +219,12 @@ class PlaneSweep:
 
 
 def _complete(
-    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept]
+    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept], seed: int
 ) -> list[np.ndarray]:
     """Inverse depth float32 [H, W] of every view at every pixel."""
     whole = []
     for i, (view, mine) in enumerate(zip(sample.context, swept, strict=True)):
-        rng = rng_for(0, sample.scene, f"planesweep/{i}")
+        rng = rng_for(seed, sample.content, f"planesweep/{i}")
         planes = fit_planes(mine.inverse_depth, mine.answered, mine.step, rng)
         witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
         filled = fill(mine.inverse_depth, mine.answered, _grey(view), planes, mine.steps, witnesses)

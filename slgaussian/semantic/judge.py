@@ -76,7 +76,7 @@ def novel_labels(
     labels = lesson.labels if labels is None else labels
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     ids = maps.ids
-    drawn = load_codes(codes)(maps, rng_for(seed, lesson.sample, "judge"))
+    drawn = load_codes(codes)(maps, rng_for(seed, lesson.content, "judge"))
     nothing = np.zeros((len(ids), len(labels), 1), np.float32)
     bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
     decode = Decoder(bank)

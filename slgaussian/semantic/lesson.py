@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from slgaussian.brief import brief
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.scene import Camera
+from slgaussian.seeding import content_of
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
 """The arrays of the Gaussians that a lesson stores; labels have no use for colours."""
@@ -29,7 +31,7 @@ class Lesson:
     Attributes
     ----------
     sample : str
-        A name that no other sample has: its clip and frames. Random draws are seeded by it.
+        A name that no other sample has: its clip and frames.
     gaussians : Gaussians
         Predicted from the context views; ``source`` is a flat index into ``labels``. Features are
         not looked at, nor are colours, which are not stored.
@@ -78,6 +80,13 @@ class Lesson:
                 f"a Gaussian from pixel {int(source.min())} or {int(source.max())}",
                 f"pixels 0 to {self.labels.size - 1} of the context views",
             )
+
+    @cached_property
+    def content(self) -> str:
+        """What random draws are seeded by, whatever the sample is called: labels and cameras."""
+        cameras = [np.stack([camera.K for camera in self.cameras])]
+        cameras.append(np.stack([camera.c2w for camera in self.cameras]))
+        return content_of(self.labels, self.targets, *cameras)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as ``data_specs/lesson.toml`` says."""

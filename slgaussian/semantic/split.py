@@ -10,6 +10,8 @@ def held_out(clip: str, share: float) -> bool:
 
     It depends on the key of the clip and on nothing else: a clip stays where it is when others
     arrive, all its samples are on one side, and a greater share keeps what a smaller one does.
+    The key and not the content, which samples of one clip do not share; and no run's seed, or
+    weights trained in one run would be judged in the next by what they have learnt from.
 
     Parameters
     ----------

@@ -266,7 +266,7 @@ def _step(
     epoch, place = divmod(step, len(lessons))
     order = rng_for(settings.seed, "", f"order {epoch}").permutation(len(lessons))
     lesson = lessons[int(order[place])]
-    rng = rng_for(settings.seed, lesson.sample, f"step {epoch}")
+    rng = rng_for(settings.seed, lesson.content, f"step {epoch}")
     corrupted = bool(rng.random() < settings.corrupted)
     labels = corrupt(lesson.labels, rng, HARMED, LEARNT) if corrupted else lesson.labels
     count = len(lesson.cameras)

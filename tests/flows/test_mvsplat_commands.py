@@ -218,10 +218,10 @@ def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(tmp_path, checkp
     assert plain == waiting
     steps = {step.stage: step for step in pipeline.plan(settings_for(checkpoint, tmp_path), scene)}
     (geometry,) = (step for step in plain if step.stage == "geometry")
-    other = {"predictor": "planesweep", "planesweep": {"depth_candidates": 144}}
+    other = {"predictor": "planesweep", "seed": 0, "planesweep": {"depth_candidates": 144}}
     assert (geometry.settings, geometry.where) == (other, {})
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
-    assert steps["geometry"].settings == {"predictor": "mvsplat", "mvsplat": own}
+    assert steps["geometry"].settings == {"predictor": "mvsplat", "seed": 0, "mvsplat": own}
     assert steps["geometry"].where == {"checkpoint": str(checkpoint)}
     assert steps["field"].settings["mvsplat"] == own
     assert "mvsplat" not in {**steps["masks"].settings, **steps["supervision"].settings}

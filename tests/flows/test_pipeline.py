@@ -174,6 +174,18 @@ def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
     assert pq.read_table(tmp_path / "out" / "fields.parquet").num_rows == 0
 
 
+def test_another_seed_is_not_served_what_the_first_drew(first, capsys, tmp_path):
+    folder, missing, _ = first
+    settings = settings_for(folder, missing, seed=1, against=[]).model_copy(
+        update={"out": tmp_path}
+    )
+    pipeline.run(settings, ArtifactStore(folder / "store"), verbose=True)
+    said = capsys.readouterr().err
+    assert "room  ingest  cached" in said and "room  truth  cached" in said
+    for stage in ("geometry", "masks", "supervision", "field"):
+        assert f"room  {stage}  cached" not in said
+
+
 def test_the_manifest_says_what_the_report_was_made_of(first):
     folder, _, _ = first
     manifest = json.loads((folder / "out" / "manifest.json").read_text("utf-8"))

@@ -46,11 +46,17 @@ def uninterrupted(tmp_path_factory) -> Path:
 
 def test_it_learns_and_its_metrics_say_so(tmp_path):
     settings = replace(SETTINGS, steps=36, every=36, corrupted=1.0, rate=1e-2)
-    trained = train(LESSONS, settings, tmp_path)
+    # An untrained branch is the control already and gains nothing in so few steps: begin worse.
+    start = Branch(SETTINGS.architecture, 9)
+    state = torch.Generator().manual_seed(0)
+    for parameter in start.parameters():
+        parameter.data += 0.1 * torch.randn(parameter.shape, generator=state)
+    trained = train(LESSONS, settings, tmp_path, start)
     load_spec("metrics").check_table(trained.metrics, "metrics")
     assert trained.metrics.equals(pq.read_table(tmp_path / METRICS))
     losses = trained.metrics["loss"].to_numpy()
-    assert losses[-12:].mean() < 0.9 * losses[:12].mean(), (losses[-12:].mean(), losses[:12].mean())
+    # Measured with four seeds: 0.43 to 0.48.
+    assert losses[-12:].mean() < 0.6 * losses[:12].mean(), (losses[-12:].mean(), losses[:12].mean())
     assert trained.metrics["step"].to_pylist() == [*range(1, 37)]
     seen = trained.metrics["sample"].to_pylist()
     assert all(set(seen[i : i + 3]) == {f"wall {k}" for k in range(3)} for i in range(0, 36, 3))
@@ -112,6 +118,13 @@ def test_a_finished_training_is_not_done_again(uninterrupted):
 def test_the_seed_matters(tmp_path, uninterrupted):
     train(LESSONS, replace(SETTINGS, seed=1), tmp_path)
     assert bytes_in(tmp_path) != bytes_in(uninterrupted)
+
+
+def test_names_of_samples_do_not_matter(tmp_path, uninterrupted):
+    renamed = [replace(mine, sample=f"renamed {i}") for i, mine in enumerate(LESSONS)]
+    trained = train(renamed, SETTINGS, tmp_path)
+    expected = train(LESSONS, SETTINGS, uninterrupted)
+    assert save_branch(trained.branch) == save_branch(expected.branch)
 
 
 def test_it_begins_from_given_weights(tmp_path):

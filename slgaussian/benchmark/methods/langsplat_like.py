@@ -53,7 +53,7 @@ class LangSplatLike:
         """See :class:`slgaussian.benchmark.methods.Method`."""
         labels = inputs.label_maps if self.association else inputs.own_labels
         bank = inputs.bank if self.association else inputs.own_bank
-        seed = seed_for(inputs.seed, inputs.sample.scene, "autoencoder")
+        seed = seed_for(inputs.seed, inputs.sample.content, "autoencoder")
         network = train_autoencoder(bank.features[bank.present], seed, self.steps)
         table = np.zeros((len(bank) + 1, bank.features.shape[1], 4), np.float32)
         table[1:, :, :3][bank.present] = network.encode(bank.features[bank.present])

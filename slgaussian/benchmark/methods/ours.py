@@ -68,7 +68,7 @@ def lift_again(
     ``bank`` is of the objects of ``label_maps``; its codes are drawn anew.
     """
     strategy = load_codes(codes, **inputs.settings.get(codes, {}))
-    drawn = strategy(label_maps, rng_for(inputs.seed, inputs.sample.scene, "codes"))
+    drawn = strategy(label_maps, rng_for(inputs.seed, inputs.sample.content, "codes"))
     bank = replace(bank, codes=drawn)
     lift = load_lifting(lifting, **inputs.settings.get(lifting, {}))
     return inputs.field.changed(

@@ -112,8 +112,10 @@ class MVSplat:
             raise InputError(f"mvsplat device {device!r}: cannot be used ({reason})") from None
         object.__setattr__(self, "network", network)
 
-    def __call__(self, sample: Sample) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Gaussians in the world frame of ``sample``, one a context pixel in order of ``source``.
+
+        Nothing is drawn at random, so ``seed`` is not looked at.
 
         Raises
         ------
