@@ -40,7 +40,7 @@ SUPERVISE = (
 )  # fmt: skip
 MASKS = (
     "preset", "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker",
-    "replicas", "planesweep", "mvsplat", "sam", "sam2", "sam2_video",
+    "replicas", "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video",
 )  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
