@@ -44,7 +44,11 @@ and so many times those that the cameras explain as they are. `docs/measured/cam
 what both were chosen by."""
 
 WIDE = 20.0
-"""Degrees between the lines of sight of two cameras above which depth suffers."""
+"""Degrees between the two lines of sight to a thing above which depth suffers."""
+
+TURNED = 30.0
+"""Degrees between the optical axes of two cameras above which it does; both are measured in
+`docs/measured/cameras.md`."""
 
 Pair = tuple[Camera, Camera]
 

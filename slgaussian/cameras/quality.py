@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.cameras.check import WIDE, PairCheck
+from slgaussian.cameras.check import TURNED, WIDE, PairCheck
 from slgaussian.scene import Camera
 
 CONFIRMS = 0.02
@@ -30,6 +30,8 @@ class Quality:
         Share of all pixels whose surface another view shows at the same depth.
     angle : float or None
         Degrees between the lines of sight, median of the explained matches; None without any.
+    turn : float
+        Degrees between their optical axes.
     matches : int
     explained : float
         Share of the matches that the cameras explain within ``pixels``.
@@ -41,6 +43,7 @@ class Quality:
     overlap: float
     confirmed: float
     angle: float | None
+    turn: float
     matches: int
     explained: float
     pixels: float
@@ -68,6 +71,11 @@ class Quality:
                 f"the lines of sight are {self.angle:.0f} degrees apart, and above {WIDE:.0f} "
                 "depth is often wrong; add a photograph from between"
             )
+        elif self.turn > TURNED:
+            found.append(
+                f"the cameras are turned by {self.turn:.0f} degrees against each other, and above "
+                f"{TURNED:.0f} depth is often wrong; add a photograph from between"
+            )
         if self.overlap < LITTLE_SHARED:
             found.append(
                 f"the views share {self.overlap:.0%} of what they show, and the depth of the rest "
@@ -83,7 +91,7 @@ def measure(
 
     ``names`` are those of the views, in order, which the checks speak of.
     """
-    overlaps = []
+    overlaps, turns = [], []
     confirmed = np.zeros(depths.shape, bool)
     for check in checks:
         a, b = (names.index(name) for name in check.views)
@@ -93,12 +101,15 @@ def measure(
             confirmed[here] |= same
             shares.append(float(inside.mean()))
         overlaps.append(min(shares))
+        cosine = cameras[a].c2w[:3, 2] @ cameras[b].c2w[:3, 2]
+        turns.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
     worst = min(checks, key=lambda check: check.coarse)
     known = [check.angle for check in checks if np.isfinite(check.angle)]
     return Quality(
         overlap=min(overlaps),
         confirmed=float(confirmed.mean()),
         angle=max(known) if known else None,
+        turn=max(turns),
         matches=worst.matches,
         explained=worst.coarse,
         pixels=worst.pixels[0],

@@ -10,7 +10,7 @@ from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.scene import Camera, Sample
 
-GOOD = Quality(0.7, 0.6, 12.0, 200, 0.9, 7.1, True)
+GOOD = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_two_planes_are_counted_by_hand():
     (check,) = check_pairs(room.sample(list(room.cameras)))
     found = measure(cameras, depths, [replace(check, views=("a", "b"))], ["a", "b"])
     assert found.overlap == pytest.approx(0.75, abs=0.011)
-    assert found.confirmed == pytest.approx(0.75, abs=0.011)
+    assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
 
 
 def test_what_people_read():
@@ -57,5 +57,6 @@ def test_what_people_read():
     )
     assert not GOOD.warnings() and Quality(**GOOD.as_json()) == GOOD
     assert "48 degrees" in replace(GOOD, angle=48.0).warnings()[0]
+    assert "turned by 48 degrees" in replace(GOOD, turn=48.0).warnings()[0]
     assert "share 12%" in replace(GOOD, overlap=0.12).warnings()[0]
     assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()
