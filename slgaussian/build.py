@@ -1,7 +1,11 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
+import torch
 
 from slgaussian import compiling
 from slgaussian.cameras.check import check_cameras, check_pairs
@@ -142,7 +146,11 @@ def predict(
     """
     if not trust_cameras:
         check_cameras(sample)
-    return load_predictor(predictor, **settings.get(predictor, {}))(sample, seed)
+    gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample, seed)
+    opaque = _opaque(sample)
+    if opaque is None:
+        return gaussians
+    return gaussians[torch.from_numpy(opaque.ravel()[gaussians.source.numpy()])]
 
 
 def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
@@ -162,13 +170,15 @@ def label_views(
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
     depths = source_depths(gaussians, [view.camera for view in sample.context])
-    return associate(
+    maps = associate(
         sample.context,
         load_proposer(proposer, **settings.get(proposer, {})),
         load_tracker(tracker, **settings.get(tracker, {})),
         replicas,
         depths,
     )
+    opaque = _opaque(sample)
+    return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
 
 
 def remember(
@@ -216,6 +226,15 @@ def lift_field(
     cameras = {view.name: view.camera for view in sample.context}
     lifted = load_lifting(lifting, **(own or {}))(gaussians, label_maps, bank)
     return SemanticField(lifted, bank, cameras, settings, where or {})
+
+
+def _opaque(sample: Sample) -> np.ndarray | None:
+    """Which pixels of the context show something, bool [V, H, W]; None if all do."""
+    masks = [view.opaque for view in sample.context]
+    if all(mask is None for mask in masks):
+        return None
+    full = np.ones(sample.context[0].image.shape[:2], bool)
+    return np.stack([full if mask is None else mask for mask in masks])
 
 
 def _with_defaults(encoder: str, settings: PartSettings) -> PartSettings:

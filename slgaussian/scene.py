@@ -167,6 +167,8 @@ class View:
         True z-depth in scene units, 0 where unknown. For evaluation only: no method may read it.
     instances : int32 [H, W] or None
         True object ids, 0 where none. For evaluation only.
+    opaque : bool [H, W] or None
+        False where the photograph is transparent: nothing is there. None where all is opaque.
     """
 
     name: str
@@ -174,6 +176,7 @@ class View:
     image: np.ndarray
     depth: np.ndarray | None = None
     instances: np.ndarray | None = None
+    opaque: np.ndarray | None = None
 
     __repr__ = brief
 
@@ -184,7 +187,7 @@ class View:
                 f"view {self.name!r}: image is {self.image.dtype} {self.image.shape}, its camera "
                 f"expects uint8 {(*size, 3)}; check w and h in the camera file"
             )
-        for name in ("depth", "instances"):
+        for name in ("depth", "instances", "opaque"):
             truth = getattr(self, name)
             if truth is not None and truth.shape != size:
                 raise InputError(f"view {self.name!r}: {name} is {truth.shape}, expected {size}")
@@ -215,6 +218,9 @@ class View:
             image=fit(self.image, smooth),
             depth=None if self.depth is None else fit(self.depth, cv2.INTER_NEAREST),
             instances=None if self.instances is None else fit(self.instances, cv2.INTER_NEAREST),
+            opaque=None
+            if self.opaque is None
+            else fit(self.opaque.astype(np.uint8), cv2.INTER_NEAREST).astype(bool),
         )
 
 

@@ -49,6 +49,10 @@ def sample_to_arrays(sample: Sample) -> Arrays:
             empty = np.zeros(first.image.shape[:2])
             stack = [empty if truth is None else truth for truth in truths]
             arrays[name] = np.stack(stack).astype(dtype)
+    if any(view.opaque is not None for view in views):
+        full = np.ones(first.image.shape[:2], bool)
+        masks = [full if view.opaque is None else view.opaque for view in views]
+        arrays["opaque"] = np.stack(masks).astype(np.uint8)
     return arrays
 
 
@@ -74,6 +78,7 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
             image=arrays["images"][i],
             depth=truth("depth", i),
             instances=truth("instances", i),
+            opaque=None if "opaque" not in arrays else arrays["opaque"][i] > 0,
         )
         for i, name in enumerate(arrays["names"])
     ]

@@ -19,7 +19,7 @@ from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 
 STAGE = "ingest"
-VERSION = 2
+VERSION = 3
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:

@@ -108,3 +108,23 @@ def test_the_seed_reaches_depth_and_codes(pair, of_first):
     other = of_pair(pair, seed=1)
     for name in ("Gaussians means", "bank codes"):
         assert other[name] != of_first[name]
+
+
+def test_what_is_transparent_becomes_nothing(tmp_path):
+    room = datasets.load("procedural", seed=1, objects=4, views=2, height=64, width=96)
+    sample = room.sample(list(room.cameras))
+    opaque = np.ones((64, 96), bool)
+    opaque[:, :30] = False
+    cut = replace(
+        sample,
+        context=tuple(
+            replace(view, image=view.image * opaque[..., None], opaque=opaque)
+            for view in sample.context
+        ),
+    )
+    field = build_field(cut, replicas=1, settings={"planesweep": {"near": 0.9, "far": 20.0}})
+    source = field.gaussians.source.numpy()
+    assert len(source) and opaque.ravel()[source % opaque.size].all()
+    seen = field.render(next(iter(field.cameras.values())))
+    assert (seen.alpha[:, :20] < 0.5).all() and not seen.ids[:, :20].any()
+    assert (seen.alpha[8:-8, 50:-8] > 0.5).mean() > 0.9

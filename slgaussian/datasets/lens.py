@@ -28,6 +28,14 @@ def straightened(
     return image, None if depth is None else cv2.remap(depth, *maps, cv2.INTER_NEAREST)
 
 
+def straight_mask(mask: np.ndarray | None, maps: Maps) -> np.ndarray | None:
+    """A mask bool [H, W] of a photograph, straight; None stays None."""
+    if mask is None:
+        return None
+    nearest = cv2.remap(mask.astype(np.uint8), *unfolded(*maps), cv2.INTER_NEAREST)
+    return nearest.astype(bool)
+
+
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
     """The maps without what a polynomial makes up beyond the image circle.
 

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 
 from slgaussian import jsontext
-from slgaussian.datasets.lens import Maps, straightened
+from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
     is_there,
-    open_rgb,
+    open_photograph,
     stored_size,
 )
 from slgaussian.errors import InputError
@@ -47,8 +47,8 @@ def read(path: str | Path) -> Scene:
     views keep their K, and what the lens did not see is black, with depth 0.
 
     Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
-    black; an EXIF orientation is applied only where w and h are those of the turned photograph, see
-    :func:`slgaussian.datasets.photographs.open_rgb`.
+    black, and known as such in ``View.opaque``; an EXIF orientation is applied only where w and h
+    are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_rgb`.
     Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resized to the
     image by nearest pixel, and 0 where it is not a positive number; a view whose depth file is
     missing has no depth, as no method needs it.
@@ -134,12 +134,13 @@ class _Reader:
         frame, camera = self.frames[name], self.cameras[name]
         if frame.image_path is None:
             raise self._missing(name)
-        image = frame.image(camera)
+        image, opaque = frame.image(camera)
         depth = frame.depth(camera)
         maps = frame.undistortion(camera)
         if maps is not None:
+            opaque = straight_mask(opaque, maps)
             image, depth = straightened(image, depth, maps)
-        return View(name, camera, image, depth)
+        return View(name, camera, image, depth, opaque=opaque)
 
     def _missing(self, name: str) -> InputError:
         gone = [other for other, frame in self.frames.items() if frame.image_path is None]
@@ -243,15 +244,15 @@ class _Frame:
         lens = np.array([k[0], k[1], p[0], p[1], k[2]])
         return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
 
-    def image(self, camera: Camera) -> np.ndarray:
-        pixels = open_rgb(self.image_path, (camera.width, camera.height))
+    def image(self, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
+        pixels, opaque = open_photograph(self.image_path, (camera.width, camera.height))
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
                 f"says {camera.width}x{camera.height}; resize it, or scale w, h, fl_x, fl_y, cx "
                 "and cy to its size"
             )
-        return pixels
+        return pixels, opaque
 
     def depth(self, camera: Camera) -> np.ndarray | None:
         name = self.values.get("depth_file_path")

@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
-from slgaussian.datasets.lens import Maps, straightened
+from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
 from slgaussian.images import opened, unreadable
 from slgaussian.scene import Camera, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 """Of photographs, in the order in which they are tried where a name leaves its extension out."""
+
+OPAQUE = 128
+"""Least alpha, of 255, of a pixel that shows something."""
 
 _ROWS = 256  # turned into numbers of 8 bytes at a time, of which a whole image has too many
 
@@ -56,6 +59,25 @@ def open_rgb(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
             return rgb(ImageOps.exif_transpose(image) if _is_turned(image, size) else image)
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
+
+
+def open_photograph(
+    path: Path, size: tuple[int, int] | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Pixels of a file as :func:`open_rgb` gives them, and which are opaque: bool [H, W].
+
+    None if all are; a pixel counts as transparent from half on.
+    """
+    pixels = open_rgb(path, size)
+    try:
+        with opened(path) as image:
+            if "A" not in image.getbands() and "transparency" not in image.info:
+                return pixels, None
+            upright = ImageOps.exif_transpose(image) if _is_turned(image, size) else image
+            opaque = np.asarray(upright.convert("RGBA"))[..., 3] >= OPAQUE
+    except (OSError, ValueError) as bad:
+        raise unreadable(path, bad) from None
+    return pixels, None if opaque.all() else opaque
 
 
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
@@ -119,7 +141,7 @@ def posed_view(
     InputError
         If it cannot be read, or is not of its camera's size.
     """
-    pixels = open_rgb(path, (camera.width, camera.height))
+    pixels, opaque = open_photograph(path, (camera.width, camera.height))
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
@@ -128,8 +150,9 @@ def posed_view(
         )
     bent = maps()
     if bent is not None:
+        opaque = straight_mask(opaque, bent)
         pixels, _ = straightened(pixels, None, bent)
-    return View(name, camera, pixels)
+    return View(name, camera, pixels, opaque=opaque)
 
 
 def absent(path: Path, named_by: str, gone: Iterable[str], count: int) -> InputError:
