@@ -152,7 +152,7 @@ def _word(field: SemanticField) -> str:
     if field.settings["encoder"] != "lexicon":  # another one may take long to load
         return COMMON_THINGS[0]
     best = max(field.describe(COMMON_THINGS), key=lambda one: one.relevancy, default=None)
-    return COMMON_THINGS[0] if best is None else best.text
+    return best.text if best is not None and best.relevancy > 0.5 else COMMON_THINGS[0]
 
 
 def _view_of(scene: Scene, photo: str, folder: Path) -> str:

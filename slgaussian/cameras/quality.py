@@ -25,9 +25,10 @@ class Quality:
     Attributes
     ----------
     overlap : float
-        Share of each view's pixels whose surface falls inside the other, the smaller of the two.
+        Share of the pixels of each view that show a surface, for which it falls inside the other;
+        the smaller of the two.
     confirmed : float
-        Share of all pixels whose surface another view shows at the same depth.
+        Share of all such pixels whose surface another view shows at the same depth.
     angle : float or None
         Degrees between the lines of sight, median of the explained matches; None without any.
     turn : float
@@ -99,7 +100,7 @@ def measure(
         for here, there in ((a, b), (b, a)):
             inside, same = _seen_again(cameras[here], depths[here], cameras[there], depths[there])
             confirmed[here] |= same
-            shares.append(float(inside.mean()))
+            shares.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
         overlaps.append(min(shares))
         cosine = cameras[a].c2w[:3, 2] @ cameras[b].c2w[:3, 2]
         turns.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
@@ -107,7 +108,7 @@ def measure(
     known = [check.angle for check in checks if np.isfinite(check.angle)]
     return Quality(
         overlap=min(overlaps),
-        confirmed=float(confirmed.mean()),
+        confirmed=float(confirmed.sum() / max((depths > 0).sum(), 1)),
         angle=max(known) if known else None,
         turn=max(turns),
         matches=worst.matches,
