@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,4 +73,19 @@ def test_a_record_without_a_stamp_is_as_good(store, ref):
 
 def test_an_artifact_that_is_gone_is_none(store, ref):
     store.remove([ref.uri])
+    assert Records(store).find(KEY) is None
+
+
+def test_a_record_whose_parts_are_gone_or_lie_elsewhere_is_none(store, ref, tmp_path):
+    """A part is asked for even where the artifact itself is known by its time."""
+    part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
+    whole = replace(ref, meta={"parts": [part.uri]})
+    Records(store).keep(KEY, whole)
+    assert Records(store).find(KEY) == whole
+    outside = tmp_path / "outside.npz"
+    outside.write_bytes(b"")
+    Records(store).keep(KEY, replace(ref, meta={"parts": ["../outside.npz"]}))
+    assert Records(store).find(KEY) is None
+    Records(store).keep(KEY, whole)
+    store.remove([part.uri])
     assert Records(store).find(KEY) is None

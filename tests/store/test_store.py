@@ -108,6 +108,7 @@ def test_any_array_survives_the_file_with_its_digest(array):
         {"a": np.zeros((2, 3), np.float32)},
         {"b": np.zeros((3, 2), np.float32)},
         {"a": np.zeros((3, 2), np.float64)},
+        {"a": np.zeros((3, 2), np.int32)},  # the same bytes
         {"a": np.zeros((3, 2), np.float32) - 0.0, "b": np.zeros(1)},
         {"a": np.full((3, 2), -0.0, np.float32)},
     ],
@@ -122,6 +123,8 @@ def test_a_table_digest_ignores_chunks_and_sees_values():
     assert table_digest(parts) == table_digest(whole)
     assert encode_table(parts) == encode_table(whole)
     assert table_digest(failures("a", "c")) != table_digest(whole)
+    small, large = (pa.table({"a": pa.array([1, 2], kind)}) for kind in (pa.int32(), pa.int64()))
+    assert table_digest(small) != table_digest(large)
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped"])
