@@ -199,7 +199,7 @@ class TestLenses:
         write_model(scene / "bent/sparse", {"a.png": Shot(1)}, {1: ("RADIAL", LENSES["RADIAL"])})
         monkeypatch.setitem(sys.modules, "pycolmap", None)
         assert (colmap.read(scene).read("b.png").image == picture(0)).all()
-        with pytest.raises(InputError, match=r"RADIAL is distorted.*pip install 'slgaussian\[colm"):
+        with pytest.raises(InputError, match=r"RADIAL is distorted.*pip install 'pycolmap"):
             colmap.read(scene / "bent")
 
 
