@@ -12,8 +12,8 @@ from typing import Any
 def begin(module: str, *words: str, **options: Any) -> subprocess.Popen:
     """Start ``module`` as a program that imports what this one imports.
 
-    Nothing in its working folder, which is ours, can stand in the way: neither it nor what it
-    starts itself looks there for modules, where a user may well keep a ``tasks.py``.
+    Neither it nor what it starts itself looks for modules in the working folder, where a user may
+    well keep a ``tasks.py``.
 
     Parameters
     ----------

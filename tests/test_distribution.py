@@ -16,8 +16,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("data_specs", "flows", "slgaussian", "tasks")
-
-
 TRACKED = (ROOT / ".git").exists() and shutil.which("git") is not None
 
 
