@@ -90,7 +90,6 @@ def build_field(
         "lifting": lifting,
         "replicas": replicas,
         "seed": seed,
-        "quality": quality_of(sample, gaussians).as_json(),
         **made_by,
     }
     where = places(settings.get(encoder, {}))
@@ -225,7 +224,8 @@ def lift_field(
     """
     cameras = {view.name: view.camera for view in sample.context}
     lifted = load_lifting(lifting, **(own or {}))(gaussians, label_maps, bank)
-    return SemanticField(lifted, bank, cameras, settings, where or {})
+    said = {**settings, "quality": quality_of(sample, gaussians).as_json()}
+    return SemanticField(lifted, bank, cameras, said, where or {})
 
 
 def _opaque(sample: Sample) -> np.ndarray | None:

@@ -12,7 +12,7 @@ from tasks.artifacts import put_field, sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 
 STAGE = "field"
-VERSION = 3
+VERSION = 4
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
