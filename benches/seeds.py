@@ -122,7 +122,8 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
         gaussians = load_predictor(predictor)(sample, seed)
         labels = label_views(sample, gaussians, proposer, tracker, settings.replicas, {})
         bank = remember(sample, gaussians, labels, settings.encoder, settings.codes, seed)
-        field = lift_field(sample, gaussians, labels, bank, settings.lifting, {"seed": seed})
+        about = settings.identity | {"scene": sample.scene, "seed": seed}
+        field = lift_field(sample, gaussians, labels, bank, settings.lifting, about)
         result = evaluate(
             field,
             sample,
@@ -148,9 +149,9 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
     ):
         jobs = {}
         for name in names:
-            for first in range(0, SETS[name].seeds, 4):
+            for first in range(0, SETS[name].seeds, 2):
                 for scene in SETS[name].scenes(data):
-                    wanted = range(first, min(first + 4, SETS[name].seeds))
+                    wanted = range(first, min(first + 2, SETS[name].seeds))
                     seeds = [seed for seed in wanted if (name, scene.name, seed) not in there]
                     if seeds:
                         jobs[pool.submit(scored, scene, seeds)] = name, scene.name, seeds

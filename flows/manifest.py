@@ -1,7 +1,7 @@
-"""What a report was made of: settings, data, weights, versions. Nothing of when, where or how fast.
+"""What a report was made of: settings, data, weights, versions, kernels. Nothing of when or where.
 
-The same run on another machine, with another number of workers or another place of the data has the
-same manifest.
+The same run with another number of workers, another place of the data or another machine of the
+same kind has the same manifest.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from flows.settings import TABLES, Method, SceneSettings, Settings
-from slgaussian import __version__
+from slgaussian import __version__, threads
 from slgaussian.benchmark.methods import Row
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.parts import DIGESTS
@@ -60,6 +60,7 @@ def manifest(
         else {"file": settings.pairs.name, "sha256": sha256_of(settings.pairs)},
         "stages": {stage: import_module(f"tasks.{stage}").VERSION for stage in stages},
         "packages": {"python": platform.python_version(), **_packages()},
+        "kernels": threads.kernels(),
         "data": {
             scene.name: _data(scene, refs[scene.name]) for scene in scenes if scene.name in refs
         },

@@ -17,6 +17,7 @@ import contextlib
 import ctypes
 import hashlib
 import os
+import platform
 import sys
 import warnings
 from collections.abc import Iterator
@@ -132,6 +133,37 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def kernels() -> dict[str, str]:
+    """What decides the last bits of results on this machine: its processor and libraries' code.
+
+    ``processor`` is the kind that LLVM compiles for, ``torch`` the instructions of PyTorch's own
+    kernels, ``mkl`` the mode of its linear algebra, ``openblas`` the kind of processor that NumPy's
+    linear algebra takes this one for.
+    """
+    import llvmlite.binding
+    import torch
+
+    return {
+        "machine": platform.machine(),
+        "processor": llvmlite.binding.get_host_cpu_name(),
+        "torch": torch.backends.cpu.get_cpu_capability(),
+        "mkl": os.environ["MKL_CBWR"],
+        "openblas": _openblas(),
+    }
+
+
+def _openblas() -> str:
+    import numpy
+
+    # Beside the package in wheels; elsewhere NumPy may use another library.
+    for file in sorted(Path(numpy.__file__).parent.parent.glob("numpy.libs/*openblas*")):
+        with contextlib.suppress(OSError, AttributeError):
+            name = ctypes.CDLL(str(file)).scipy_openblas_get_corename64_
+            name.restype = ctypes.c_char_p
+            return name().decode()
+    return "unknown"
 
 
 def numba_layer() -> str:

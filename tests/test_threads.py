@@ -119,3 +119,14 @@ def test_who_computed_before_is_told():
 )
 def test_who_only_imported_torch_is_not_told(program, environment):
     assert "slgaussian" not in said_by(program, **environment)
+
+
+@pytest.mark.skipif(
+    "avx2" not in torch.backends.cpu.get_cpu_capability().lower()
+    and "avx512" not in torch.backends.cpu.get_cpu_capability().lower(),
+    reason="needs a processor with AVX2",
+)
+def test_the_kernels_of_a_process_are_named():
+    show = "from slgaussian import threads; import sys; print(threads.kernels(), file=sys.stderr)"
+    found = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
+    assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in found

@@ -13,7 +13,7 @@ from command import run, said
 
 from flows import pipeline
 from flows.settings import make_settings
-from slgaussian import datasets
+from slgaussian import datasets, threads
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -193,6 +193,7 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
     assert manifest["methods"] == {"nearest-view": "nearest-view"}
     assert manifest["stages"]["report"] > 0 and manifest["packages"]["numpy"] == np.__version__
     assert manifest["protocols"][0] == "slgaussian@1"
+    assert manifest["kernels"] == threads.kernels()
     (name,) = manifest["data"]
     assert name == "room" and len(manifest["data"][name]["sample"]) == 64
     said = json.dumps(manifest)
