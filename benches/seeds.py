@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from machine import machine
+from pairs import data_folder
 
 from flows.demo import ROOMS, demo_scenes
 from flows.labelled import labelled_scenes
@@ -221,22 +222,21 @@ def page(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
     )
 
 
+SHEETS = ("office/pairs.json", *(f"places/{name}/pairs.json" for name in PLACES))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("data", type=Path, help="folder that holds office and places")
+    parser.add_argument(
+        "data", type=data_folder(*SHEETS), help="folder that holds office and places, both labelled"
+    )
     parser.add_argument("-o", "--out", type=Path, help="folder for the page seeds.md")
     parser.add_argument("--rows", type=Path, default=Path("seeds.jsonl"), help="kept rows")
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS), help="some sets")
     parser.add_argument("--workers", type=int, default=threads.cores())
     given = parser.parse_args()
-    for folder in ("office", *(f"places/{name}" for name in PLACES)):
-        if not (given.data / folder / "pairs.json").is_file():
-            parser.error(
-                f"{given.data}: has no {folder}/pairs.json; DATA is a folder that holds office and "
-                "places, each a labelled set"
-            )
     try:
         rows = measure(given.data, given.only, given.rows, given.workers)
     except InputError as error:

@@ -234,7 +234,7 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
     call = StageCall(
         "tasks.geometry",
-        {"predictor": "mvsplat", "mvsplat": own},
+        {"predictor": "mvsplat", "seed": 0, "mvsplat": own},
         {"sample": sample},
         {"checkpoint": str(checkpoint)},
     )

@@ -204,7 +204,7 @@ def retrain_settings(folder: Path, **more):
 def bad_branch() -> bytes:
     branch = Branch(Architecture((4, 8), 8), seed=3)
     with torch.no_grad():
-        branch.last.bias += 0.5
+        branch.last.bias -= 1.0
     return save_branch(branch)
 
 
@@ -221,7 +221,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert same.said == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    settings = retrain_settings(tmp_path, steps=25, rate=0.02)
+    settings = retrain_settings(tmp_path, steps=60, rate=0.02)
     made = learn(lessons_of(tmp_path, range(18)), settings, store)
     assert made.version.promoted and made.version.parent == bad.number
     assert made.said.startswith("version 3 put to use: better than version 2: +")
