@@ -22,8 +22,9 @@ import cv2
 import numpy as np
 from pairs import SIZE, read_pairs
 
-from slgaussian.benchmark.labels import read_labels
-from slgaussian.datasets import nerfstudio, procedural
+from slgaussian.benchmark.annotations import read_labels
+from slgaussian.datasets import nerfstudio
+from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskTracker, Proposals, load_tracker
@@ -118,7 +119,7 @@ class Noisy:
 
 def read_pair(seed: int) -> tuple[Sample, float]:
     baseline = BASELINES[seed % len(BASELINES)]
-    scene = procedural.read(seed, height=SIZE[0], width=SIZE[1], views=2, baseline=baseline)
+    scene = reader.read(seed, height=SIZE[0], width=SIZE[1], views=2, baseline=baseline)
     views = tuple(scene.read(name) for name in scene.cameras)
     return Sample(scene.name, views, (), scene.phrases), baseline
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from pairs import SIZE, read_pairs
 
-from slgaussian.benchmark.labels import read_labels
-from slgaussian.datasets import nerfstudio, procedural
+from slgaussian.benchmark.annotations import read_labels
+from slgaussian.datasets import nerfstudio
+from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
@@ -81,7 +82,7 @@ def procedural_rows() -> list[dict]:
     for kind in ("none", "true"):
         met, costs = [], []
         for seed in range(VIEWS):
-            scene = procedural.read(seed=seed, height=SIZE[0], width=SIZE[1])
+            scene = reader.read(seed=seed, height=SIZE[0], width=SIZE[1])
             view = scene.read(list(scene.cameras)[-1])
             truths = {i: view.instances == i for i in np.unique(view.instances) if i}
             truths = {i: truth for i, truth in truths.items() if truth.sum() >= LEAST}

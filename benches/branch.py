@@ -19,13 +19,13 @@ from machine import machine
 from pairs import DATA_HELP, photographs
 from tables import Table, ms, thousandths
 
-from slgaussian import threads
-from slgaussian.bootstrap import compare
+from slgaussian.benchmark.statistics import compare
+from slgaussian.kernels import threads
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
 from slgaussian.rasterize.planned import plan
-from slgaussian.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import (
     Architecture,

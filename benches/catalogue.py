@@ -24,13 +24,13 @@ from machine import machine
 from processes import CLI, costing
 from tables import Table, count, hundredths
 
-from data_specs import load_spec
 from flows.corpus import SUPERVISE, steps
 from flows.corpus_settings import CorpusSettings, make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
-from slgaussian.records import Records
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.records import Records
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import SETTLED
 
 CLIPS = 14

@@ -25,9 +25,9 @@ from pairs import DATA_HELP, labelled, load_samples
 from race import race
 from scipy.stats import rankdata
 
-from slgaussian import threads
-from slgaussian.benchmark.labels import read_labels
+from slgaussian.benchmark.annotations import read_labels
 from slgaussian.build import label_views
+from slgaussian.kernels import threads
 from slgaussian.language import load_codes
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.separated import Separated, misread, neighbours

@@ -36,8 +36,8 @@ MACHINES = (1, 10, 100)
 def child(chunks: str, store: str, out: str, stages: list[str], workers: int) -> dict:
     """Run stages and say what they cost this process."""
     from flows.corpus_settings import make_corpus_settings
-    from flows.environment import orchestration
-    from slgaussian.store import ArtifactStore
+    from flows.runners.environment import orchestration
+    from slgaussian.storage.store import ArtifactStore
 
     settings = make_corpus_settings({"chunks": chunks, "out": out, "workers": workers}, "bench")
     begun = time.perf_counter()
@@ -73,9 +73,9 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
 
 def learning(chunks: str, store: str, out: str, workers: int) -> dict:
     """Retrain, with whatever of it is not done yet, and say what it cost this process."""
-    from flows.environment import orchestration
+    from flows.runners.environment import orchestration
     from flows.training_settings import read_retraining
-    from slgaussian.store import ArtifactStore
+    from slgaussian.storage.store import ArtifactStore
 
     given = {"chunks": chunks, "out": out, "models": f"{out}/models", "workers": workers}
     settings = read_retraining(None, given)

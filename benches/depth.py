@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from pairs import photographs
 
-import slgaussian.threads
+import slgaussian.kernels.threads
 from slgaussian import datasets
 from slgaussian.gaussians import source_depths
 from slgaussian.predict import planesweep
@@ -131,7 +131,7 @@ def pairs(folder: Path) -> None:
 
 if __name__ == "__main__":
     data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
-    slgaussian.threads.share()
+    slgaussian.kernels.threads.share()
     planesweep.PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
     for stage in STAGES:
         setattr(planesweep, stage, timed(stage, getattr(planesweep, stage)))

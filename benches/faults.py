@@ -26,8 +26,8 @@ from machine import machine
 from processes import CLI, costing, family
 from small_scenes import write_rooms
 
-from slgaussian.records import Record, Records
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.records import Record, Records
+from slgaussian.storage.store import ArtifactStore
 
 SHARE = 20
 """One in so many scenes is damaged."""

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian import datasets
+from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import evaluate, truth_from_instances
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.labels import read_truth
 from slgaussian.benchmark.metrics import depth_errors
 from slgaussian.build import build_field
 from slgaussian.gaussians import source_depths

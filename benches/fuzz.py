@@ -41,25 +41,25 @@ import pyarrow as pa
 import torch
 from PIL import Image
 
-from data_specs import load_spec
 from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
-from slgaussian.benchmark.labels import labelled_frames, read_labels
 from slgaussian.datasets import colmap, llff, nerfstudio, re10k
-from slgaussian.datasets.quality import glance
+from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
+from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.masks.precomputed import read_ids
-from slgaussian.ply import load_ply, save_ply
 from slgaussian.predict.mvsplat.checkpoint import read_state
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
-from slgaussian.store import decode, encode_arrays, encode_table
-from slgaussian.versions import Versions
+from slgaussian.semantic.versions import Versions
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import decode, encode_arrays, encode_table
 
 W, H = 24, 16
 ROOM = 2**30

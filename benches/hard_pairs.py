@@ -14,10 +14,17 @@ from functools import cache
 import cv2
 import numpy as np
 
-import slgaussian.threads
-from slgaussian.datasets import raycast, shading, textures
-from slgaussian.datasets.raycast import BALL, BOX, CYLINDER, Solid
-from slgaussian.datasets.textures import CHECKED, PHOTO, PLAIN, SPECKLED, WOODEN, Material
+import slgaussian.kernels.threads
+from slgaussian.datasets.procedural import raycast, shading, textures
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CYLINDER, Solid
+from slgaussian.datasets.procedural.textures import (
+    CHECKED,
+    PHOTO,
+    PLAIN,
+    SPECKLED,
+    WOODEN,
+    Material,
+)
 from slgaussian.gaussians import source_depths
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Camera, Sample, View
@@ -390,7 +397,7 @@ def one_view_out_of_focus():
 
 
 if __name__ == "__main__":
-    slgaussian.threads.share()
+    slgaussian.kernels.threads.share()
     PlaneSweep()(case("side_by_side"))  # The first run also compiles.
     print(f"{'case':40}  abs-rel  median  within 1.25  CPU s")
     for name in sys.argv[1:] or names():

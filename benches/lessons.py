@@ -12,14 +12,14 @@ from pairs import load_samples
 
 from slgaussian import datasets
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
-from slgaussian.seeding import rng_for
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.store import encode_arrays, write_atomic
+from slgaussian.storage.store import encode_arrays, write_atomic
 
 SIZE = 256
 VIEWS = 6

@@ -6,7 +6,7 @@ from pathlib import Path
 import numba
 import torch
 
-from slgaussian import threads
+from slgaussian.kernels import threads
 
 
 def machine() -> str:

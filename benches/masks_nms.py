@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import torch
 
-from slgaussian import threads
+from slgaussian.kernels import threads
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_intersections, mask_nms, mostly_visible
 
 SIZE = (720, 960)

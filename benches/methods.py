@@ -20,13 +20,14 @@ from machine import machine
 from pairs import data_folder
 from tables import Table, count, hundredths, thousandths
 
-from slgaussian import datasets, threads
+from slgaussian import datasets
+from slgaussian.benchmark.annotations import read_truth
+from slgaussian.benchmark.baselines import ROWS
+from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.labels import read_truth
-from slgaussian.benchmark.methods import ROWS
-from slgaussian.benchmark.methods.inputs import Inputs
 from slgaussian.build import label_views, lift_field, remember
 from slgaussian.errors import InputError
+from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
 from slgaussian.predict import load_predictor
 

@@ -22,12 +22,13 @@ from pairs import SIZE
 from recipe import recipe_weights
 from tables import Table, count, error, hundredths
 
-from slgaussian import datasets, threads
+from slgaussian import datasets
+from slgaussian.cameras.trajectories import between
+from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
-from slgaussian.store import write_atomic
-from slgaussian.trajectories import between
+from slgaussian.storage.store import write_atomic
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-CLI = (sys.executable, "-c", "from flows.cli import main; main()")
+CLI = (sys.executable, "-c", "from flows.cli.app import main; main()")
 """The command line of the sources that this runs in."""
 
 EVERY = 0.2

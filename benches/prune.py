@@ -14,9 +14,9 @@ from pairs import load_samples, photographs
 from race import race
 from tables import Table, count, error, fraction, hundredths, ms
 
-from slgaussian import threads
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import prune, rasterize
 from slgaussian.scene import Camera

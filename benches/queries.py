@@ -23,10 +23,10 @@ from queries_page import TABLES, page
 from race import race
 from scipy.spatial import cKDTree
 
-from slgaussian import threads
 from slgaussian.build import lift_field
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.gaussians import source_depths
+from slgaussian.kernels import threads
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank
@@ -35,7 +35,7 @@ from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample
 from slgaussian.semantic.decode import Decoder
-from slgaussian.store import write_atomic
+from slgaussian.storage.store import write_atomic
 
 OBJECTS, WIDTH, TEXTS = 60, 512, 100
 LAYERS = (3, 16, 32, 64, 128, 256, 256, WIDTH)

@@ -18,11 +18,11 @@ from rasterize_page import TABLES, page
 from rasterize_picture import picture
 from sweeps import Subject
 
-from slgaussian import threads
 from slgaussian.errors import InputError
+from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample
-from slgaussian.store import write_atomic
+from slgaussian.storage.store import write_atomic
 
 MEASURES = {
     "stages": lambda subject: [sweeps.stages_row(subject)],

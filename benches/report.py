@@ -14,11 +14,11 @@ import time
 import numpy as np
 from machine import machine
 
-from data_specs import load_spec
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
 from slgaussian.labels import LabelMaps
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks import report
 from tasks.artifacts import result_to_arrays, truth_to_arrays
 from tasks.stage import StageCall

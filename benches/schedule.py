@@ -19,7 +19,7 @@ import urllib.request
 from pathlib import Path
 
 EVERY = 20
-CLI = ("-c", "from flows.cli import main; main()")
+CLI = ("-c", "from flows.cli.app import main; main()")
 PATIENCE = 600.0
 CONFIG = """\
 chunks = "chunks"

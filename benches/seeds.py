@@ -24,14 +24,15 @@ from pairs import data_folder
 
 from flows.demo import ROOMS, demo_scenes
 from flows.labelled import labelled_scenes
-from flows.rooms import room_scene
+from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, Settings
-from slgaussian import datasets, threads
+from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.evaluate import evaluate, truth_from_instances
-from slgaussian.benchmark.labels import Truth, read_truth
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.build import label_views, lift_field, remember
 from slgaussian.errors import InputError
+from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 

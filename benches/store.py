@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from machine import machine
 
-from data_specs import load_spec
-from slgaussian.housekeeping import collect, usage, verify
-from slgaussian.records import FOLDER
-from slgaussian.store import (
+from slgaussian.storage.housekeeping import collect, usage, verify
+from slgaussian.storage.records import FOLDER
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
     address,

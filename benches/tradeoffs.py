@@ -33,20 +33,22 @@ from pairs import data_folder
 from tradeoffs_page import DEFAULT, NOISE, PRUNED, chart, page
 
 from flows.settings import PRESETS, Method, Settings, make_settings
-from slgaussian import datasets, threads, trajectories
+from slgaussian import datasets
 from slgaussian.benchmark import metrics
+from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.labels import read_truth
 from slgaussian.build import label_views, lift_field, remember
+from slgaussian.cameras import trajectories
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
+from slgaussian.kernels import threads
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import prune
 from slgaussian.scene import Sample, Scene, Size, View
-from slgaussian.seeding import rng_for
 
 ROOM = {"objects": 8, "views": 3, "height": 520, "width": 720}
 """Larger than what is taken by default, as photographs mostly are."""

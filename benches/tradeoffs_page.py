@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from tables import Table, count, hundredths, ms, thousandths
 
-from slgaussian.bootstrap import LEAST, LEVEL, compare
+from slgaussian.benchmark.statistics import LEAST, LEVEL, compare
 
 DEFAULT = ("defaults", "defaults")
 """Factor and name of the row that all others are compared with."""

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from pairs import load_samples, photographs
 
-import slgaussian.threads
+import slgaussian.kernels.threads
 from slgaussian.benchmark.metrics import psnr, ssim_with_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.planesweep import PlaneSweep
@@ -94,7 +94,7 @@ def scores(image: np.ndarray, truth: np.ndarray, known: np.ndarray) -> list[floa
 
 
 def main() -> None:
-    slgaussian.threads.share()
+    slgaussian.kernels.threads.share()
     rows: dict[str, list[list[float]]] = {"gaussians": [], "warped": [], "nearest": []}
     shares = []
     print(" " * 16 + "".join(f"| {name:27s}" for name in rows) + "| known  open")

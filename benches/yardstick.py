@@ -8,7 +8,7 @@ the light.
 import math
 
 # Before Numba, which reads once where it keeps kernels and how it starts threads.
-import slgaussian.threads  # noqa: F401
+import slgaussian.kernels.threads  # noqa: F401
 
 # isort: split
 import numba

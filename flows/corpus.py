@@ -14,16 +14,22 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data_specs import load_spec
-from flows.chains import Crew, Outcome, failures_table, run_chains, run_flow
 from flows.corpus_settings import CorpusSettings
 from flows.pipeline import check_folder
-from flows.progress import Progress
+from flows.runners.progress import Progress
+from flows.runners.worker_pool import Crew, Outcome, failures_table, run_chains, run_flow
 from slgaussian.build import check_parts
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
-from slgaussian.parts import described, places
-from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, replacing, write_atomic
+from slgaussian.parts.identity import described, places
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import (
+    ArtifactRef,
+    ArtifactStore,
+    encode_table,
+    replacing,
+    write_atomic,
+)
 from tasks.chunks import digest_of
 from tasks.shard import Chain, Failure, Step
 
@@ -47,7 +53,7 @@ def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False
     """Views and samples of all chunks, as ``views.parquet`` and ``samples.parquet``.
 
     What could not be used is in ``failures.parquet``: chunks, clips and frames, each with a
-    sentence. Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+    sentence. Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The scenes of `slgaussian demo`: what every installation has."""
 
-from flows.rooms import room_scene
+from flows.room_scenes import room_scene
 from flows.settings import SceneSettings
 
 ROOMS = (0, 1, 2)

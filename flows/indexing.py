@@ -10,12 +10,12 @@ import numpy as np
 
 from flows.corpus_settings import IndexSettings
 from slgaussian import datasets
+from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
-from slgaussian.benchmark.labels import labelled_frames
 from slgaussian.datasets import lerf_ovs, ovs3d
 from slgaussian.datasets.around import Around, Rule, surround
 from slgaussian.datasets.pairs import Bounds, Views
-from slgaussian.datasets.quality import blur, exposure, small
+from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
 from slgaussian.scene import Scene

@@ -10,11 +10,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data_specs import load_spec
-from slgaussian import field_folder
 from slgaussian.benchmark.outputs import file_name, write_table
-from slgaussian.housekeeping import SIDE_BY_SIDE
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage import field_folder
+from slgaussian.storage.housekeeping import SIDE_BY_SIDE
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import about_field
 
 FOLDER = "fields"

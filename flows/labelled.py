@@ -6,8 +6,8 @@ from pathlib import Path
 
 from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
+from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import ScenePair, read_index
-from slgaussian.benchmark.labels import labelled_frames
 from slgaussian.errors import InputError
 
 

@@ -14,11 +14,12 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from flows.settings import TABLES, Method, SceneSettings, Settings
-from slgaussian import __version__, threads
-from slgaussian.benchmark.methods import Row
+from slgaussian import __version__
+from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.protocols import PROTOCOLS
-from slgaussian.parts import DIGESTS
-from slgaussian.store import ArtifactRef, sha256_of
+from slgaussian.kernels import threads
+from slgaussian.parts.identity import DIGESTS
+from slgaussian.storage.store import ArtifactRef, sha256_of
 
 PACKAGES = (
     "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",

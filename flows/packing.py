@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from flows.corpus_settings import PackSettings
-from flows.progress import Progress
-from flows.rooms import seeds
-from slgaussian import datasets, threads
+from flows.room_scenes import seeds
+from flows.runners.progress import Progress
+from slgaussian import datasets
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.errors import InputError
+from slgaussian.kernels import threads
 from slgaussian.scene import Scene
 
 ROOMS = "procedural:"

@@ -15,16 +15,15 @@ from typing import Any
 
 import pyarrow as pa
 
-from data_specs import load_spec
-from flows import kept, rivals
-from flows.chains import Crew, Outcome, failures_table, run_chains, run_flow
+from flows import baselines, kept
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
-from flows.progress import Progress
-from flows.rooms import room_scene, seeds
+from flows.room_scenes import room_scene, seeds
+from flows.runners.progress import Progress
+from flows.runners.worker_pool import Crew, Outcome, failures_table, run_chains, run_flow
 from flows.settings import Method, SceneSettings, Settings
+from slgaussian.benchmark.annotations import label_files
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.labels import label_files
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     write_predictions,
@@ -36,8 +35,15 @@ from slgaussian.benchmark.timings import Times
 from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
-from slgaussian.parts import places
-from slgaussian.store import ArtifactRef, ArtifactStore, encode_table, sha256_of, write_atomic
+from slgaussian.parts.identity import places
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import (
+    ArtifactRef,
+    ArtifactStore,
+    encode_table,
+    sha256_of,
+    write_atomic,
+)
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.ingest import file_hashes
 from tasks.shard import Chain, Failure, Step, given
@@ -62,7 +68,7 @@ class Finished:
 def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Finished:
     """Run the pipeline; write its tables, masks, fields and report to ``settings.out``.
 
-    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------
@@ -74,7 +80,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     parts = settings.part_names()
     check_parts(**parts, settings=settings.part_settings())
     Rules(**settings.rules())
-    rivals.chosen(settings.against)
+    baselines.chosen(settings.against)
     store.check_writable()
     check_folder(settings.out)
     kept.check_places([scene.name for scene in scenes], settings.out)
@@ -309,7 +315,7 @@ def _pipeline(
         chains = [Chain(scene.name, partial(_planned, settings, scene)) for scene in scenes]
         with progress:
             outcome = run_chains(chains, crew, progress)
-        others = rivals.chains(settings, scenes, outcome.refs)
+        others = baselines.chains(settings, scenes, outcome.refs)
         more = Outcome()
         if others:
             with Progress(len(others), 1, progress.verbose, unit="answers") as course:
@@ -334,12 +340,12 @@ def _gathered(
     settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome
 ) -> _Made:
     through = [scene.name for scene in scenes if scene.name in outcome.refs]
-    rows = rivals.chosen(settings.against)
+    rows = baselines.chosen(settings.against)
     others = {
         scene: {
-            method: more.refs[chain][rivals.STAGE]
+            method: more.refs[chain][baselines.STAGE]
             for method in rows
-            if (chain := rivals.chain_name(scene, method)) in more.refs
+            if (chain := baselines.chain_name(scene, method)) in more.refs
         }
         for scene in through
     }
@@ -350,8 +356,8 @@ def _gathered(
     stages = [*STAGES, "report"]
     if rows:
         own = (ref.meta["seconds"] for by_method in others.values() for ref in by_method.values())
-        seconds[rivals.STAGE] = sum(own)
-        stages.append(rivals.STAGE)
+        seconds[baselines.STAGE] = sum(own)
+        stages.append(baselines.STAGE)
     begun = outcome.begun | outcome.refs
     fields = {
         scene.name: begun[scene.name]["field"]

@@ -11,10 +11,10 @@ import pyarrow as pa
 from flows import corpus
 from flows.training import Parted, Trained, parted, read_lessons, train_on
 from flows.training_settings import RetrainSettings, Training
+from slgaussian.benchmark.verdict import Verdict, clip_scores, gain, verdict
 from slgaussian.errors import InputError
-from slgaussian.semantic.verdict import Verdict, clip_scores, gain, verdict
-from slgaussian.store import ArtifactStore, table_digest
-from slgaussian.versions import Version, Versions
+from slgaussian.semantic.versions import Version, Versions
+from slgaussian.storage.store import ArtifactStore, table_digest
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """The settings of which another value asks for another training."""
@@ -33,7 +33,7 @@ def retrain(
 ) -> tuple[Learnt, corpus.Prepared]:
     """Ingest and supervise what is new, then :func:`learn` it.
 
-    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------
@@ -52,7 +52,7 @@ def learn(
 
     Candidate and incumbent, or no network while there is none, are judged on the same held-out
     lessons; the candidate is put to use if its gain is beyond noise
-    (:func:`slgaussian.semantic.verdict.verdict`), and kept in any case. Without anything new, in
+    (:func:`slgaussian.benchmark.verdict.verdict`), and kept in any case. Without anything new, in
     the lessons or the settings, nothing is trained.
 
     Raises

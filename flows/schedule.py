@@ -21,9 +21,9 @@ from prefect.runner import Runner
 from prefect.runtime import deployment
 from pydantic import ValidationError
 
-from flows.child import import_path
-from flows.commands import perform
 from flows.corpus_settings import read_corpus
+from flows.runners.child import import_path
+from flows.runners.commands import perform
 from flows.settings import read_toml
 from flows.training_settings import from_anywhere, read_retraining
 from slgaussian.errors import InputError, SLGaussianError

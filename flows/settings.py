@@ -17,10 +17,11 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from slgaussian import registry, threads
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.remote import check_url
+from slgaussian.kernels import threads
+from slgaussian.parts import registry
+from slgaussian.storage.remote import check_url
 
 SIDES = range(16, 8193)
 """Heights and widths, in pixels, that views may be brought to."""
@@ -375,7 +376,7 @@ class Method(QueryRules):
 
         The chosen parts, their settings with files by content, replicas and seed.
         """
-        from slgaussian.parts import described
+        from slgaussian.parts.identity import described
 
         named = self.model_dump(include=PARTS | {"replicas", "seed"})
         return {**named, **described(self.part_settings())}

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from data_specs import load_spec
-from flows.chains import Outcome, run_chains, run_flow
-from flows.environment import home_of
 from flows.pipeline import check_folder
-from flows.progress import Progress
+from flows.runners.environment import home_of
+from flows.runners.progress import Progress
+from flows.runners.worker_pool import Outcome, run_chains, run_flow
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import Architecture, find_weights, load_branch
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import TrainingSettings
-from slgaussian.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
 from tasks.shard import Chain, Step, given
 
 FILES = {
@@ -87,7 +87,7 @@ class Trained:
 def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) -> Trained:
     """Train on the lessons that are in a folder, and write what came of it to ``settings.out``.
 
-    Needs Prefect to be ready (:func:`flows.environment.orchestration`).
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------

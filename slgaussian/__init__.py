@@ -9,7 +9,7 @@
 from importlib import import_module
 from typing import Any
 
-import slgaussian.threads  # noqa: F401  (chooses Numba's threading layer before Numba starts)
+import slgaussian.kernels.threads  # noqa: F401  (chooses Numba's threading layer before Numba starts)
 
 __version__ = "0.1.0"
 
@@ -25,15 +25,15 @@ _PUBLIC = {
     "SemanticField": "slgaussian.field",
     "build_field": "slgaussian.build",
     "rasterize": "slgaussian.rasterize",
-    "load_ply": "slgaussian.ply",
-    "save_ply": "slgaussian.ply",
+    "load_ply": "slgaussian.formats.ply",
+    "save_ply": "slgaussian.formats.ply",
     "load_predictor": "slgaussian.predict",
     "InputError": "slgaussian.errors",
     "SpecError": "slgaussian.errors",
     "SLGaussianError": "slgaussian.errors",
 }
 _MODULES = {
-    "benchmark", "datasets", "language", "masks", "predict", "semantic", "store", "trajectories",
+    "benchmark", "cameras", "datasets", "language", "masks", "predict", "semantic", "storage",
 }  # fmt: skip
 
 __all__ = sorted([*_PUBLIC, *_MODULES, "__version__"])

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from slgaussian import compiling
 from slgaussian.cameras.check import check_cameras, check_pairs
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels import compiling
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language import ENCODERS, load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
@@ -21,11 +22,10 @@ from slgaussian.language.room import find_room
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.parts import PartSettings, described, places
+from slgaussian.parts.identity import PartSettings, described, places
+from slgaussian.parts.registry import resolve
 from slgaussian.predict import load_predictor
-from slgaussian.registry import resolve
 from slgaussian.scene import Sample
-from slgaussian.seeding import rng_for
 from slgaussian.semantic import load_lifting
 
 
@@ -64,8 +64,8 @@ def build_field(
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this, see :func:`slgaussian.parts.described`, and under
-        ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`.
+        Its own ``settings`` say all this, see :func:`slgaussian.parts.identity.described`, and
+        under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`.
 
     Raises
     ------

@@ -13,12 +13,10 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from data_specs import load_spec
-from slgaussian import compiling, field_folder, harmonics
-from slgaussian.brief import brief, said
 from slgaussian.errors import InputError, SpecError
-from slgaussian.field_folder import About
+from slgaussian.formats.brief import brief, said
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels import compiling
 from slgaussian.language import Encoder, load_encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import nearest_code
@@ -32,11 +30,14 @@ from slgaussian.language.query import (
     describe,
     segment,
 )
-from slgaussian.parts import placed, places
-from slgaussian.rasterize import rasterize
+from slgaussian.parts.identity import placed, places
+from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
-from slgaussian.store import Arrays, packed
+from slgaussian.storage import field_folder
+from slgaussian.storage.field_folder import About
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import Arrays, packed
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +235,7 @@ class SemanticField:
     def save(self, path: str | Path) -> None:
         """Write the field to folder ``path``: complete, or not at all.
 
-        A field that is there already is replaced. See :mod:`slgaussian.field_folder`.
+        A field that is there already is replaced. See :mod:`slgaussian.storage.field_folder`.
 
         Raises
         ------

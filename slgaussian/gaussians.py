@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import torch
 
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 from slgaussian.scene import Camera
 
 SH_C0 = 0.28209479177387814

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,10 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
-from slgaussian.images import MOST_PIXELS
-from slgaussian.seeding import content_of
+from slgaussian.formats.brief import brief
+from slgaussian.formats.images import MOST_PIXELS
+from slgaussian.kernels.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
@@ -51,7 +51,7 @@ class Camera:
     InputError
         If a number is not finite, the pose is not a rotation and a translation, the focal length
         or size is not positive, there are more than
-        :data:`slgaussian.images.MOST_PIXELS` pixels, or near and far are out of order.
+        :data:`slgaussian.formats.images.MOST_PIXELS` pixels, or near and far are out of order.
     """
 
     K: np.ndarray
@@ -277,7 +277,7 @@ class Sample:
     def content(self) -> str:
         """What the context views are, images and cameras in their order, whatever they are called.
 
-        SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.seeding`).
+        SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.kernels.seeding`).
         """
         parts: list[np.ndarray] = []
         for view in self.context:

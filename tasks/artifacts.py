@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.labels import Truth
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.field_folder import About
-from slgaussian.images import opened
+from slgaussian.formats.images import opened
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.store import Arrays, ArtifactRef, ArtifactStore, address
+from slgaussian.storage.field_folder import About
+from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, address
 
 
 def sample_to_arrays(sample: Sample) -> Arrays:

@@ -12,7 +12,7 @@ from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     get_field,
     result_to_arrays,

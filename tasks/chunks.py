@@ -12,8 +12,8 @@ import fsspec
 
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.remote import explained, troubles
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.remote import explained, troubles
+from slgaussian.storage.store import ArtifactStore
 from tasks.stage import CHANGED, StageCall
 
 SETTLED = 2.0

@@ -6,8 +6,8 @@ from slgaussian.build import lift_field
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
-from slgaussian.parts import placed
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.parts.identity import placed
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import put_field, sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 

@@ -14,7 +14,7 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.scene import Sample
-from slgaussian.store import ArtifactRef, ArtifactStore, sha256_of
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, sha256_of
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall
 

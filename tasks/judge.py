@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from data_specs import load_spec
-from slgaussian.seeding import rng_for
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting
 from slgaussian.semantic.corruption import corrupt
@@ -17,7 +16,8 @@ from slgaussian.semantic.filled import Filled
 from slgaussian.semantic.hard import HardIndex
 from slgaussian.semantic.judge import label_iou
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.learning import StoredLessons, branch_from_arrays
 from tasks.stage import StageCall, tell
 

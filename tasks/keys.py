@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactRef
+from slgaussian.storage.store import ArtifactRef
 
 
 def cache_key(

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from data_specs import load_spec
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
@@ -22,7 +21,8 @@ from slgaussian.masks.associate import associate
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks import masks
 from tasks.chunks import left_out, read_chunk
 from tasks.predictions import read_sample

@@ -6,8 +6,8 @@ from typing import Any
 
 from slgaussian.build import label_views
 from slgaussian.gaussians import Gaussians
-from slgaussian.parts import DIGESTS, placed
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.parts.identity import DIGESTS, placed
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import labels_to_arrays, sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from data_specs import load_spec
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds, Views, choose
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import left_out
 from tasks.stage import StageCall
 from tasks.views import ROW

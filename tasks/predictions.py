@@ -8,13 +8,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from data_specs import load_spec
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
-from slgaussian.parts import placed
+from slgaussian.parts.identity import placed
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample, View
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks import geometry
 from tasks.chunks import left_out, read_chunk
 from tasks.stage import CHANGED, StageCall

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark.report import Scene, render_report
-from slgaussian.store import Arrays, ArtifactRef, ArtifactStore
+from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,
     pictures_of,

@@ -22,8 +22,8 @@ from prefect.events.clients import NullEventsClient
 from prefect.events.worker import EventsWorker
 
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.remote import masked
-from slgaussian.store import ArtifactRef, ArtifactStore, DamagedError
+from slgaussian.storage.remote import masked
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.stage import StageCall, listening, run_stage
 
 ANSWER = 10.0
@@ -98,8 +98,8 @@ class Failure:
 class Event:
     """What happened to a scene at a stage.
 
-    ``kind`` is a method of :class:`flows.progress.Progress` that says it: started, said, finished,
-    went_back, or failed; ``facts`` are its further arguments.
+    ``kind`` is a method of :class:`flows.runners.progress.Progress` that says it: started, said,
+    finished, went_back, or failed; ``facts`` are its further arguments.
     """
 
     kind: str
@@ -147,7 +147,7 @@ def run_shard(root: str, chains: Sequence[Chain], workers: int, seconds: float) 
     Parameters
     ----------
     root : str
-        The store, as :class:`~slgaussian.store.ArtifactStore` takes it.
+        The store, as :class:`~slgaussian.storage.store.ArtifactStore` takes it.
     chains : sequence of Chain
     workers : int
         How many shards are worked on at the same time on this machine.

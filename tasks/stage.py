@@ -19,9 +19,9 @@ from typing import Any
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
 
-from slgaussian import compiling, threads
-from slgaussian.records import Records
-from slgaussian.store import ArtifactRef, ArtifactStore, DamagedError
+from slgaussian.kernels import compiling, threads
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.keys import cache_key
 
 CHANGED = "was changed after the run had begun; start the run again"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from slgaussian.build import remember
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
-from slgaussian.parts import placed
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.parts.identity import placed
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import sample_from_arrays
 from tasks.stage import CHANGED, StageCall
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slgaussian.semantic.branch import Architecture
 from slgaussian.semantic.training import Progress, TrainingSettings, train
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.learning import StoredLessons, branch_from_arrays, branch_to_arrays
 from tasks.stage import StageCall, tell
 

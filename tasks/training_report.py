@@ -7,7 +7,7 @@ import pyarrow as pa
 
 from slgaussian.benchmark.training_report import Example, render_training_report
 from slgaussian.semantic.judge import novel_labels
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.judge import labels_of, liftings
 from tasks.learning import StoredLessons
 from tasks.stage import StageCall

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
-from slgaussian.benchmark.labels import read_truth
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
 from tasks.stage import StageCall
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from data_specs import load_spec
 from slgaussian.datasets import re10k
-from slgaussian.datasets.quality import blur, exposure, glance
+from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import left_out, read_chunk
 from tasks.stage import StageCall
 

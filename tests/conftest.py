@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slgaussian import threads
+from slgaussian.kernels import threads
 
 # Several test processes share the cores; threads that spin while they wait would take them away.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

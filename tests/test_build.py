@@ -11,7 +11,7 @@ from slgaussian.build import build_field, check_parts
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
-from slgaussian.parts import described
+from slgaussian.parts.identity import described
 from slgaussian.scene import Sample
 
 NAMES = {

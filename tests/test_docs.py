@@ -10,7 +10,7 @@ import typer
 import yaml
 
 import slgaussian
-from flows.cli import app
+from flows.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(

@@ -14,20 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from slgaussian import tensorfile
 from slgaussian.benchmark import class_masks
-from slgaussian.benchmark.labels import read_labels
+from slgaussian.benchmark.annotations import read_labels
 from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.datasets.photographs import open_rgb, stored_size
-from slgaussian.datasets.quality import glance
+from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SpecError
-from slgaussian.images import MOST_PIXELS, TooLargeError, check_size, opened, read_npy
-from slgaussian.jsontext import parse
+from slgaussian.formats import tensorfile
+from slgaussian.formats.images import MOST_PIXELS, TooLargeError, check_size, opened, read_npy
+from slgaussian.formats.strict_json import parse
 from slgaussian.masks.precomputed import read_ids
 from slgaussian.predict.mvsplat.checkpoint import read_state
 from slgaussian.scene import Camera
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 ROOT = Path(__file__).parent.parent
 OWN = [path for part in ("slgaussian", "tasks", "flows") for path in (ROOT / part).rglob("*.py")]

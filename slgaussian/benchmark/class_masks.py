@@ -13,7 +13,7 @@ import numpy as np
 
 from slgaussian.benchmark.placement import Placement
 from slgaussian.errors import InputError
-from slgaussian.images import opened
+from slgaussian.formats.images import opened
 
 FILE = "classes.txt"
 INSIDE = 255

@@ -17,14 +17,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data_specs import load_spec
 from slgaussian.benchmark.outputs import mask_place
 from slgaussian.benchmark.rendering import data_uri, flatten, template
 from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tables
 from slgaussian.benchmark.showcase import key_of, leading
-from slgaussian.bootstrap import LEAST, LEVEL
+from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.errors import InputError
-from slgaussian.images import opened
+from slgaussian.formats.images import opened
+from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
 

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from data_specs import load_spec
 from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, Scored, load_protocol
 from slgaussian.benchmark.scores import scene_means
-from slgaussian.brief import brief
+from slgaussian.cameras.trajectories import between
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.scene import Sample, View
-from slgaussian.trajectories import between
+from slgaussian.storage.specs import load_spec
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Viewpoints between the first two context cameras that are drawn, by frame name. Queries without

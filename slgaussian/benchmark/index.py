@@ -28,10 +28,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from slgaussian import jsontext
 from slgaussian.datasets.re10k import read_evaluation
 from slgaussian.errors import InputError
-from slgaussian.store import write_atomic
+from slgaussian.formats import strict_json
+from slgaussian.storage.store import write_atomic
 
 VERSION = 2
 
@@ -98,7 +98,7 @@ def read_index(path: str | Path) -> Index:
     """
     path = Path(path)
     try:
-        content = jsontext.parse(path.read_bytes())
+        content = strict_json.parse(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot read the pair index ({error.strerror})") from error
     except ValueError as error:

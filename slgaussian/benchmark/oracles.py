@@ -1,7 +1,7 @@
 """Truth in the place of a stage: what would have come out, had that stage made no mistake.
 
 Each function stands for one stage of the way from photographs to an answer;
-:mod:`slgaussian.benchmark.blame` puts them in order.
+:mod:`slgaussian.benchmark.attribution` puts them in order.
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data_specs import load_spec
 from slgaussian.benchmark.scores import score_table
 from slgaussian.errors import InputError
-from slgaussian.store import encode_table, write_atomic
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import encode_table, write_atomic
 
 Row = Mapping[str, Any]
 

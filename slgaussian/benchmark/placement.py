@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.images import MOST_PIXELS
+from slgaussian.formats.images import MOST_PIXELS
 
 
 @dataclass(frozen=True)

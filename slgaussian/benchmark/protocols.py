@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark import metrics, ranking
-from slgaussian.benchmark.boundaries import boundary_iou
+from slgaussian.benchmark.boundary_recall import boundary_iou
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import langsplat
 from slgaussian.language.query import Rules

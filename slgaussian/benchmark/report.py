@@ -28,9 +28,9 @@ from slgaussian.benchmark.score_tables import (
 )
 from slgaussian.benchmark.scores import reliability, score_table
 from slgaussian.benchmark.showcase import Key, key_of
+from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.benchmark.summary import Summary, summarize
 from slgaussian.benchmark.timings import Times
-from slgaussian.bootstrap import LEAST, LEVEL
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]

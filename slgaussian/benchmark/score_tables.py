@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from slgaussian.benchmark.methods import ROWS
+from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.scores import SCORE_CALIBRATION, Difference, differences
-from slgaussian.bootstrap import LEAST
+from slgaussian.benchmark.statistics import LEAST
 
 Row = Mapping[str, Any]
 

@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from data_specs import load_spec
 from slgaussian.benchmark import ranking
 from slgaussian.benchmark.protocols import THRESHOLDS
-from slgaussian.bootstrap import (
+from slgaussian.benchmark.statistics import (
     LEAST,
     LEVEL,
     Comparison,
@@ -31,6 +30,7 @@ from slgaussian.bootstrap import (
     totals,
 )
 from slgaussian.errors import InputError
+from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
 

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from slgaussian.benchmark.pictures import encode_png, paint_labels
 from slgaussian.benchmark.plots import as_svg
 from slgaussian.benchmark.rendering import flatten, template
-from slgaussian.bootstrap import LEAST, LEVEL
-from slgaussian.semantic.verdict import clip_scores, gain
+from slgaussian.benchmark.statistics import LEAST, LEVEL
+from slgaussian.benchmark.verdict import clip_scores, gain
 
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",

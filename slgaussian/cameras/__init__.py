@@ -1,1 +1,5 @@
-"""Poses and focal lengths, and what the photographs themselves say of them."""
+"""Cameras: whether given ones fit their photographs, and viewpoints between and around them."""
+
+from slgaussian.cameras.trajectories import between, orbit
+
+__all__ = ["between", "orbit"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slgaussian.errors import InputError
-from slgaussian.registry import resolve
+from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
     from slgaussian.scene import Scene
@@ -21,7 +21,7 @@ READERS = {
     "ovs3d": "slgaussian.datasets.ovs3d:read",
     "re10k": "slgaussian.datasets.re10k:read",
     "stereo": "slgaussian.datasets.stereo:read",
-    "procedural": "slgaussian.datasets.procedural:read",
+    "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
 FILES = {

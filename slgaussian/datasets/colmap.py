@@ -25,7 +25,7 @@ from slgaussian.datasets.photographs import (
 )
 from slgaussian.datasets.sparse import SparseCamera, SparseModel, model_files, read_model
 from slgaussian.errors import InputError
-from slgaussian.extras import install_line
+from slgaussian.parts.extras import install_line
 from slgaussian.scene import Camera, Scene, View
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")

@@ -1,8 +1,8 @@
 """LERF-OVS, the scenes of LERF that LangSplat labelled: COLMAP folders and labelled frames.
 
 The folder has one with ``images`` and ``sparse/0`` for each scene, and ``label``, in which
-``<scene>/<frame>.json`` is read by :mod:`slgaussian.benchmark.labels`. In LangSplat the labelled
-frames are training views; here they are held out.
+``<scene>/<frame>.json`` is read by :mod:`slgaussian.benchmark.annotations`. In LangSplat the
+labelled frames are training views; here they are held out.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import numpy as np
 
 from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, stored_size
 from slgaussian.errors import InputError
-from slgaussian.images import read_npy
+from slgaussian.formats.images import read_npy
 from slgaussian.scene import Camera, Scene, View
 
 FILE = "poses_bounds.npy"

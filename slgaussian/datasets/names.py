@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from slgaussian.datasets import textures
-from slgaussian.datasets.raycast import BALL, BOX, CONE, CYLINDER, RING
-from slgaussian.datasets.textures import Material, linear
+from slgaussian.datasets.procedural import textures
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING
+from slgaussian.datasets.procedural.textures import Material, linear
 
 COLOURS = {
     "red": (0.76, 0.12, 0.13),

@@ -17,7 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from slgaussian import jsontext
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
@@ -27,7 +26,8 @@ from slgaussian.datasets.photographs import (
     stored_size,
 )
 from slgaussian.errors import InputError
-from slgaussian.images import opened, read_npy, unreadable
+from slgaussian.formats import strict_json
+from slgaussian.formats.images import opened, read_npy, unreadable
 from slgaussian.scene import Camera, Scene, View
 
 FILE = "transforms.json"
@@ -285,7 +285,7 @@ class _Frame:
 
 def _parsed(file: Path) -> Any:
     try:
-        return jsontext.parse(file.read_bytes())
+        return strict_json.parse(file.read_bytes())
     except OSError as bad:
         raise InputError(
             f"{file}: cannot be read ({bad.strerror}); give a {FILE} or the folder that holds one"

@@ -40,7 +40,7 @@ class Bounds:
         in space may be hidden, or seen from another side.
     max_blur : float
         By how much a view may be more blurred than the median view of its clip, on the scale of
-        :func:`slgaussian.datasets.quality.blur`.
+        :func:`slgaussian.datasets.sharpness.blur`.
     max_clipped : float
         Share of pixels that may be black or white.
     most : int
@@ -66,7 +66,7 @@ class Views:
     depths : float64 [N]
         Typical z-depth of each view, scene units; NaN where it is not known.
     blur, mean, clipped : float64 [N]
-        See :mod:`slgaussian.datasets.quality`.
+        See :mod:`slgaussian.datasets.sharpness`.
     """
 
     cameras: Sequence[Camera]

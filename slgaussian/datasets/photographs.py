@@ -10,7 +10,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
-from slgaussian.images import opened, unreadable
+from slgaussian.formats.images import opened, unreadable
 from slgaussian.scene import Camera, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")

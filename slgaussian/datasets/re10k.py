@@ -27,13 +27,13 @@ import numpy as np
 import torch
 from PIL import Image
 
-from slgaussian import jsontext, tensorfile
 from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
-from slgaussian.images import opened
-from slgaussian.remote import explained, open_place, troubles
+from slgaussian.formats import strict_json, tensorfile
+from slgaussian.formats.images import opened
 from slgaussian.scene import Camera, Scene, View
-from slgaussian.store import write_atomic
+from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.store import write_atomic
 
 INDEX = "index.json"
 CHUNK_BYTES = 100_000_000
@@ -438,7 +438,7 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
 def _json(file: str | Path) -> dict[str, Any]:
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
-            content = jsontext.parse(stream.read())
+            content = strict_json.parse(stream.read())
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as JSON ({error})") from None
     if not isinstance(content, dict):

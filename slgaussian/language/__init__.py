@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.registry import resolve
+from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.nearest import MOST_DIMENSIONS

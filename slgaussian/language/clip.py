@@ -15,10 +15,11 @@ import numpy as np
 import torch
 
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.kernels.threads import inside
 from slgaussian.language.crops import check_regions, region_crop
 from slgaussian.language.open_clip import load_open_clip
 from slgaussian.language.room import Surroundings
-from slgaussian.pretrained import (
+from slgaussian.parts.pretrained import (
     OPEN_CLIP_CONFIG,
     PREPROCESSOR,
     Family,
@@ -29,7 +30,6 @@ from slgaussian.pretrained import (
     load_tokenizer,
     read_json,
 )
-from slgaussian.threads import inside
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 """Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
@@ -69,7 +69,7 @@ class Clip:
     ------
     InputError
         If a setting is none of these, there is no tokenizer, it belongs to another model, or as
-        :func:`slgaussian.pretrained.load_pretrained`.
+        :func:`slgaussian.parts.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family(

@@ -17,9 +17,9 @@ from typing import Any
 
 import torch
 
-from slgaussian import tensorfile
 from slgaussian.errors import InputError
-from slgaussian.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json
+from slgaussian.formats import tensorfile
+from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json
 
 HEAD_WIDTHS = {1280: 80, 1408: 88, 1664: 104, 1792: 112}
 """Channels of a head in the image towers of open_clip's ViT-H, g, bigG and e, by their width; 64

@@ -12,8 +12,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.special import expit, logit
 
-from slgaussian.brief import said
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.formats.brief import said
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap

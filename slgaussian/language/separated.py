@@ -17,10 +17,10 @@ import numba
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.simd import LANES, vabs, vload, vsum, vwhere, vzero
 from slgaussian.labels import LabelMaps
 from slgaussian.language.codes import check_dimension, count_objects
 from slgaussian.language.nearest import nearest_code
-from slgaussian.simd import LANES, vabs, vload, vsum, vwhere, vzero
 
 GAPS = (1, 2, 4, 8, 16)
 """Objects that are so many pixels apart, along rows or columns, are neighbours; they count by one

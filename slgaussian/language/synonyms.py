@@ -16,9 +16,15 @@ import numpy as np
 import torch
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.threads import inside
 from slgaussian.language.vocabulary import NOUNS, Word
-from slgaussian.pretrained import Family, find_model, load_pretrained, load_tokenizer, read_json
-from slgaussian.threads import inside
+from slgaussian.parts.pretrained import (
+    Family,
+    find_model,
+    load_pretrained,
+    load_tokenizer,
+    read_json,
+)
 
 FAMILIES = NOUNS | {"colour", "texture", "material"}
 """Of the words that an unknown one may stand for. Sizes and places are left out: their opposites
@@ -53,8 +59,8 @@ class Synonyms:
     Raises
     ------
     InputError
-        If the model averages otherwise, or as :func:`slgaussian.pretrained.load_pretrained` and
-        :func:`slgaussian.pretrained.load_tokenizer`.
+        If the model averages otherwise, or as :func:`slgaussian.parts.pretrained.load_pretrained`
+        and :func:`slgaussian.parts.pretrained.load_tokenizer`.
     """
 
     FAMILY: ClassVar[Family] = Family(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.brief import brief
-from slgaussian.registry import resolve
+from slgaussian.formats.brief import brief
+from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np

@@ -18,11 +18,11 @@ import numpy as np
 import torch
 
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
 from slgaussian.masks.regions import check_image
-from slgaussian.pretrained import Family, chosen_device, load_pretrained
-from slgaussian.threads import inside
+from slgaussian.parts.pretrained import Family, chosen_device, load_pretrained
 
 LEVELS = ("s", "m", "l")
 """The masks that one point gives, in the order of the model's outputs: part, object, group."""
@@ -144,7 +144,7 @@ class AutomaticProposer(ABC):
     ------
     InputError
         If a setting is out of range, or the model cannot be loaded
-        (:func:`slgaussian.pretrained.load_pretrained`).
+        (:func:`slgaussian.parts.pretrained.load_pretrained`).
     """
 
     FAMILY: ClassVar[Family]

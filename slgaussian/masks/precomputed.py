@@ -13,9 +13,9 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
-from slgaussian.images import opened, read_npy
+from slgaussian.formats.images import opened, read_npy
 from slgaussian.scene import View
-from slgaussian.store import sha256_of
+from slgaussian.storage.store import sha256_of
 
 SUFFIXES = (".png", ".npy")
 

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from slgaussian.masks.automatic import AutomaticProposer
 from slgaussian.masks.sam import SamImage, encoder_precision, normalised
-from slgaussian.pretrained import Family
+from slgaussian.parts.pretrained import Family
 
 
 @dataclass(frozen=True, eq=False)

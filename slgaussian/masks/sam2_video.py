@@ -12,12 +12,12 @@ import torch
 from torch.nn import functional as F
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.threads import inside
 from slgaussian.masks.memory import check_labels
 from slgaussian.masks.regions import check_image
 from slgaussian.masks.sam import normalised
-from slgaussian.pretrained import Family, load_pretrained
+from slgaussian.parts.pretrained import Family, load_pretrained
 from slgaussian.scene import View
-from slgaussian.threads import inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Sam2Video:
     Raises
     ------
     InputError
-        If ``batch`` is below 1, or as :func:`slgaussian.pretrained.load_pretrained`.
+        If ``batch`` is below 1, or as :func:`slgaussian.parts.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family(

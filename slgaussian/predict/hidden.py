@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
-from slgaussian.predict.lift import THICKNESS, concatenate
+from slgaussian.predict.unproject import THICKNESS, concatenate
 from slgaussian.scene import Camera
 
 BLOCK = 4

@@ -10,6 +10,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
     MAX_CANDIDATES,
@@ -30,11 +31,10 @@ from slgaussian.predict.fill import (
 )
 from slgaussian.predict.fuse import blend, meet
 from slgaussian.predict.hidden import hidden
-from slgaussian.predict.lift import concatenate, lift
 from slgaussian.predict.links import Link, link_views
 from slgaussian.predict.sgm import aggregate, winners
+from slgaussian.predict.unproject import concatenate, lift
 from slgaussian.scene import Sample, View
-from slgaussian.seeding import rng_for
 
 SPECKLE = 1 / 1200
 """Answered patches of at most this share of the image are taken for accidents and filled instead.

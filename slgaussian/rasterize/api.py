@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from slgaussian import compiling
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, first_not_finite
-from slgaussian.harmonics import colors
+from slgaussian.kernels import compiling
+from slgaussian.parts.registry import resolve
+from slgaussian.rasterize.harmonics import colors
 from slgaussian.rasterize.settings import Settings, find_settings
-from slgaussian.registry import resolve
 from slgaussian.scene import Camera
 
 BACKENDS = {

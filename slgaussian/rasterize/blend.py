@@ -5,6 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from slgaussian.kernels.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
+from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.project import MOMENTS
 from slgaussian.rasterize.tiles import (
     ACROSS,
@@ -25,8 +27,6 @@ from slgaussian.rasterize.tiles import (
     make_workspace,
     tile_range,
 )
-from slgaussian.shares import WORKERS, take
-from slgaussian.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
 
 STRIP = 8
 """Tiles that a thread takes at a time: neighbours, which have splats in common."""

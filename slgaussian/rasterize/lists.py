@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from slgaussian.kernels.simd import LANES, vexp2, vload, vstore, vwhere, vzero
+from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.blend import STRIP, weigh_block
 from slgaussian.rasterize.project import POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
 from slgaussian.rasterize.tiles import (
@@ -25,8 +27,6 @@ from slgaussian.rasterize.tiles import (
     load_tile,
     make_workspace,
 )
-from slgaussian.shares import WORKERS, take
-from slgaussian.simd import LANES, vexp2, vload, vstore, vwhere, vzero
 
 SPARE = 4
 """How many more entries a block has room for than it starts with."""

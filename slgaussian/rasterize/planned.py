@@ -16,6 +16,8 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
+from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.blend import STRIP, weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
 from slgaussian.rasterize.project import eye_of
@@ -30,8 +32,6 @@ from slgaussian.rasterize.tiles import (
     make_workspace,
 )
 from slgaussian.scene import Camera
-from slgaussian.shares import WORKERS, take
-from slgaussian.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 
 WEIGHT_MIN = 1 / 16384
 """Weights of a block of pixels are left out where all are at or below this."""

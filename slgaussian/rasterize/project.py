@@ -15,11 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.rasterize.api import FRUSTUM_MARGIN
-from slgaussian.rasterize.settings import Settings
-from slgaussian.scene import Camera
-from slgaussian.shares import WORKERS, take
-from slgaussian.simd import (
+from slgaussian.kernels.simd import (
     LANES,
     vabs,
     vall,
@@ -33,6 +29,10 @@ from slgaussian.simd import (
     vwhere,
     vwiden,
 )
+from slgaussian.kernels.work_sharing import WORKERS, take
+from slgaussian.rasterize.api import FRUSTUM_MARGIN
+from slgaussian.rasterize.settings import Settings
+from slgaussian.scene import Camera
 
 U, V, ROOT, SLOPE, ROW_ROOT, POWER, CUT, Z = range(8)
 """Columns of a splat: centre in pixels; the roots of ``k / var`` and ``k / yy`` with ``k = 1/2

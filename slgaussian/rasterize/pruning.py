@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians, covariances
-from slgaussian.harmonics import colors
+from slgaussian.kernels.simd import LANES, vany, vload, vstore, vsum, vwhere, vzero
 from slgaussian.rasterize.api import rasterize
 from slgaussian.rasterize.cpu import GEOMETRY, as_kernels_take_them, project_checked
+from slgaussian.rasterize.harmonics import colors
 from slgaussian.rasterize.lists import (
     NOBODY,
     composite,
@@ -35,7 +36,6 @@ from slgaussian.rasterize.project import Z, eye_of, project
 from slgaussian.rasterize.settings import Settings, find_settings
 from slgaussian.rasterize.tiles import BLOCK
 from slgaussian.scene import Camera
-from slgaussian.simd import LANES, vany, vload, vstore, vsum, vwhere, vzero
 
 NOISE = 2e-6
 """What is left of the tolerance to rounding. Measured: 5e-7."""

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from slgaussian.kernels.simd import LANES, prefetch
 from slgaussian.rasterize.project import (
     CUT,
     FAR,
@@ -26,7 +27,6 @@ from slgaussian.rasterize.project import (
     V,
     Z,
 )
-from slgaussian.simd import LANES, prefetch
 
 BLOCK = 4
 """Pixels across and down of a block, which is one vector. Square ones waste least of it."""

@@ -27,15 +27,15 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from slgaussian import jsontext
 from slgaussian.errors import InputError
+from slgaussian.formats import strict_json
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import inside
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.others import Others, find_others
-from slgaussian.threads import inside
-from slgaussian.versions import weights_in
+from slgaussian.semantic.versions import weights_in
 
 DIMENSION = 3
 """Numbers an ID code, as in the paper."""
@@ -192,7 +192,7 @@ def find_weights(place: str | Path) -> Path:
     ----------
     place : str or path
         A file that :func:`save_branch` wrote, or a folder of versions, of which it is the one in
-        use (:mod:`slgaussian.versions`).
+        use (:mod:`slgaussian.semantic.versions`).
 
     Raises
     ------
@@ -312,7 +312,7 @@ def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, A
     """
     try:
         with safetensors.safe_open(path, "pt") as file:
-            about = jsontext.parse((file.metadata() or {}).get("slgaussian", "{}"))
+            about = strict_json.parse((file.metadata() or {}).get("slgaussian", "{}"))
             if not isinstance(about, dict):
                 raise ValueError("its note is no table")
             return {name: file.get_tensor(name) for name in file.keys()}, about  # noqa: SIM118

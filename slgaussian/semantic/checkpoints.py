@@ -10,10 +10,10 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from data_specs import load_spec
 from slgaussian.errors import InputError
 from slgaussian.semantic.branch import Branch, branch_of, encode_tensors, read_tensors
-from slgaussian.store import decode, encode_table, write_atomic
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import decode, encode_table, write_atomic
 
 CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
 from slgaussian.rasterize.planned import plan
-from slgaussian.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.decode import Decoder
 from slgaussian.semantic.lesson import Lesson

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from slgaussian.brief import brief
 from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.seeding import content_of
 from slgaussian.scene import Camera
-from slgaussian.seeding import content_of
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
 """The arrays of the Gaussians that a lesson stores; labels have no use for colours."""

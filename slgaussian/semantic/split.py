@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slgaussian.seeding import seed_for
+from slgaussian.kernels.seeding import seed_for
 
 
 def held_out(clip: str, share: float) -> bool:

@@ -35,10 +35,11 @@ import pyarrow as pa
 import torch
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.seeding import rng_for, seed_for
+from slgaussian.kernels.threads import fixed
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.rasterize.planned import plan
-from slgaussian.seeding import rng_for, seed_for
 from slgaussian.semantic.branch import (
     Architecture,
     Branch,
@@ -51,7 +52,6 @@ from slgaussian.semantic.code_images import code_images
 from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
-from slgaussian.threads import fixed
 
 HARMED = 0.5
 """Share of the objects that are harmed where context labels are corrupted."""

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_specs import load_spec
 from slgaussian.benchmark import metrics, oracles
-from slgaussian.benchmark.blame import BEYOND, LOST, STAGES, UNDECIDED, blame, losses, verdict
+from slgaussian.benchmark.attribution import BEYOND, LOST, STAGES, UNDECIDED, blame, losses, verdict
 from slgaussian.build import lift_field
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
@@ -20,6 +19,7 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
 from slgaussian.scene import Camera, Sample, View
+from slgaussian.storage.specs import load_spec
 
 
 @pytest.fixture(scope="module")

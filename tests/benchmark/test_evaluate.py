@@ -4,7 +4,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_specs import load_spec
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.evaluate import (
     ALONG_THE_WAY,
@@ -16,6 +15,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
 from slgaussian.language.query import Rules
 from slgaussian.scene import Sample
+from slgaussian.storage.specs import load_spec
 
 
 def rows_of(result, protocol="slgaussian"):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.labels import labelled_frames, read_labels, read_truth
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
 

@@ -6,7 +6,6 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from data_specs import load_spec
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     file_name,
@@ -16,6 +15,7 @@ from slgaussian.benchmark.outputs import (
 )
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.errors import InputError
+from slgaussian.storage.specs import load_spec
 
 
 def test_sample_tables_hold_the_rows(tmp_path, result):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from data_specs import load_spec
-from slgaussian.benchmark.methods import ROWS
+from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.paper_tables import (
     ABLATION_NUMBERS,
     ABSENT,
@@ -14,7 +13,8 @@ from slgaussian.benchmark.paper_tables import (
     TABLES,
     paper_tables,
 )
-from slgaussian.bootstrap import interval_of_mean
+from slgaussian.benchmark.statistics import interval_of_mean
+from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
     "dataset": "anything",

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.benchmark.labels import read_labels
+from slgaussian.benchmark.annotations import read_labels
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, load_protocol
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from pages import Page, check_alone, tables_of
 
-from data_specs import load_spec
 from slgaussian.benchmark import report
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.timings import Times
+from slgaussian.storage.specs import load_spec
 
 MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 

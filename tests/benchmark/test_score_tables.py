@@ -2,7 +2,6 @@
 
 import pytest
 
-from data_specs import load_spec
 from slgaussian.benchmark.score_tables import (
     MAIN,
     MORE,
@@ -12,6 +11,7 @@ from slgaussian.benchmark.score_tables import (
     method_tables,
 )
 from slgaussian.benchmark.scores import score_table
+from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
     "dataset": "d",

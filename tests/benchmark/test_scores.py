@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_specs import load_spec
 from slgaussian.benchmark.protocols import PROTOCOLS, THRESHOLDS
 from slgaussian.benchmark.scores import (
     FEW_PLACES,
@@ -19,8 +18,9 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.bootstrap import LEAST, LEVEL, compare, resamplings
+from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, resamplings
 from slgaussian.errors import InputError
+from slgaussian.storage.specs import load_spec
 
 COLUMNS = dict.fromkeys(load_spec("samples").columns)
 GIVEN = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slgaussian.datasets.raycast import BALL, BOX, CONE, CYLINDER, Solid
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, Solid
 
 
 def inside_below_zero(solid: Solid, points: np.ndarray) -> np.ndarray:

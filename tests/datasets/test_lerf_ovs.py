@@ -3,7 +3,7 @@ import json
 import pytest
 from posed_folders import HEIGHT, WIDTH, Shot, write_model, write_pictures
 
-from slgaussian.benchmark.labels import labelled_frames, read_labels
+from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.datasets import files, lerf_ovs, load, scenes
 from slgaussian.errors import InputError
 

@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 from posed_folders import HEIGHT, WIDTH, Shot, llff_row, write_model, write_pictures
 
-from slgaussian.benchmark.labels import labelled_frames, read_labels, read_truth
+from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
 from slgaussian.datasets import files, load, scenes
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from implicit_solids import inside_below_zero
 
-from slgaussian.datasets import load, procedural, raycast
+from slgaussian.datasets import load
 from slgaussian.datasets.names import (
     COLOURS,
     MATERIALS,
@@ -16,6 +16,7 @@ from slgaussian.datasets.names import (
     VOCABULARY,
     look,
 )
+from slgaussian.datasets.procedural import raycast, reader
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 
@@ -26,7 +27,7 @@ SEEDS = range(12)
 @pytest.fixture(scope="module")
 def clean_ends() -> tuple[View, View]:
     """Both ends of an arc without noise and with one exposure."""
-    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
     return scene.read("view_00"), scene.read("view_03")
 
 
@@ -38,9 +39,9 @@ def same(a: View, b: View) -> bool:
 
 
 def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
-    first = procedural.read(seed=3, **SMALL)
+    first = reader.read(seed=3, **SMALL)
     views = [first.read(name) for name in first.cameras]
-    again = procedural.read(seed=3, **SMALL)
+    again = reader.read(seed=3, **SMALL)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -49,11 +50,11 @@ def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
     finally:
         numba.set_num_threads(threads)
     assert first.phrases == again.phrases
-    assert not same(procedural.read(seed=4, **SMALL).read("view_00"), views[0])
+    assert not same(reader.read(seed=4, **SMALL).read("view_00"), views[0])
 
 
 def test_a_room_is_the_same_at_any_resolution():
-    small, large = procedural.read(seed=2, **SMALL), procedural.read(seed=2, height=256, width=256)
+    small, large = reader.read(seed=2, **SMALL), reader.read(seed=2, height=256, width=256)
     assert small.phrases == large.phrases
     a, b = small.cameras["view_03"], large.cameras["view_03"]
     assert (a.c2w == b.c2w).all()
@@ -64,7 +65,7 @@ def test_a_room_is_the_same_at_any_resolution():
 
 def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre(clean_ends):
     view, _ = clean_ends
-    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
     room = scene.read.__self__.room
     solids = [solid for thing in room.things for solid in thing.solids]
     owners = room.owners()
@@ -84,7 +85,7 @@ def test_true_depth_warps_one_end_of_the_arc_onto_the_other(clean_ends):
     inside = (pixels > 0.5).all(-1) & (pixels < (b.camera.width - 1, b.camera.height - 1)).all(-1)
     # Seen by both, judged by the exact ray of b through the warped point.
     rays = points - b.camera.center
-    room = procedural.read(seed=5).read.__self__.room
+    room = reader.read(seed=5).read.__self__.room
     t, index = raycast.cast(room.solids(), b.camera.center, rays)
     seen = inside & (np.abs(t - 1) < 1e-5)
     assert 0.6 < seen.mean() < 0.95
@@ -102,20 +103,20 @@ def test_true_depth_warps_one_end_of_the_arc_onto_the_other(clean_ends):
 
 def test_noise_and_exposure_change_the_photograph_and_nothing_else():
     settings = {"seed": 1, **SMALL}
-    clean = procedural.read(noise=0, exposure=0, **settings).read("view_01")
-    noisy = procedural.read(noise=0.02, exposure=0, **settings).read("view_01")
+    clean = reader.read(noise=0, exposure=0, **settings).read("view_01")
+    noisy = reader.read(noise=0.02, exposure=0, **settings).read("view_01")
     assert (clean.depth == noisy.depth).all() and (clean.instances == noisy.instances).all()
     middle = (clean.image > 40) & (clean.image < 215)
     spread = (noisy.image.astype(float) - clean.image)[middle].std()
     assert spread == pytest.approx(0.02 * 255, rel=0.05)
-    bright = procedural.read(noise=0, exposure=0.2, **settings)
+    bright = reader.read(noise=0, exposure=0.2, **settings)
     ratios = [bright.read(name).image.mean() / clean.image.mean() for name in bright.cameras]
     assert np.ptp(ratios) > 0.05
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
-    phrases = list(procedural.read(seed=seed, objects=10, **SMALL).phrases.values())
+    phrases = list(reader.read(seed=seed, objects=10, **SMALL).phrases.values())
     assert len(set(phrases)) == len(phrases)
     looks = set()
     for phrase in phrases:
@@ -129,7 +130,7 @@ def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_object_is_seen_from_both_ends(seed):
-    scene = procedural.read(seed=seed, **SMALL)
+    scene = reader.read(seed=seed, **SMALL)
     assert sum(phrase.split()[-1] in SHAPES for phrase in scene.phrases.values()) == 8
     for name in ("view_00", "view_03"):
         counts = np.bincount(scene.read(name).instances.ravel(), minlength=len(scene.phrases) + 1)
@@ -142,7 +143,7 @@ def test_every_object_is_seen_from_both_ends(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_stands_inside_anything_else_or_floats(seed):
     rng = np.random.default_rng(seed)
-    things = procedural.read(seed=seed, objects=12, **SMALL).read.__self__.room.things
+    things = reader.read(seed=seed, objects=12, **SMALL).read.__self__.room.things
     for a, b in itertools.permutations(things, 2):
         for solid in a.solids:
             points = solid.centre + rng.uniform(-1, 1, (4000, 3)) * solid.reach
@@ -165,7 +166,7 @@ def test_nothing_stands_inside_anything_else_or_floats(seed):
 
 
 def test_shadows_fall_where_an_object_hides_the_lamp():
-    scene = procedural.read(seed=5, height=208, width=288, noise=0, exposure=0)
+    scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
     room = scene.read.__self__.room
     view = scene.read("view_00")
     points = view.camera.unproject(view.depth)
@@ -190,7 +191,7 @@ def test_the_ends_make_a_two_view_sample_and_the_middle_its_targets():
 
 
 def test_a_scene_can_be_sent_to_another_process():
-    scene = procedural.read(seed=0, **SMALL)
+    scene = reader.read(seed=0, **SMALL)
     assert same(pickle.loads(pickle.dumps(scene)).read("view_02"), scene.read("view_02"))
 
 
@@ -211,9 +212,9 @@ def test_a_scene_can_be_sent_to_another_process():
 )
 def test_an_argument_out_of_range_is_named(argument, value):
     with pytest.raises(InputError, match=f"procedural scene {argument}: found"):
-        procedural.read(**{argument: value})
+        reader.read(**{argument: value})
 
 
 def test_an_unknown_view_is_named():
     with pytest.raises(InputError, match="view_99"):
-        procedural.read(**SMALL).read("view_99")
+        reader.read(**SMALL).read("view_99")

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from slgaussian import datasets
-from slgaussian.datasets.quality import SIDE, blur, exposure, glance
+from slgaussian.datasets.sharpness import SIDE, blur, exposure, glance
 from slgaussian.errors import InputError
 
 

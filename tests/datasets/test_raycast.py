@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from implicit_solids import first_crossing, inside_below_zero
 
-from slgaussian.datasets.raycast import (
+from slgaussian.datasets.procedural.raycast import (
     BALL,
     BOX,
     CONE,

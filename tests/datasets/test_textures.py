@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.datasets import textures
-from slgaussian.datasets.raycast import BALL, BOX, CONE, CYLINDER, RING, normal_at
-from slgaussian.datasets.textures import Material, albedo, linear, pack
+from slgaussian.datasets.procedural import textures
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, normal_at
+from slgaussian.datasets.procedural.textures import Material, albedo, linear, pack
 
 
 def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows import cli
+from flows.cli import app
 from slgaussian import datasets
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -30,7 +30,7 @@ def run(monkeypatch, *words) -> int:
     """Exit status of ``slgaussian WORDS``."""
     monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
     with pytest.raises(SystemExit) as left:
-        cli.main()
+        app.main()
     return left.value.code or 0
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from flows.environment import prepare
-from flows.server import LocalServer
+from flows.runners.environment import prepare
+from flows.runners.server import LocalServer
 
 
 def pytest_configure(config):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tiny_run import run_tiny, three_plans
 
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 
 disk = Path(sys.argv[1])
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", disk], check=True)

@@ -10,10 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from flows import cli, pipeline
+from flows import pipeline
+from flows.cli import app
 from flows.settings import make_settings
 from slgaussian import datasets
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 
 LAST = "images/view_02.png"
 
@@ -145,7 +146,7 @@ def build(monkeypatch, *words) -> int:
     """Exit status of ``slgaussian field WORDS``."""
     monkeypatch.setattr(sys, "argv", ["slgaussian", "field", *map(str, words)])
     with pytest.raises(SystemExit) as left:
-        cli.main()
+        app.main()
     return left.value.code or 0
 
 

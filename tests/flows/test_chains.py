@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 from tiny_run import chain_plan, run_tiny
 
-from flows.chains import failures_table
-from slgaussian.store import ArtifactStore, table_digest
+from flows.runners.worker_pool import failures_table
+from slgaussian.storage.store import ArtifactStore, table_digest
 from tasks.shard import Step
 
 pytestmark = pytest.mark.usefixtures("server")

@@ -14,8 +14,8 @@ from PIL import Image
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
+from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.language.bank import MemoryBank
-from slgaussian.ply import load_ply, save_ply
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -27,7 +27,8 @@ def field(tmp_path_factory):
 
 def test_help_answers_without_the_heavy_libraries():
     code = (
-        "import sys; from flows.cli import app; app(['field', '--help'], standalone_mode=False);"
+        "import sys; from flows.cli.app import app\n"
+        "app(['field', '--help'], standalone_mode=False)\n"
         "print([m for m in ('torch', 'prefect', 'numba', 'cv2') if m in sys.modules])"
     )
     done = subprocess.run(
@@ -346,7 +347,7 @@ def test_pools_share_the_cores():
     import cv2
     import numba
 
-    from slgaussian import threads
+    from slgaussian.kernels import threads
 
     all_cores = threads.cores()
     try:

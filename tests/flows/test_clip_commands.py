@@ -17,8 +17,8 @@ from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.clip import Clip
-from slgaussian.pretrained import model_digest
-from slgaussian.store import ArtifactStore
+from slgaussian.parts.pretrained import model_digest
+from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks, supervision
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall

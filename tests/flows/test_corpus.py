@@ -14,14 +14,14 @@ import pytest
 from PIL import Image
 
 from flows import corpus
-from flows.cli import main
+from flows.cli.app import main
 from flows.corpus_settings import make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -259,7 +259,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
 
     fresh = ArtifactStore(tmp_path / "store")
     with monkeypatch.context() as patched:
-        patched.setattr("slgaussian.store.open", opened, raising=False)
+        patched.setattr("slgaussian.storage.store.open", opened, raising=False)
         made = corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh)
     assert [(f.scene, f.stage) for f in made.failures] == [
         (f"00000{n}.torch", "lessons") for n in range(2)

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from flows.display import Display, cut, wrapped
-from flows.memory import memory_in_use
-from flows.metrics import Metrics, duration, size
-from flows.progress import Progress
+from flows.runners.display import Display, cut, wrapped
+from flows.runners.memory import memory_in_use
+from flows.runners.metrics import Metrics, duration, size
+from flows.runners.progress import Progress
 
 words = st.text(st.sampled_from("ab室é"), max_size=12)
 texts = st.text(st.sampled_from("ab 室é\x1b\n"), max_size=12)
@@ -98,7 +98,7 @@ def test_a_stream_that_is_no_terminal_gets_lines_only(monkeypatch):
 
 
 def test_progress_keeps_one_table_of_a_run(monkeypatch):
-    monkeypatch.setattr("flows.progress.REDRAW", 0.0)
+    monkeypatch.setattr("flows.runners.progress.REDRAW", 0.0)
     seen = Terminal()
     with Progress(3, 2, stream=seen) as told:
         for scene, stage in itertools.product("ab", ("ingest", "masks")):

@@ -13,7 +13,7 @@ from process_family import PROC, below
 from tiny_program import HERE, lines_of, start, wait_until, with_database
 from tiny_run import run_tiny, three_plans
 
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -78,7 +78,7 @@ def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, whole)
     process = start(home, store, log, 0.7, "threads", **retries)
     assert wait_until(lambda: log.exists() and "scene_1 make" in log.read_text(), 120)
     lines = {number: (PROC / f"{number}/cmdline").read_bytes() for number in below(process.pid)}
-    (itself,) = [number for number, line in lines.items() if b"flows.server" in line]
+    (itself,) = [number for number, line in lines.items() if b"flows.runners.server" in line]
     os.kill(itself, signal.SIGKILL)
     _, messages = process.communicate(timeout=120)
     assert process.returncode == 0, messages.decode()

@@ -11,7 +11,7 @@ from command import run
 from packaging.requirements import Requirement
 from test_killed import wait_until, with_database
 
-from flows import doctor
+from flows.cli import doctor
 
 NOBODY = "http://127.0.0.1:9/api"
 

@@ -14,8 +14,8 @@ from command import run, said
 from typer.main import get_command
 
 from flows import settings
-from flows.cli import app
-from flows.helping import ALL
+from flows.cli.app import app
+from flows.cli.help import ALL
 from slgaussian import __version__
 from slgaussian.errors import did_you_mean
 
@@ -153,7 +153,7 @@ def test_completion_knows_commands_options_and_names(line, expected, monkeypatch
 
 def test_completion_and_help_need_no_heavy_library():
     code = (
-        "import sys\nfrom flows.cli import main\ntry: main()\nexcept SystemExit: pass\n"
+        "import sys\nfrom flows.cli.app import main\ntry: main()\nexcept SystemExit: pass\n"
         "heavy = {'torch', 'numpy', 'prefect', 'numba', 'cv2'} & set(sys.modules)\n"
         "sys.exit(f'loaded: {heavy}' if heavy else 0)"
     )

@@ -7,8 +7,8 @@ from datetime import datetime
 
 import pytest
 
-from flows.journal import BEFORE, FILE, journal, log
-from flows.progress import Progress
+from flows.runners.journal import BEFORE, FILE, journal, log
+from flows.runners.progress import Progress
 from slgaussian.errors import InputError
 
 

@@ -17,10 +17,10 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.housekeeping import collect, verify
 from slgaussian.language.query import Rules
-from slgaussian.records import Records
-from slgaussian.store import ArtifactStore, DamagedError
+from slgaussian.storage.housekeeping import collect, verify
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactStore, DamagedError
 from tasks.artifacts import about_field, put_field
 from tasks.benchmark import example
 

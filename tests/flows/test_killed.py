@@ -9,7 +9,7 @@ from process_family import LOOPBACK, PROC, below, listening, living
 from tiny_program import lines_of, start, wait_until, with_database
 from tiny_run import run_tiny, three_plans
 
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 
 FOREVER = 3600.0
 """Seconds that the stage at hand would take."""

@@ -12,16 +12,16 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows import pipeline, rivals
+from flows import baselines, pipeline
 from flows.labelled import labelled_scenes
-from flows.rooms import room_scene
+from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, make_settings
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 from tasks import ingest, truth
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
 from tasks.stage import StageCall
@@ -211,7 +211,7 @@ class TestScored:
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
             refs = {scene.name: {}}
-            chains = rivals.chains(settings, [scene], refs)
+            chains = baselines.chains(settings, [scene], refs)
             others = [step for chain in chains for step in chain.plan(None)]
             (own,) = (s for s in pipeline.plan(settings, scene) if s.stage == "benchmark")
             place = scene.options.get("scene")

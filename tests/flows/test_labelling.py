@@ -8,7 +8,7 @@ from command import ROOM, room_sample, run, said, save_photographs
 from PIL import Image
 
 import slgaussian as slg
-from flows.labelling import label
+from flows.cli.labelling import label
 from slgaussian.masks.precomputed import Precomputed, encode_ids, map_names, read_ids
 
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
@@ -65,7 +65,7 @@ def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, caps
     # What fails half way leaves what was there.
     before = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     with monkeypatch.context() as patched:
-        patched.setattr("flows.labelling.pictures.encode_jpeg", lambda *a: 1 / 0)
+        patched.setattr("flows.cli.labelling.pictures.encode_jpeg", lambda *a: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             label(PHOTOS, tmp_path, tmp_path / "ids", {"near": 0.8, "far": 12.0})
     after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}

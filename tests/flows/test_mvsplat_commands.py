@@ -13,12 +13,13 @@ from command import ROOM, run, save_photographs
 from benches.recipe import recipe_weights
 from flows import pipeline
 from flows.settings import MVSplatTable, Settings, make_settings, read_toml
-from slgaussian import datasets, harmonics
+from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.ply import load_ply
+from slgaussian.formats.ply import load_ply
 from slgaussian.predict.mvsplat.predictor import MVSplat
-from slgaussian.store import ArtifactStore
+from slgaussian.rasterize import harmonics
+from slgaussian.storage.store import ArtifactStore
 from tasks import geometry
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall

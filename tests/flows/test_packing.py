@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows.cli import main
+from flows.cli.app import main
 from flows.corpus_settings import PackSettings
 from flows.packing import pack
 from slgaussian.datasets import re10k

@@ -13,11 +13,12 @@ from command import run, said
 
 from flows import pipeline
 from flows.settings import make_settings
-from slgaussian import datasets, threads
+from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.store import ArtifactStore
+from slgaussian.kernels import threads
+from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -258,7 +259,7 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
 
 
 def test_progress_tells_rate_and_time_left(monkeypatch):
-    from flows import progress
+    from flows.runners import progress
 
     monkeypatch.setattr(progress, "REMIND", 0.0)
     seen = io.StringIO()
@@ -277,7 +278,7 @@ def test_progress_tells_rate_and_time_left(monkeypatch):
 
 
 def test_time_left_is_that_of_stages_like_those_still_to_come():
-    from flows import progress
+    from flows.runners import progress
 
     told = progress.Progress(10, 2, stream=io.StringIO())
     for scene in "abcde":
@@ -294,7 +295,7 @@ def test_time_left_is_that_of_stages_like_those_still_to_come():
 
 
 def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
-    from flows.progress import Progress
+    from flows.runners.progress import Progress
 
     seen = io.StringIO()
     told = Progress(2, 1, verbose=True, stream=seen)

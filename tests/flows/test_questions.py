@@ -186,7 +186,7 @@ def test_a_turn_is_a_film_whose_frames_decode(field, tmp_path, monkeypatch, caps
     assert len(frames) == 5
     own = slg.SemanticField.load(field)
     points = own.gaussians.means.numpy()
-    turn = slg.trajectories.orbit(list(own.cameras.values()), points, 5)
+    turn = slg.cameras.orbit(list(own.cameras.values()), points, 5)
     for frame, camera in zip(frames, turn, strict=True):
         seen = own.render(camera).rgb.astype(int)
         assert np.abs(frame[12:44, 12:60].astype(int) - seen).mean() < 12

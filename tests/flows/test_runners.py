@@ -12,12 +12,12 @@ import pytest
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import chain_plan, run_tiny
 
-from flows import chains, runners
-from flows.chains import failures_table
-from flows.progress import Progress
+from flows.runners import task_runners, worker_pool
+from flows.runners.progress import Progress
+from flows.runners.worker_pool import failures_table
 from flows.settings import make_settings
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 from tasks.shard import NO_EVENTS, roll_call
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -122,7 +122,7 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
 
 @pytest.mark.parametrize("kind", ANY)
 def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_path, monkeypatch):
-    monkeypatch.setattr(chains, "DEATHS", 2)  # a new worker takes seconds to begin
+    monkeypatch.setattr(worker_pool, "DEATHS", 2)  # a new worker takes seconds to begin
     store, log = ArtifactStore(tmp_path / "store"), tmp_path / "log"
     plans = {"killer": chain_plan(6, 1, log, deadly="halve"), "good": chain_plan(8, 1, log)}
     told = Progress(2, 3, stream=io.StringIO())
@@ -168,7 +168,7 @@ def test_a_cluster_that_is_not_there_is_named(kind, tmp_path):
 
 @needs["dask"]
 def test_something_else_at_the_address_is_told(server, tmp_path, monkeypatch):
-    monkeypatch.setattr(runners, "CONNECT", 1.0)
+    monkeypatch.setattr(task_runners, "CONNECT", 1.0)
     place = urlsplit(server.url)
     with pytest.raises(InputError, match="no Dask scheduler answers at"):
         run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://{place.netloc}")
@@ -188,7 +188,7 @@ def test_a_store_in_memory_is_for_threads_only(runner, tmp_path):
 
 @needs["dask"]
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
-    monkeypatch.setattr(chains, "PATIENCE", 0.5)
+    monkeypatch.setattr(worker_pool, "PATIENCE", 0.5)
     said = "no worker of dask://.* took on any work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=said):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)

@@ -15,8 +15,8 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.masks.sam import Sam
 from slgaussian.masks.sam2 import Sam2
-from slgaussian.pretrained import model_digest
-from slgaussian.store import ArtifactStore
+from slgaussian.parts.pretrained import model_digest
+from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall

@@ -69,7 +69,8 @@ DEPLOYMENTS = yaml.safe_load((ROOT / "prefect.yaml").read_text())["deployments"]
 def test_the_deployments_of_the_repository_can_be_loaded(deployment):
     loaded = load_flow_from_entrypoint(deployment["entrypoint"])
     name = deployment["entrypoint"].rpartition(".")[2]
-    from flows import journal, schedule
+    from flows import schedule
+    from flows.runners import journal
 
     own = getattr(schedule, name)
     assert loaded.name == own.name

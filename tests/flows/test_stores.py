@@ -16,8 +16,8 @@ from tiny_run import chain_plan, run_tiny
 
 from flows.settings import make_settings
 from slgaussian.errors import InputError
-from slgaussian.records import Records
-from slgaussian.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 HERE = Path(__file__).parent
 ALL = ["a add", "a halve", "a make"]

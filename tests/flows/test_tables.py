@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from data_specs import load_spec
-from flows.tables import scores_tables
+from flows.cli.tables import scores_tables
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.scores import scene_means
+from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
     "frame": "f",

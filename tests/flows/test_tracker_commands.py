@@ -12,7 +12,7 @@ from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import Precomputed, folder_digest
 from slgaussian.masks.sam2_video import Sam2Video
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import StageCall

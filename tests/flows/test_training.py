@@ -14,7 +14,6 @@ import pytest
 import torch
 from command import run
 
-from data_specs import load_spec
 from flows.training_settings import from_anywhere, read_retraining
 from slgaussian import datasets
 from slgaussian.datasets import re10k
@@ -25,8 +24,9 @@ from slgaussian.semantic import load_lifting
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.split import held_out
-from slgaussian.store import ArtifactStore, encode_table
-from slgaussian.versions import Versions
+from slgaussian.semantic.versions import Versions
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactStore, encode_table
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -135,7 +135,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
         (tmp_path / name).mkdir()
         lessons_of(tmp_path / name, range(6))
     long = ("--steps", "44", "--held-out", "0.4")
-    program = "import sys; from flows.cli import main; main()"
+    program = "import sys; from flows.cli.app import main; main()"
     argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)]
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(

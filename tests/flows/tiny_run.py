@@ -5,8 +5,8 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from flows.progress import Progress
-from slgaussian.store import ArtifactStore
+from flows.runners.progress import Progress
+from slgaussian.storage.store import ArtifactStore
 
 
 def chain_plan(value: int, more: int, log: Path, sleep: float = 0.0, **where: str):
@@ -30,7 +30,7 @@ def run_tiny(
     progress: Progress | None = None,
 ):
     """Run ``{scene: its steps}``; returns the outcome."""
-    from flows.chains import run_chains, run_flow
+    from flows.runners.worker_pool import run_chains, run_flow
     from tasks.shard import Chain, given
 
     progress = progress or Progress(len(plans), 3, stream=stream or io.StringIO())
@@ -52,7 +52,7 @@ def three_plans(log: Path, sleep: float = 0.0) -> dict:
 
 
 if __name__ == "__main__":
-    from flows.environment import interruptible, orchestration
+    from flows.runners.environment import interruptible, orchestration
 
     store, log, sleep, runner = ArtifactStore(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:5]
     with interruptible(), orchestration(store) as ready:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from drawn import BLUE, GREEN, RED, ball, bank_of, photograph, view_of
 
-from data_specs import load_spec
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank, merge
 from slgaussian.language.relevancy import relevancy
+from slgaussian.storage.specs import load_spec
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from small_clip import clip_model, save_tokenizer
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.open_clip import convert
-from slgaussian.pretrained import model_digest
+from slgaussian.parts.pretrained import model_digest
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets import procedural
+from slgaussian.datasets.procedural import reader
 from slgaussian.language.room import LEVEL, find_room
 from slgaussian.scene import Camera
 
@@ -16,7 +16,7 @@ SIZE = 104, 144
 @pytest.fixture(scope="module")
 def room():
     """Cameras and true depths of a procedural room, whose floor is z = 0."""
-    scene = procedural.read(seed=3, height=SIZE[0], width=SIZE[1], views=2)
+    scene = reader.read(seed=3, height=SIZE[0], width=SIZE[1], views=2)
     views = [scene.read(name) for name in scene.cameras]
     return [view.camera for view in views], [view.depth for view in views]
 

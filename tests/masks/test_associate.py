@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, paste, view
 
-from slgaussian.datasets import procedural
+from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
 from slgaussian.masks.associate import associate, merge
@@ -139,7 +139,7 @@ def test_flow_asks_once_a_view_and_agrees():
 
 @cache
 def room():
-    scene = procedural.read(seed=3, height=208, width=288, views=2)
+    scene = reader.read(seed=3, height=208, width=288, views=2)
     return scene, [scene.read(name) for name in scene.cameras]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drawn_views import canvas, paste, view
 
-from slgaussian.datasets import procedural
+from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.geometric import GeometricTracker
@@ -20,7 +20,7 @@ SIZE = (96, 128)
 
 @cache
 def room(baseline=0.6, seed=3):
-    scene = procedural.read(seed=seed, height=208, width=288, views=2, baseline=baseline)
+    scene = reader.read(seed=seed, height=208, width=288, views=2, baseline=baseline)
     return [scene.read(name) for name in scene.cameras]
 
 

@@ -15,14 +15,14 @@ from drawn_views import canvas, paste, view
 from safetensors.torch import load_file, save_file
 from small_models import SIDE, sam2_config, save_sam, save_sam2
 
-from slgaussian import pretrained
 from slgaussian.errors import InputError
 from slgaussian.masks import load_proposer
 from slgaussian.masks.associate import associate
 from slgaussian.masks.automatic import Automatic
 from slgaussian.masks.flow import FlowTracker
 from slgaussian.masks.sam import normalised, pixel_values
-from slgaussian.pretrained import find_model, model_digest
+from slgaussian.parts import pretrained
+from slgaussian.parts.pretrained import find_model, model_digest
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)

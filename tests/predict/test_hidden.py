@@ -6,7 +6,7 @@ from textured_planes import camera
 
 from slgaussian.gaussians import source_depths
 from slgaussian.predict.hidden import hidden
-from slgaussian.predict.lift import concatenate, lift
+from slgaussian.predict.unproject import concatenate, lift
 
 # Written out, not imported: a slip in the module must show here.
 BEHIND, BLOCK, MARGIN = 0.03, 4, 0.07

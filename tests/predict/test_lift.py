@@ -6,7 +6,7 @@ import torch
 from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.gaussians import covariances, rotation_matrices, source_depths
-from slgaussian.predict.lift import lift, normals
+from slgaussian.predict.unproject import lift, normals
 
 # Written out, not imported: a slip in the module must show here.
 FOOTPRINT, THICKNESS = 0.35, 0.1

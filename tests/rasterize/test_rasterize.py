@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from benches.hard_cases import camera, case, cloud, measure, names, rotated, splats
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.harmonics import colors
 from slgaussian.rasterize import PRESETS, Settings, rasterize
+from slgaussian.rasterize.harmonics import colors
 from slgaussian.scene import Camera
 
 BACKENDS = ["cpu", "reference"]

@@ -7,10 +7,10 @@ import pytest
 import torch
 from drawn_lessons import SIZE, camera, lesson
 
-from data_specs import load_spec
 from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactStore
 
 
 def test_a_lesson_comes_back_from_the_store_as_it_was(tmp_path):

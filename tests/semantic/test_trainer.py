@@ -15,11 +15,11 @@ import torch
 from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
-from data_specs import load_spec
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import Architecture, Branch, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
 from slgaussian.semantic.training import TrainingSettings, loss_of, train
+from slgaussian.storage.specs import load_spec
 
 ROOT = Path(__file__).parents[2]
 

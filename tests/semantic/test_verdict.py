@@ -3,10 +3,10 @@
 import pyarrow as pa
 import pytest
 
-from data_specs import load_spec
-from slgaussian.bootstrap import LEAST
+from slgaussian.benchmark.statistics import LEAST
+from slgaussian.benchmark.verdict import clip_scores, gain, verdict
 from slgaussian.errors import InputError
-from slgaussian.semantic.verdict import clip_scores, gain, verdict
+from slgaussian.storage.specs import load_spec
 
 
 def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):

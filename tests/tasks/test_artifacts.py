@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import SceneResult, truth_from_instances
-from slgaussian.benchmark.labels import Truth
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import (
     result_from_arrays,
     result_to_arrays,

@@ -8,7 +8,7 @@ import fsspec
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 from tasks import chunks
 from tasks.chunks import digest_of
 

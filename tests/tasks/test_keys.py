@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.store import ArtifactRef
+from slgaussian.storage.store import ArtifactRef
 from tasks.keys import cache_key, canonical
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")

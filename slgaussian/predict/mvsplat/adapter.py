@@ -1,13 +1,13 @@
 """From the network's numbers at every pixel to Gaussians in the world.
 
 **Colour.** The networks were trained with harmonics of their own, which end here:
-:func:`harmonics_to_world` brings them to those of :mod:`slgaussian.harmonics`. They predict in the
-basis of e3nn, whose polar axis is y, and turn into the world there. Then they draw with the formula
-of Kerbl et al. with its axes cycled, which is e3nn's basis seen from ``(-x, y, -z)``: that, too, is
-a rotation, so one rotation of the coefficients does all. They predict 25 coefficients a colour and
-draw 16 of them. The kernel that they were trained with has ``z`` for ``y`` in one term of degree 3,
-in its forward pass alone; here that term is the harmonic, as that degree is damped to 0.0016.
-"""
+:func:`harmonics_to_world` brings them to those of :mod:`slgaussian.rasterize.harmonics`. They
+predict in the basis of e3nn, whose polar axis is y, and turn into the world there. Then they draw
+with the formula of Kerbl et al. with its axes cycled, which is e3nn's basis seen from ``(-x, y,
+-z)``: that, too, is a rotation, so one rotation of the coefficients does all. They predict 25
+coefficients a colour and draw 16 of them. The kernel that they were trained with has ``z`` for
+``y`` in one term of degree 3, in its forward pass alone; here that term is the harmonic, as that
+degree is damped to 0.0016."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from slgaussian import harmonics
 from slgaussian.predict.mvsplat.config import Config
 from slgaussian.predict.mvsplat.depth import POSE_CHANNELS
+from slgaussian.rasterize import harmonics
 from slgaussian.scene import Camera
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
@@ -114,9 +114,8 @@ def harmonics_to_world(R: np.ndarray) -> np.ndarray:
     They say ``E(H d) . D m c`` of the colour in direction ``d``: coefficients ``c``, damped by
     ``m``, are turned by the Wigner matrix ``D`` of the camera's rotation ``R``, and e3nn's basis
     ``E`` is seen after the half turn ``H``. With ``E(d) = Y(C H d)``, where ``Y`` is the basis of
-    :mod:`slgaussian.harmonics` and ``C`` the cycle of axes, that is ``Y(d) . T m c``, where ``T``
-    turns as ``H R H C^-1`` does.
-    """
+    :mod:`slgaussian.rasterize.harmonics` and ``C`` the cycle of axes, that is ``Y(d) . T m c``,
+    where ``T`` turns as ``H R H C^-1`` does."""
     turn = harmonics.turned(HALF_TURN @ R @ HALF_TURN @ CYCLE.T)
     for degree, band in enumerate(harmonics.BANDS):
         turn[:, band] *= damping(degree)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
-from slgaussian import tensorfile
 from slgaussian.errors import InputError
+from slgaussian.formats import tensorfile
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.network import Network
 

@@ -8,11 +8,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from slgaussian.harmonics import MAX_DEGREE
 from slgaussian.predict.mvsplat.backbone import Backbone
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import correlate, spread
 from slgaussian.predict.mvsplat.depth import DepthPredictor, Pixelwise
+from slgaussian.rasterize.harmonics import MAX_DEGREE
 from slgaussian.scene import Camera
 
 

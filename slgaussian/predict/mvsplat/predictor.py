@@ -13,6 +13,7 @@ import torch
 
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import inside
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import link_views
 from slgaussian.predict.mvsplat.adapter import lift
@@ -21,7 +22,6 @@ from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.threads import inside
 
 MULTIPLE = 16
 """Images are cropped to multiples of this: by all that downsampling, and two windows a side."""

@@ -1,0 +1,788 @@
+"""The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from flows.cli.help import App, told
+from flows.cli.options import with_options
+from flows.cli.store_commands import store_app
+from flows.corpus_settings import CorpusSettings, IndexSettings, PackSettings
+from flows.runners.display import Waiting
+from flows.training_settings import RetrainSettings, TrainSettings
+from slgaussian import __version__
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.kernels import compiling
+
+METHOD = (
+    "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker", "encoder", "codes",
+    "lifting", "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent",
+    "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip",
+    "named", "grid", "separated", "branch",
+)  # fmt: skip
+RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
+PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
+FILES = (
+    "predictor", "proposer", "tracker", "encoder", "lifting", "mvsplat.checkpoint", "sam.model",
+    "sam2.model", "sam2_video.model", "precomputed.folder", *PLACES, "branch.weights",
+)  # fmt: skip
+BUILD = ("preset", *(name for name in METHOD if name not in RULES))
+RUN = ("preset", *METHOD, "store", "runner", "workers", "method")
+INGEST = (
+    "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
+    "most", "store", "runner", "workers",
+)  # fmt: skip
+SUPERVISE = (
+    "size", "near", "far", "predictor", "proposer", "tracker", "replicas", "seed",
+    "planesweep", "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
+)  # fmt: skip
+MASKS = (
+    "preset", "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker",
+    "replicas", "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video",
+)  # fmt: skip
+TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
+
+PARTS = ("predictor", "proposer", "tracker", "encoder")
+ENGINE = ("store", "runner", "workers")
+COMMON = {
+    "demo": ("preset", "size", *PARTS, "seed", *ENGINE),
+    "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
+    "run": ("preset", "seed", *ENGINE),
+    "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
+    "field": ("preset", "size", *PARTS, "trust_cameras", "seed"),
+    "masks": ("preset", "size", *PARTS[:3], "replicas"),
+    "query": ("threshold",),
+    "segment": ("threshold",),
+    "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
+    "supervise": ("size", *PARTS[:3], "most", *ENGINE),
+    "train": ("steps", "rate", "codes", "seed", "store"),
+    "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
+    "doctor": ("store", "runner", *PARTS, "lifting"),
+}
+"""The settings that most people need of a command: `--help` shows these, `--help-all` the rest."""
+
+FIELDS, SCORES = "Build a field and ask it", "Score it"
+CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"
+"""The headings of the commands."""
+
+app = App(
+    help="Two posed photographs in, a 3D scene of Gaussians that answers words out. Begin with "
+    "`slgaussian demo`. Every command has a --help with examples.",
+)
+app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
+
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
+Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
+Folder = Annotated[
+    Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
+]
+Photos = Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")]
+Cameras = Annotated[
+    Path,
+    typer.Option(
+        help="Their cameras: transforms.json, poses_bounds.npy, or the folder of a COLMAP model or "
+        "scene."
+    ),
+]
+Texts = Annotated[
+    list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+]
+Views = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--view",
+        metavar="<name>",
+        help="Look from this view, by name or number from 0; may be repeated. [default: 0]",
+    ),
+]
+CameraFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        "--cameras",
+        help="Look from cameras of your own: one as JSON, or a transforms.json.",
+    ),
+]
+Between = Annotated[
+    tuple[str, str, float] | None,
+    typer.Option(
+        metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to view B."
+    ),
+]
+Orbit = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="Look from N places on a short turn; for -o turn.mp4 or turn.gif."
+    ),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")]
+
+Chunks = Annotated[
+    str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
+]
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"slgaussian {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def slgaussian(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_say_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """What all commands have."""
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RUN, common=COMMON["demo"])
+def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) -> None:
+    """Try everything on scenes that come with the installation.
+
+    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes a
+    few minutes, leaves a report and a field of every scene, and ends with a command that asks one.
+    Run it again, and what is unchanged comes from the store.
+
+    \b
+    slgaussian demo
+    slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
+    slgaussian demo --preset fast --store /data/slg -o fast
+    """
+    from flows.demo import demo_scenes
+    from flows.settings import make_settings
+
+    given = {**settings, "out": out, "scenes": demo_scenes()}
+    _run("demo", make_settings(given, "demo"), verbose)
+
+
+def _rivals() -> list[str]:
+    """Of those whose names a shell takes as one word."""
+    from slgaussian.benchmark.baselines import ROWS
+
+    return [name for name in ("all", *ROWS) if " " not in name]
+
+
+@app.command(rich_help_panel=SCORES)
+@with_options("data", "pairs", "labels", "format", "rooms", *RUN, common=COMMON["benchmark"])
+def benchmark(
+    settings: dict,
+    against: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="<name>",
+            autocompletion=_rivals,
+            help="Another method to score as well, by name, or all; may be repeated.",
+        ),
+    ] = None,
+    out: Out = Path("slg-benchmark"),
+    verbose: Verbose = False,
+) -> None:
+    """Score the method, and others, on a labelled set.
+
+    Builds a field from each scene's context views and asks it in its target views. Leaves a report,
+    scores and samples as tables, predicted masks, fields, and the scenes that could not be done in
+    failures.parquet. Of an index of RealEstate10K, it scores the clips that are there.
+
+    \b
+    slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
+    slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json
+    slgaussian benchmark --data office --pairs office/pairs.json \\
+        --labels office/labels -o scores
+    """
+    from flows.settings import make_settings
+
+    given = {**settings, "against": against or [], "out": out}
+    _run("benchmark", make_settings(given, "benchmark"), verbose)
+
+
+@app.command(rich_help_panel=SCORES)
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Folder that a run wrote.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
+    ] = None,
+) -> None:
+    """Compare the settings and the scores of two reports.
+
+    Differences are B minus A, for each method, on the queries that both were asked, with bootstrap
+    intervals over scenes.
+
+    \b
+    slgaussian benchmark --rooms 0-9 -o before
+    slgaussian benchmark --rooms 0-9 --replicas 1 -o after
+    slgaussian compare before after -o changes
+    """
+    from flows.cli.comparing import compare as compared
+
+    typer.echo(compared(first, second, out))
+
+
+@app.command(rich_help_panel=SCORES)
+@with_options(*IndexSettings.model_fields, of=IndexSettings, common=COMMON["pairs"])
+def pairs(
+    settings: dict,
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="Folder of the data, as its format has it.")
+    ],
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Folder of labels, if the format has none of its own, or other ones."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="JSON file.")] = Path("pairs.json"),
+) -> None:
+    """Choose context views for the labelled frames of a set.
+
+    Writes an index that `benchmark` reads: two context views for each labelled frame. They are
+    never labelled themselves; they are sharp, overlap, and see nearly all of the labelled frame,
+    which lies between them. The best such pair is taken. The file also holds the rule, what was
+    measured, and the frames without a pair, so that anybody can score the same pairs.
+
+    \b
+    slgaussian pairs lerf_ovs --format lerf_ovs -o pairs.json
+    slgaussian pairs 3dovs --format ovs3d -o pairs.json --max-baseline 0.6
+    slgaussian pairs walk --labels walk/labels -o walk/pairs.json
+    """
+    from flows.corpus_settings import check_bounds
+    from flows.settings import checked
+
+    chosen = checked(IndexSettings, settings, "pairs")
+    check_bounds(chosen, "pairs")
+    from flows.indexing import build_index
+
+    index = build_index(data, labels, chosen, out)
+    for name, reason in index.left_out.items():
+        typer.echo(f"left out: {name}: {reason}", err=True)
+    typer.echo(f"{len(index.pairs)} pairs  {out}")
+
+
+@app.command(rich_help_panel=SCORES)
+@with_options(*RUN, common=COMMON["run"])
+def run(
+    settings: dict,
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results.")] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Run a configuration file, and write its report and fields.
+
+    Options given here win over the file. Paths in the file are relative to the file.
+
+    \b
+    out = "results"
+    replicas = 5
+    [[scenes]]
+    name = "kitchen"
+    path = "kitchen/transforms.json"
+    context = ["0001.png", "0009.png"]
+    targets = ["0005.png"]
+    queries = ["red kettle", "wooden table"]
+
+    \b
+    slgaussian run kitchen.toml
+    slgaussian run kitchen.toml --preset accurate -o accurate
+    """
+    from flows.settings import read_toml
+
+    given = settings if out is None else {**settings, "out": out}
+    _run("run", read_toml(config, given), verbose)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*BUILD, common=COMMON["field"])
+def field(
+    settings: dict,
+    photos: Photos,
+    cameras: Cameras,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
+) -> None:
+    """Build a field from two or more posed photographs.
+
+    A field is a folder with the scene as Gaussians and what words need to find its objects.
+    `query`, `segment`, `render` and `export` open it.
+
+    \b
+    slgaussian field a.png b.png --cameras transforms.json -o field/
+    slgaussian field images/1.jpg images/2.jpg --cameras sparse/0 -o field/
+    slgaussian query field/ "red basket" -o hit.png
+    """
+    from flows.cli.fields import build
+
+    made = build(photos, cameras, out, settings)
+    typer.echo(made)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*MASKS, common=COMMON["masks"])
+def masks(
+    settings: dict,
+    photos: Photos,
+    cameras: Cameras,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
+) -> None:
+    """Label the objects of posed photographs, alike in all views.
+
+    Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
+    look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
+
+    \b
+    slgaussian masks a.png b.png --cameras transforms.json -o ids/
+    slgaussian masks a.png b.png --cameras transforms.json --proposer sam -o ids/
+    slgaussian field a.png b.png --cameras transforms.json --tracker precomputed \\
+        --precomputed-folder ids/ -o field/
+    """
+    from flows.cli.labelling import label, tabled
+
+    typer.echo(tabled(label(photos, cameras, out, settings)))
+    typer.echo(out)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RULES, *PLACES, common=COMMON["query"])
+def query(
+    settings: dict,
+    field: Folder,
+    texts: Texts,
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
+    listing: Annotated[
+        bool, typer.Option("--list", help="List all objects, each with the text that fits it best.")
+    ] = False,
+    out: Picture = None,
+    as_json: AsJson = False,
+) -> None:
+    """Ask a field where something is, in words.
+
+    Takes the objects that fit the text about as well as the best one does, and none if no object
+    fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
+    The exit status is 1 if nothing is found for any text, or a text is refused.
+
+    \b
+    slgaussian query field/ "red basket" -o hit.png
+    slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
+    slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
+    slgaussian query field/ "red basket" --orbit 60 -o turn.mp4
+    slgaussian query field/ --list wall floor "red basket" "plant" -o objects.png
+    """
+    import json
+
+    from flows.cli import questions
+    from flows.cli.viewpoints import Choice
+
+    if listing:
+        looks = {"view": view, "between": between, "camera": camera, "orbit": orbit}
+        idle = [f"--{name}" for name in ("protocol", "threshold", "share") if name in settings]
+        idle += [f"--{name}" for name, said in looks.items() if said]
+        if idle:
+            raise InputError(
+                f"{idle[0]}: a list has every object of the scene and selects none; leave it out, "
+                "or leave out --list"
+            )
+        answers, spoken = questions.inventory(field, texts, out, settings), questions.listed
+    else:
+        choice = Choice(view or (), camera, between, orbit)
+        answers = questions.ask(field, texts, choice, out, settings)
+        spoken = questions.spoken_film if choice.film else questions.spoken
+    typer.echo("\n".join(map(json.dumps, answers)) if as_json else spoken(answers))
+    if out is not None and not as_json:
+        typer.echo(f"picture  {out}")
+    nothing = not listing and not any(answer["found"] for answer in answers)
+    if nothing or any(answer.get("refused") for answer in answers):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options("threshold", "canonical", "temperature", "absent", *PLACES, common=COMMON["segment"])
+def segment(
+    settings: dict,
+    field: Folder,
+    texts: Texts,
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
+    out: Picture = None,
+    as_json: AsJson = False,
+) -> None:
+    """Give each object in view the text that fits it best.
+
+    What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
+    moves that bound from 0.5. Prints a row a text: its label, its share of the pixels, how well it
+    fits them on average, and its objects. The exit status is 1 if a text is refused.
+
+    -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
+    bits, whose pixels are labels, 1 for the first text and 0 for none.
+
+    \b
+    slgaussian segment field/ wall floor "red sofa" -o labels.png
+    slgaussian segment field/ wall floor "red sofa" --between 0 1 0.5 --json
+    slgaussian segment field/ wall floor "red sofa" --orbit 60 -o turn.mp4
+    """
+    import json
+
+    from flows.cli import questions
+    from flows.cli.viewpoints import Choice
+
+    choice = Choice(view or (), camera, between, orbit)
+    rows = questions.segmented(field, texts, choice, out, settings)
+    typer.echo("\n".join(map(json.dumps, rows)) if as_json else questions.tabled(rows))
+    if out is not None and not as_json:
+        typer.echo(f"picture  {out}")
+        if not choice.film:
+            typer.echo(f"labels   {out.with_suffix('.ids.png')}")
+    if any(row.get("refused") for row in rows):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=FIELDS)
+def words() -> None:
+    """List the words that the encoder lexicon knows.
+
+    By family, with synonyms in brackets.
+
+    \b
+    slgaussian words
+    """
+    from slgaussian.language.vocabulary import load_vocabulary
+
+    for family, spellings in load_vocabulary().families().items():
+        listed = (f"{name} ({', '.join(o)})" if o else name for name, o in spellings.items())
+        typer.echo(f"{family}: {', '.join(listed)}")
+
+
+@app.command(rich_help_panel=FIELDS)
+def render(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg.")],
+    view: Views = None,
+    between: Between = None,
+    camera: CameraFile = None,
+    orbit: Orbit = None,
+) -> None:
+    """Draw a field, or any .ply of Gaussians, from a camera.
+
+    Draws colour and depth, and of a field its objects. A field knows its own cameras; a .ply knows
+    none, so give some in its world with --camera. No GPU and no photograph is needed.
+
+    \b
+    slgaussian render field/ -o picture.png --view 1
+    slgaussian render field/ -o middle.png --between 0 1 0.5
+    slgaussian render field/ -o turn.mp4 --orbit 60
+    slgaussian render scene.ply --camera transforms.json -o picture.png
+    """
+    from flows.cli.fields import picture
+    from flows.cli.viewpoints import Choice
+
+    picture(source, Choice(view or (), camera, between, orbit), out)
+    typer.echo(out)
+
+
+@app.command(rich_help_panel=FIELDS)
+def export(
+    field: Folder,
+    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file.")],
+) -> None:
+    """Write a field as a 3DGS .ply that other viewers open.
+
+    Viewers read colour and shape. Each Gaussian also carries its ID code and weight (f_sem_0 and
+    on; without codes the number of its object), the pixel that it came from (source), and its
+    object (label, 0 for none).
+
+    \b
+    slgaussian export field/ -o scene.ply
+    slgaussian render scene.ply --camera transforms.json -o picture.png
+    """
+    from flows.cli.fields import to_ply
+
+    to_ply(field, out)
+    typer.echo(out)
+
+
+@app.command(rich_help_panel=CORPORA)
+@with_options(*PackSettings.model_fields, of=PackSettings)
+def pack(
+    settings: dict,
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE",
+            help="nerfstudio folder, or procedural:FIRST-LAST (seeds of rooms).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the chunks.")],
+) -> None:
+    """Write scenes as chunks, the format of RealEstate10K.
+
+    Each scene becomes one clip with the name of its folder. New clips are added to chunks that are
+    there; a clip that is there already is refused.
+
+    \b
+    slgaussian pack procedural:0-39 office_walk -o chunks/train
+    slgaussian pack procedural:40-59 -o chunks/train --views 24 --baseline 1.6
+    """
+    from flows.packing import pack as write
+    from flows.settings import checked
+
+    packed = write(sources, out, checked(PackSettings, settings, "pack"))
+    typer.echo(f"{packed.clips} clips in {len(packed.chunks)} chunks  {out}")
+    if packed.left_out:
+        typer.echo(f"left out: {len(packed.left_out)}, each said above", err=True)
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=CORPORA)
+@with_options(*INGEST, of=CorpusSettings, common=COMMON["ingest"])
+def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
+    """Choose samples to learn from in a corpus of chunks.
+
+    Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
+    samples.parquet (two context and three target views each) and failures.parquet (what could not
+    be used, and why). After new chunks were added, only those are read.
+
+    \b
+    slgaussian ingest chunks/train -o corpus
+    slgaussian ingest s3://bucket/re10k/train -o corpus --most 2
+    """
+    _prepare("ingest", {**settings, "chunks": chunks, "out": out}, verbose)
+
+
+@app.command(rich_help_panel=CORPORA)
+@with_options(*SUPERVISE, of=CorpusSettings, common=COMMON["supervise"])
+def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
+    """Label the samples of a corpus: lessons for `train`.
+
+    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, lessons.parquet,
+    and under sheets/ pictures of the labels: look at some. Other masks do not predict Gaussians
+    again.
+
+    \b
+    slgaussian supervise chunks/train -o corpus
+    slgaussian supervise chunks/train -o corpus \\
+        --proposer sam --sam-model facebook/sam-vit-base
+    """
+    _prepare("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
+
+
+@app.command(rich_help_panel=CORPORA)
+@with_options(*TRAIN, "store", of=TrainSettings, common=COMMON["train"])
+def train(
+    settings: dict,
+    lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
+    start: Annotated[
+        Path | None,
+        typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
+    ] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Train the semantic branch on lessons, and judge it.
+
+    It is judged on clips that it has not seen. Leaves branch.safetensors, report.html,
+    metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting).
+    A training that was interrupted goes on where it was.
+
+    \b
+    slgaussian train --lessons corpus -o trained
+    slgaussian train --lessons corpus --from trained/branch.safetensors -o more
+    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
+        --branch-weights trained/branch.safetensors -o field/
+    """
+    from flows.settings import checked
+
+    given = {"lessons": lessons, "out": out} | ({} if start is None else {"start": start})
+    chosen = checked(TrainSettings, {**settings, **given}, "train")
+    made = _performed("train", chosen, verbose)
+    from flows.cli.tables import judgements_table
+    from flows.training import FILES
+
+    typer.echo(judgements_table(made.judgements))
+    typer.echo(f"weights  {chosen.out / FILES['weights']}")
+    typer.echo(f"report   {chosen.out / FILES['report']}")
+
+
+@app.command(rich_help_panel=CORPORA)
+@with_options(
+    "chunks", "out", "models", *TRAIN, *SUPERVISE, of=RetrainSettings, common=COMMON["retrain"]
+)
+def retrain(
+    settings: dict,
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ] = None,
+    every: Annotated[
+        float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
+    ] = None,
+    cron: Annotated[
+        str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
+    ] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Learn what is new in a corpus; use it if it is better.
+
+    New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
+    is put to use if it is better on held-out clips, beyond noise. Every version is kept; see
+    `versions`. --every and --cron wait for their times, which needs `prefect server start` and
+    PREFECT_API_URL. A file has chunks, out, models, store and other settings; options win over it.
+
+    \b
+    slgaussian retrain --chunks chunks/train --out corpus --models models
+    slgaussian retrain retrain.toml --cron "0 3 * * *"
+    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
+        --branch-weights models -o field/
+    """
+    from flows.training_settings import read_retraining
+
+    chosen = read_retraining(config, settings)
+    if every is not None or cron is not None:
+        from flows.runners.environment import home_of, prepare
+        from slgaussian.storage.store import ArtifactStore
+
+        prepare(home_of(ArtifactStore(chosen.store)))
+        from flows.schedule import serve
+
+        serve(config, settings, every, cron)
+        return
+
+    learnt, prepared = _performed("retrain", chosen, verbose)
+    if prepared.failures:
+        file = chosen.out / "failures.parquet"
+        typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
+    typer.echo(learnt.said)
+
+
+@app.command(rich_help_panel=CORPORA)
+def versions(
+    models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
+    use: Annotated[int | None, typer.Option(help="Put the version of this number to use.")] = None,
+    roll_back: Annotated[
+        bool, typer.Option("--roll-back", help="Put to use what the one in use was trained from.")
+    ] = False,
+) -> None:
+    """List the weights that `retrain` keeps, or switch to others.
+
+    \b
+    slgaussian versions models
+    slgaussian versions models --use 3
+    slgaussian versions models --roll-back
+    """
+    from flows.cli.tables import versions_table
+    from slgaussian.semantic.versions import Versions
+
+    kept = Versions(models)
+    known = {version.number: version for version in kept.all()}
+    if use is not None and roll_back:
+        raise InputError("versions: --use and --roll-back are two ways; choose one")
+    if use is not None:
+        if use not in known:
+            numbers = ", ".join(map(str, known)) or "none"
+            raise InputError(f"--use: found {use}, expected one of the versions there: {numbers}")
+        kept.use(known[use])
+    if roll_back:
+        kept.roll_back()
+    typer.echo(versions_table(known.values(), kept.current()) if known else f"{models}: no version")
+
+
+@app.command(rich_help_panel=UPKEEP)
+@with_options("store", "runner", *FILES, common=COMMON["doctor"])
+def doctor(settings: dict) -> None:
+    """Check what a run needs, and say what to do about it.
+
+    Looks at packages, threads, the store, the Prefect server and the files that options name, and
+    says of each: ok, BAD with what to do, or -- for what is missing and need not be there. Nothing
+    is downloaded. The exit status is 1 if anything is BAD.
+
+    \b
+    slgaussian doctor
+    slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
+    slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
+    """
+    from flows.settings import make_settings
+
+    chosen = make_settings(settings, "doctor")
+    from flows.cli.doctor import examine
+
+    healthy = True
+    for finding in examine(chosen, "runner" in settings):
+        healthy &= finding.good is not False
+        mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
+        typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
+    raise typer.Exit(0 if healthy else 1)
+
+
+def main() -> None:
+    """Run the command line; errors meant for users end in one sentence and exit status 2."""
+    try:
+        with compiling.told_to(Waiting(sys.stderr)):
+            status = app(prog_name="slgaussian", standalone_mode=False)
+    except TyperException as error:
+        typer.echo(f"error: {told(error)}", err=True)
+        raise SystemExit(error.exit_code) from None
+    except SLGaussianError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise SystemExit(2) from None
+    raise SystemExit(status or 0)
+
+
+def _run(command: str, settings: Any, verbose: bool) -> None:
+    finished = _performed(command, settings, verbose)
+    from flows.cli.tables import scores_tables
+
+    if finished.results:
+        typer.echo(scores_tables(finished.results))
+    if finished.report is not None:
+        typer.echo(f"report: {finished.report}")
+    if finished.failures:
+        left_out = ", ".join(failure.scene for failure in finished.failures)
+        typer.echo(f"left out: {left_out}; see {settings.out / 'failures.parquet'}", err=True)
+    if finished.ready:
+        typer.echo(finished.ready)
+    if finished.failures:
+        raise typer.Exit(1)
+
+
+def _prepare(command: str, values: dict[str, Any], verbose: bool) -> None:
+    from flows.corpus_settings import make_corpus_settings
+
+    settings = make_corpus_settings(values, command)
+    made = _performed(command, settings, verbose)
+    from flows.corpus import FILES
+
+    for stage, count in made.rows.items():
+        file = settings.out / FILES[stage]
+        typer.echo(f"{count} {file.stem}  {file}")
+    if made.failures:
+        first = made.failures[0]
+        typer.echo(
+            f"left out: {len(made.failures)}, the first at {first.stage}: {first.reason}; all are "
+            f"in {settings.out / 'failures.parquet'}",
+            err=True,
+        )
+        raise typer.Exit(1)
+
+
+def _performed(command: str, settings: Any, verbose: bool) -> Any:
+    from flows.runners.commands import perform
+    from flows.runners.environment import interruptible
+
+    with interruptible():
+        return perform(command, settings, verbose)

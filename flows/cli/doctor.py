@@ -1,0 +1,306 @@
+"""Is this installation able to run? Each check tries the real thing, and one never stops another.
+
+Whatever may be broken is imported within the check that is about it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import tempfile
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, metadata, version
+from pathlib import Path
+from typing import Any
+
+from packaging.requirements import Requirement
+
+from flows.runners.environment import home_of, orchestration
+from flows.settings import Settings
+from slgaussian import __version__
+from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_line
+from slgaussian.kernels import threads
+from slgaussian.parts.extras import PACKAGE, install_line, requirements
+from slgaussian.parts.registry import names_of
+from slgaussian.storage.remote import masked
+
+SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
+"""Packages whose versions are told even if all is well."""
+MODULES = {"opencv-contrib-python-headless": "cv2", "scikit-image": "skimage", "pillow": "PIL"}
+"""What packages are imported as, where that is not their name."""
+
+DEVELOPMENT = ("test", "docs")
+"""Extras for those who work on slgaussian itself."""
+
+ROOM = 2**30
+"""Bytes that the disk of the store should have left: a scene of default size takes some 30 MB."""
+
+ANSWER = 10.0
+"""Seconds to wait for a server that is said to run."""
+
+OPTIONAL = {"synonyms", "tokenizer"}
+"""Of the settings that name files, those that may be left out."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found; ``good`` is None for what is neither good nor bad."""
+
+    name: str
+    said: str
+    good: bool | None = True
+
+
+Findings = Iterator[Finding]
+
+
+def examine(settings: Settings, runner: bool = False) -> Findings:
+    """All checks, one after the other.
+
+    Parameters
+    ----------
+    settings : Settings
+        The store, the runner, and the parts of the method with their files.
+    runner : bool
+        Whether to look at the runner.
+    """
+    with ExitStack() as stack:
+        usable, begun = [], []
+        store = list(_tried("store", lambda: _store(settings.store, usable)))
+        if not usable or (usable[0].local and not home_of(usable[0]).exists()):
+            # The server would leave its database in the store.
+            usable.append(_opened(stack.enter_context(tempfile.TemporaryDirectory())))
+        # It comes up while the other checks import what they check.
+        server = list(_tried("server", lambda: _begin_server(usable[-1], stack, begun)))
+        yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
+        yield from _tried("packages", _packages)
+        yield from _tried("extras", _extras)
+        yield from _tried("threads", _threads)
+        yield from [*store, *server]
+        for ready in begun:
+            yield from _tried("server", ready)
+        if runner:
+            yield from _tried("runner", lambda: _runner(settings, usable[0]))
+    yield from _tried("models", lambda: _models(settings))
+
+
+def _tried(name: str, check: Callable[[], Findings]) -> Findings:
+    try:
+        yield from check()
+    except SLGaussianError as error:
+        said = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
+        yield Finding(name, said, False)
+    except Exception as error:  # whatever it is, the other checks go on
+        said = one_line(f"{type(error).__name__}: {error}")
+        advice = "install it again as the README says"
+        yield Finding(name, f"cannot be checked ({said}); {advice}", False)
+
+
+def _packages() -> Findings:
+    """Those that are always needed, with the bounds of pyproject.toml."""
+    try:
+        needed = requirements()
+    except PackageNotFoundError:
+        said = "slgaussian itself is not installed; run `pip install -c constraints.txt .`"
+        yield Finding("packages", said, False)
+        return
+    good = {}
+    for needs in needed:
+        said = _wrong(needs)
+        if said is None:
+            good[needs.name] = version(needs.name)
+        else:
+            advice = f"run `pip install '{needs.name}{needs.specifier}'`"
+            yield Finding(needs.name, f"{said}; {advice}", False)
+    shown = ", ".join(f"{name} {good[name]}" for name in SHOWN if name in good)
+    yield Finding("packages", f"{len(good)} of {len(needed)} as they must be: {shown}")
+
+
+def _extras() -> Findings:
+    """Those that are for more than the main job; none of them must be there."""
+    for extra in metadata(PACKAGE).get_all("Provides-Extra") or []:
+        if extra in DEVELOPMENT:
+            continue
+        own = requirements(extra)
+        there = [f"{needs.name} {version(needs.name)}" for needs in own if _wrong(needs) is None]
+        wrong = [said for needs in own if (said := _wrong(needs)) is not None]
+        advice = f"; {install_line(extra)}" if wrong else ""
+        yield Finding(f"[{extra}]", ", ".join([*there, *wrong]) + advice, None)
+
+
+def _wrong(needs: Requirement) -> str | None:
+    """What is wrong with a package, if anything: that it is not there, too old, broken ..."""
+    try:
+        found = version(needs.name)
+    except PackageNotFoundError:
+        return f"{needs.name} is not installed"
+    if not needs.specifier.contains(found, prereleases=True):
+        return f"{needs.name}: found {found}, expected {needs.specifier}"
+    try:
+        import_module(MODULES.get(needs.name, needs.name.replace("-", "_")))
+    except Exception as error:  # a broken package raises anything
+        return f"{needs.name} {found} cannot be imported ({one_line(str(error))})"
+    return None
+
+
+def _threads() -> Findings:
+    try:
+        layer = threads.numba_layer()
+    except ValueError as error:
+        said = one_line(str(error))
+        yield Finding("threads", f"{said}; install an OpenMP runtime (libgomp)", False)
+        return
+    good = layer in ("omp", "tbb")
+    advice = "" if good else "; two scenes at once would abort it: unset NUMBA_THREADING_LAYER"
+    yield Finding("threads", f"{threads.cores()} cores, Numba layer {layer}{advice}", good)
+
+
+def _opened(place: str) -> Any:
+    from slgaussian.storage.store import ArtifactStore
+
+    return ArtifactStore(place)
+
+
+def _store(place: str, usable: list[Any]) -> Findings:
+    store = _opened(place)
+    with _folders_removed(Path(store.path) if store.local else None):
+        store.check_writable()
+        free = shutil.disk_usage(store.path).free if store.local else None
+    usable.append(store)
+    if free is None:
+        yield Finding("store", f"{store.root} answers and can be written")
+        return
+    left = f"{free / 2**30:.1f} GiB free"
+    if free < ROOM:
+        advice = "make room (`slgaussian store gc`), or choose another with --store"
+        yield Finding("store", f"{store.root} has only {left}; {advice}", False)
+    else:
+        yield Finding("store", f"{store.root} can be written, {left}")
+
+
+@contextmanager
+def _folders_removed(place: Path | None) -> Iterator[None]:
+    """Remove what the block makes of the folders down to ``place``, if nothing is in them."""
+    missing = [] if place is None else [p for p in (place, *place.parents) if not p.exists()]
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for folder in missing:
+                folder.rmdir()
+
+
+def _begin_server(store: Any, stack: ExitStack, begun: list[Callable[[], Findings]]) -> Findings:
+    """Add to ``begun`` the check of a server of our own, which is not up yet, or of that given."""
+    given = os.environ.get("PREFECT_API_URL")
+    ready = stack.enter_context(orchestration(store))
+
+    def check() -> Findings:
+        ready()
+        said = f"{_version(given)} answers at {masked(given)}" if given else "starts and answers"
+        yield Finding("server", f"Prefect's server {said}")
+
+    begun.append(check)
+    yield from ()
+
+
+def _version(url: str) -> str:
+    try:
+        with urllib.request.urlopen(f"{url}/admin/version", timeout=ANSWER) as answer:
+            return str(json.load(answer))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"PREFECT_API_URL {masked(url)}: no Prefect server answers there ({error}); start it "
+            "with `prefect server start`, correct the variable, or unset it"
+        ) from error
+
+
+def _runner(settings: Settings, store: Any) -> Findings:
+    from flows.runners.task_runners import check_runner
+
+    check_runner(settings.runner, store)
+    there = "answers" if "://" in settings.runner else "can be started"
+    yield Finding("runner", f"{settings.runner} {there}")
+
+
+def _models(settings: Settings) -> Findings:
+    """The files that the chosen parts need, as far as their headers."""
+    from slgaussian.parts.identity import DIGESTS
+
+    for kind, part in settings.part_names().items():
+        known = names_of(kind)
+        if part not in known:
+            said = f"found {part!r}, expected one of {', '.join(sorted(known))}"
+            yield Finding(kind, said + did_you_mean(part, known), False)
+    for part, own in settings.part_settings().items():
+        for name in DIGESTS.keys() & own.keys():
+            place = own[name]
+            if place is not None:
+                yield from _tried(part, lambda p=part, n=name, w=place: _file(p, n, w))
+            elif name not in OPTIONAL:
+                advice = f"give --{part}-{name} PLACE"
+                yield Finding(part, f"its {name} is not given; {advice}", False)
+
+
+def _file(part: str, name: str, place: str | Path) -> Findings:
+    """A file of a part, or a folder of some, by the name of the setting."""
+    from slgaussian.parts import pretrained
+    from slgaussian.predict.mvsplat.checkpoint import read_state
+    from slgaussian.semantic.branch import find_weights
+
+    place = str(place)
+    if name == "checkpoint":
+        files, said = [], f"{len(read_state(place))} tensors"
+    elif name == "weights":
+        files, said = [find_weights(place)], "weights"
+    elif name in ("model", "synonyms"):
+        import transformers  # noqa: F401  that it is there
+
+        files = list(pretrained.find_model(_here(place)).files)
+        said = "a model"
+    elif name == "tokenizer":
+        pretrained.find_tokenizer(_here(place))
+        files, said = [], "a tokenizer"
+    elif name == "folder":
+        files = [file for file in Path(place).iterdir() if file.is_file()][:1]
+        said = "id maps" if files else "no file; give the folder of the id maps"
+    else:
+        files, said = [Path(place)], "a table"
+    read = sum(_readable(file) for file in files)
+    amount = f", {read / 2**20:.0f} MiB" if read >= 2**20 else ""
+    yield Finding(part, f"{name} {place}: {said}{amount}", bool(files) or name != "folder")
+
+
+def _here(place: str) -> str:
+    """A place that needs no network: of a name on the hub, its folder in the hub's cache."""
+    if Path(place).exists() or place.count("/") != 1:
+        return place
+    from huggingface_hub import snapshot_download
+
+    try:
+        return snapshot_download(place, local_files_only=True)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{place}: is no folder here, and not in the cache of the hub yet; it is downloaded "
+            f"when it is first used, or now with `hf download {place}`"
+        ) from error
+
+
+def _readable(file: Path) -> int:
+    """Bytes of a file whose beginning can be read; InputError if it cannot, or says nonsense."""
+    try:
+        with file.open("rb") as stream:
+            begin = stream.read(8)
+        size = file.stat().st_size
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); correct its name") from error
+    header = int.from_bytes(begin, "little")
+    if file.suffix == ".safetensors" and not 0 < header <= size - 8:
+        raise InputError(f"{file}: is damaged, or no safetensors file; get it again")
+    return size

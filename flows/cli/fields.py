@@ -1,0 +1,170 @@
+"""What the commands about a single field do beside asking it: build, render, export."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.cli.drawings import check_drawing, drawing
+from flows.cli.viewpoints import Choice, Viewpoint
+from flows.settings import Settings, make_settings
+from slgaussian.benchmark import pictures
+from slgaussian.build import build_field
+from slgaussian.cameras.quality import Quality
+from slgaussian.datasets.recognise import posed_scene
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.gaussians import Gaussians
+from slgaussian.rasterize import harmonics, rasterize
+from slgaussian.scene import Sample, Scene
+from slgaussian.semantic.decode import VISIBLE
+from slgaussian.storage.field_folder import check_target
+
+Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
+"""A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
+
+
+COMMON_THINGS = (
+    "floor",
+    "wall",
+    "table",
+    "chair",
+    "sofa",
+    "door",
+    "window",
+    "plant",
+    "box",
+    "book",
+)
+"""What is looked for in a new field, so that its first question has an answer."""
+
+
+def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, Any]) -> Path:
+    """Build a field from photographs and save it to folder ``out``.
+
+    A photograph is a file that the camera file lists, or the name of one of its views.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used; a folder that cannot be written is found before the work.
+    """
+    method = make_settings(options, "field")
+    check_target(out)
+    start = time.perf_counter()
+    sample = posed_sample(photos, cameras, method)
+    height, width = sample.context[0].image.shape[:2]
+    parts = ", ".join(method.part_names().values())
+    print(
+        f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
+        file=sys.stderr,
+    )
+    field = build_field(sample, **method.build_arguments())
+    field.save(out)
+    found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
+    print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
+    quality = Quality(**field.settings["quality"])
+    for warning in quality.warnings():
+        print(f"warning: {warning}", file=sys.stderr)
+    print(quality.summary(), file=sys.stderr)
+    command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
+    print(f"ask it: {shlex.join(command)}", file=sys.stderr)
+    return out
+
+
+def posed_sample(photos: Sequence[str], cameras: Path, method: Settings) -> Sample:
+    """The photographs with their cameras, at the size that ``method`` asks for."""
+    scene, folder = posed_scene(cameras, photos)
+    names = [_view_of(scene, photo, folder) for photo in photos]
+    return scene.sample(names, size=method.size, near=method.near, far=method.far)
+
+
+def picture(source: Path, choice: Choice, out: Path) -> None:
+    """Draw colour and depth of a field or a ``.ply`` side by side, and the objects of a field.
+
+    A field is seen from one of its own cameras, unless ``choice`` names a camera file; a ``.ply``
+    has none.
+    """
+    check_drawing(out, choice.film)
+    if source.suffix.lower() != ".ply" or source.is_dir():
+        field = SemanticField.load(source)
+        viewpoints, look = choice.of_field(source, field), partial(_field_panels, field)
+    else:
+        if choice.file is None:
+            raise InputError(
+                f"{source}: a .ply has no cameras; add --camera transforms.json, in the world of "
+                "the .ply, and --view with the name of one of its frames"
+            )
+        gaussians, _ = load_ply(source)
+        if not len(gaussians):
+            raise InputError(f"{source}: holds no Gaussians, so there is nothing to draw")
+        viewpoints = choice.of_points(gaussians.means.numpy())
+        look = partial(_ply_panels, gaussians, source)
+    depths = None
+    with drawing(out, choice.film) as draw:
+        for viewpoint in viewpoints:
+            rgb, depth, others = look(viewpoint)
+            # One scale for all frames, so that a film does not flicker.
+            depths = depths or pictures.depth_range(depth)
+            panels = [(viewpoint.caption, rgb), ("depth", pictures.paint_depth(depth, *depths))]
+            draw(pictures.side_by_side([*panels, *others]))
+
+
+def to_ply(folder: Path, out: Path) -> None:
+    """Write a field as a standard ``.ply``: its Gaussians, their codes and their objects."""
+    field = SemanticField.load(folder)
+    save_ply(field.gaussians, out, field.labels())
+
+
+def _field_panels(field: SemanticField, viewpoint: Viewpoint) -> Panels:
+    seen = field.render(viewpoint.camera)
+    return seen.rgb, seen.depth, [("objects", pictures.paint_labels(seen.ids, seen.rgb))]
+
+
+def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panels:
+    camera = viewpoint.camera
+    seen = rasterize(gaussians, harmonics.colors(gaussians, camera), camera)
+    alpha = seen.alpha.numpy()
+    if not (alpha >= VISIBLE).any():
+        middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
+        print(
+            f"hardly anything of {file} is in view of {viewpoint.name!r}: the middle of its "
+            f"{len(gaussians)} Gaussians is at ({middle}), the camera at "
+            f"({', '.join(f'{x:.3g}' for x in camera.center)}); do both use one world?",
+            file=sys.stderr,
+        )
+    # Over black, as such files are trained; where little is seen, its mean depth says nothing.
+    rgb = np.rint(seen.values.numpy().clip(0, 1) * 255).astype(np.uint8)
+    return rgb, np.where(alpha >= VISIBLE, seen.depth.numpy(), 0), []
+
+
+def _word(field: SemanticField) -> str:
+    """A word to ask for: of some common things the one that an object answers to most."""
+    if field.settings["encoder"] != "lexicon":  # another one may take long to load
+        return COMMON_THINGS[0]
+    best = max(field.describe(COMMON_THINGS), key=lambda one: one.relevancy, default=None)
+    return best.text if best is not None and best.relevancy > 0.5 else COMMON_THINGS[0]
+
+
+def _view_of(scene: Scene, photo: str, folder: Path) -> str:
+    place = Path(photo).resolve()
+    for name in scene.cameras:
+        listed = (folder / name).resolve()
+        # A missing file is found too, and reading it then says what is missing.
+        if listed in (place, place.with_suffix("")):
+            return name
+    if Path(photo).is_file():
+        raise InputError(
+            f"{photo}: no camera for this photograph; {folder} has cameras for "
+            f"{len(scene.cameras)}, such as {', '.join(list(scene.cameras)[:4])}: give one of "
+            "them, or add a camera"
+        )
+    return scene.find(photo)

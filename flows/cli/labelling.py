@@ -1,0 +1,100 @@
+"""What `slgaussian masks` does: label maps, in the format that the tracker precomputed reads."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flows.cli.fields import posed_sample
+from flows.settings import make_settings
+from slgaussian.benchmark import pictures
+from slgaussian.build import predict
+from slgaussian.gaussians import source_depths
+from slgaussian.labels import LabelMaps
+from slgaussian.masks import load_proposer, load_tracker
+from slgaussian.masks.associate import associate
+from slgaussian.masks.precomputed import encode_ids, map_names
+from slgaussian.parts.identity import described
+from slgaussian.storage.field_folder import check_target
+from slgaussian.storage.store import replacing_folder
+
+ABOUT = "masks.json"
+LOOK = "look.jpg"
+"""A picture for people. Not a PNG, so that no view is called like it."""
+
+STEPS = ("predictor", "proposer", "tracker")
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """What was written: the file of each view by its name, and the maps."""
+
+    files: dict[str, str]
+    maps: LabelMaps
+
+
+def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, Any]) -> Labelled:
+    """Label the objects of posed photographs and write the maps to folder ``out``.
+
+    The predictor serves the tracker, which wants depth; no word is read and no field is made.
+    ``out`` has one map a view, ``masks.json`` with what made them, and ``look.jpg``. A folder that
+    this made is replaced.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used; a folder that cannot be written is found before the work.
+    """
+    method = make_settings(options, "masks")
+    check_target(out, ABOUT, "a folder of masks")
+    sample = posed_sample(photos, cameras, method)
+    names = map_names([view.name for view in sample.context])
+    chosen = {step: getattr(method, step) for step in STEPS}
+    own = {part: t for part, t in method.part_settings().items() if part in chosen.values()}
+    proposer = load_proposer(method.proposer, **own.get(method.proposer, {}))
+    tracker = load_tracker(method.tracker, **own.get(method.tracker, {}))
+    height, width = sample.context[0].image.shape[:2]
+    print(
+        f"labelling {len(names)} views of {width}x{height} with {', '.join(chosen.values())}",
+        file=sys.stderr,
+    )
+    start = time.perf_counter()
+    gaussians = predict(sample, method.predictor, method.seed, own, method.trust_cameras)
+    depths = source_depths(gaussians, [view.camera for view in sample.context])
+    maps = associate(sample.context, proposer, tracker, method.replicas, depths)
+    print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)
+
+    files, panels = {}, []
+    with replacing_folder(out) as draft:
+        for view, ids in zip(sample.context, maps.labels, strict=True):
+            suffix, data = encode_ids(ids)
+            files[view.name] = names[view.name] + suffix
+            file = draft / files[view.name]
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+            painted = pictures.paint_labels(ids, view.image)
+            panels += [(view.name, view.image), ("objects", painted)]
+        look = pictures.side_by_side(panels)
+        (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
+        about = {**chosen, "replicas": method.replicas, **described(own)}
+        text = {"size": [height, width], "views": files, "settings": about}
+        (draft / ABOUT).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
+    return Labelled(files, maps)
+
+
+def tabled(made: Labelled) -> str:
+    """The maps as a table, and how many objects several views show."""
+    wide = max(map(len, ["view", *made.files]))
+    names = max(map(len, ["file", *made.files.values()]))
+    lines = [f"{'view':<{wide}}  {'file':<{names}}  objects  labelled"]
+    counts = (made.maps.areas() > 0).sum(0)
+    for (view, file), ids, n in zip(made.files.items(), made.maps.labels, counts, strict=True):
+        share = f"{100 * (ids > 0).mean():.1f} %"
+        lines.append(f"{view:<{wide}}  {file:<{names}}  {n:>7}  {share:>8}")
+    shared = len(made.maps.ids) - len(made.maps.seen_once)
+    return "\n".join([*lines, f"{len(made.maps.ids)} objects, {shared} of them in several views"])

@@ -1,0 +1,352 @@
+"""What the commands that ask a field do: query, list, segment; and how they say what they found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.cli.drawings import check_drawing, drawing, write_ids, write_picture
+from flows.cli.viewpoints import Choice, Viewpoint
+from flows.settings import TABLES
+from slgaussian.benchmark import pictures
+from slgaussian.errors import InputError
+from slgaussian.field import FieldView, SemanticField
+from slgaussian.language.query import QueryResult, Rules
+
+EVEN = 0.5
+"""Relevancy of what fits a text as well as it fits the canonical phrases."""
+
+NOTHING = "no text fits"
+"""What a segmentation says of pixels that fit no text better than the canonical phrases."""
+
+
+def ask(
+    folder: Path,
+    texts: Sequence[str],
+    choice: Choice,
+    out: Path | None,
+    settings: Mapping[str, Any],
+) -> list[dict[str, Any]]:
+    """Ask the field in ``folder`` and draw the answers to ``out``, if given.
+
+    ``settings`` are those of :class:`slgaussian.language.query.Rules`, and by the name of the
+    field's encoder a table that says where its files are now.
+
+    Returns
+    -------
+    list of dict
+        One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``score``, ``point`` [x, y],
+        None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels`` in the mask, what
+        the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
+        others (word: [other, similarity]), why it was ``refused`` or None, ``picture`` path or
+        None.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used, or every text is refused.
+    """
+    if out is not None:
+        check_drawing(out, choice.film)
+    rules, field = _opened(folder, settings)
+    asked, refused = _sorted_out(field, texts)
+    answers = []
+    with drawing(out, choice.film) as draw:
+        for viewpoint in choice.of_field(folder, field):
+            seen = field.render(viewpoint.camera)
+            hits = dict(zip(asked, seen.query_all(asked, **rules), strict=True))
+            for text in texts:
+                answer = _refusal(text, refused[text]) if text in refused else _answer(hits[text])
+                picture = None if out is None else str(out)
+                answers.append({"view": viewpoint.name, **answer, "picture": picture})
+            if out is not None:
+                rows = [_hit_panels(viewpoint, seen, hits[text]) for text in asked]
+                draw(np.concatenate([pictures.side_by_side(row) for row in rows]))
+    return answers
+
+
+def inventory(
+    folder: Path, texts: Sequence[str], out: Path | None, settings: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Every object of a field with the best of the texts; what they look like in ``out``, if given.
+
+    ``settings`` as in :func:`ask`.
+
+    Returns
+    -------
+    list of dict
+        One an object: ``id``, ``text``, ``relevancy``, ``views`` that hold it by name. And one a
+        text that was refused: ``text``, ``refused``.
+    """
+    if out is not None:
+        check_drawing(out, film=False)
+    rules, field = _opened(folder, settings)
+    asked, refused = _sorted_out(field, texts)
+    found = field.describe(asked, **rules)
+    names = list(field.cameras)
+    if out is not None:
+        if field.bank.boxes is None:
+            raise InputError(
+                f"{folder}: its memory bank does not know where the objects are, so they cannot be "
+                "drawn; leave out -o, or build the field again"
+            )
+        seen = [field.render(camera) for camera in field.cameras.values()]
+        cuts = pictures.cut_out(
+            [view.rgb for view in seen],
+            [view.ids for view in seen],
+            field.bank.ids,
+            field.bank.boxes,
+        )
+        captions = [
+            f"{one.id} {one.text}" if one.relevancy > EVEN else str(one.id) for one in found
+        ]
+        tiles = list(zip(captions, cuts, strict=True))
+        write_picture(out, pictures.contact_sheet(tiles, side=112, columns=8))
+    listed = [{**vars(one), "views": [names[view] for view in one.views]} for one in found]
+    return listed + [{"text": text, "refused": why} for text, why in refused.items()]
+
+
+def segmented(
+    folder: Path,
+    texts: Sequence[str],
+    choice: Choice,
+    out: Path | None,
+    settings: Mapping[str, Any],
+) -> list[dict[str, Any]]:
+    """Give every object that a viewpoint shows the text that fits it best, and draw that.
+
+    A text gets the label of its place among ``texts``, from 1. Objects whose best relevancy is not
+    above ``threshold``, 0.5 if it is left out, get 0, as do pixels that show none. With ``out``
+    ``labels.png`` the labels of one viewpoint also go to ``labels.ids.png``, a grey PNG with 16
+    bits. ``settings`` as in :func:`ask`.
+
+    Returns
+    -------
+    list of dict
+        One a text that is not refused, then that of no text: ``text``, or None, ``label``,
+        ``share`` of the pixels of all viewpoints, mean ``relevancy`` of these, ``objects`` by id;
+        and one a text that was refused: ``text``, ``refused``.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used, or every text is refused.
+    """
+    if out is not None:
+        check_drawing(out, choice.film)
+    least = settings.get("threshold", EVEN)
+    rules, field = _opened(folder, settings)
+    rules.pop("threshold", None)
+    asked, refused = _sorted_out(field, texts)
+    numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
+    pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
+    objects: list[set[int]] = [set() for _ in pixels]
+    viewpoints = choice.of_field(folder, field)
+    if out is not None and not choice.film and len(viewpoints) > 1:
+        raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
+    with drawing(out, choice.film) as draw:
+        for viewpoint in viewpoints:
+            seen = field.render(viewpoint.camera)
+            relevancy = np.stack([hit.relevancy for hit in seen.query_all(asked, **rules)])
+            best = relevancy.max(0)
+            labels = np.where(best > least, numbers[seen.segment(asked, **rules)], 0)
+            pixels += np.bincount(labels.ravel(), minlength=len(pixels))
+            total += np.bincount(labels.ravel(), best.ravel(), minlength=len(pixels))
+            for label in np.unique(labels):
+                objects[label].update(np.unique(seen.ids[labels == label]).tolist())
+            if out is not None:
+                draw(_labels_picture(viewpoint, seen, labels, texts, asked))
+    if out is not None and not choice.film:
+        write_ids(out.with_suffix(".ids.png"), labels)
+    rows = [
+        {
+            "text": texts[label - 1] if label else None,
+            "label": int(label),
+            "share": pixels[label] / pixels.sum(),
+            "relevancy": total[label] / pixels[label] if pixels[label] else None,
+            "objects": sorted(objects[label] - {0}),
+        }
+        for label in [*numbers[1:], 0]
+    ]
+    return rows + [{"text": text, "refused": why} for text, why in refused.items()]
+
+
+def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
+    """What :func:`ask` found, for people."""
+    blocks = []
+    for answer in answers:
+        if answer["refused"]:
+            blocks.append(f"{answer['text']!r} is refused: {answer['refused']}")
+            continue
+        lines = [f"{answer['text']!r} in {answer['view']}"] if len(answers) > 1 else []
+        if answer["found"]:
+            x, y = answer["point"]
+            found = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
+            lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
+            lines.append(f"point  x {x}, y {y}")
+            lines.append(f"objects  {found or 'none'}")
+        else:
+            lines.append(
+                f"nothing found: the best object scores {answer['score']:.3f} (0.5 is as good as "
+                "any phrase)"
+            )
+        blocks.append("\n".join(lines + _of_words(answer)))
+    return "\n\n".join(dict.fromkeys(blocks))
+
+
+def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
+    """What :func:`ask` found along a turn: a block a text, not a frame."""
+    lines = []
+    for text in dict.fromkeys(answer["text"] for answer in answers):
+        own = [answer for answer in answers if answer["text"] == text]
+        if own[0]["refused"]:
+            lines.append(f"{text!r} is refused: {own[0]['refused']}")
+            continue
+        scores = [answer["score"] for answer in own]
+        seen = sum(answer["found"] for answer in own)
+        lines.append(
+            f"{text!r} found in {seen} of {len(own)} frames, "
+            f"score {min(scores):.3f} to {max(scores):.3f}"
+        )
+        lines += _of_words(own[0])
+    return "\n".join(lines)
+
+
+def listed(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What :func:`inventory` found, as a table."""
+    objects = [row for row in rows if "id" in row]
+    # What is in brackets fits no better than "object" does.
+    best = [o["text"] if o["relevancy"] > EVEN else f"({o['text']})" for o in objects]
+    wide = max(map(len, ["best text", *best]))
+    lines = [f"object  {'best text':<{wide}}  relevancy  seen in"]
+    for o, text in zip(objects, best, strict=True):
+        seen = ", ".join(o["views"])
+        lines.append(f"{o['id']:>6}  {text:<{wide}}  {o['relevancy']:>9.3f}  {seen}")
+    if any(o["relevancy"] <= EVEN for o in objects):
+        lines.append("(in brackets: no text fits better than the canonical phrases do)")
+    return "\n".join(lines + _refusals(rows))
+
+
+def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What :func:`segmented` found, as a table."""
+    shown = [row for row in rows if "label" in row]
+    texts = [NOTHING if row["text"] is None else row["text"] for row in shown]
+    wide = max(map(len, texts))
+    lines = [f"label  {'text':<{wide}}  pixels  relevancy  objects"]
+    for row, text in zip(shown, texts, strict=True):
+        mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
+        ids = ", ".join(map(str, row["objects"]))
+        share = f"{100 * row['share']:.1f} %"
+        lines.append(f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {ids}".rstrip())
+    return "\n".join(lines + _refusals(rows))
+
+
+def _answer(hit: QueryResult) -> dict[str, Any]:
+    return {
+        "text": hit.text,
+        "found": hit.found,
+        "score": hit.score,
+        "point": list(hit.point) if hit.found else None,
+        "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
+        "pixels": int(hit.mask.sum()),
+        "read_as": hit.understood.read_as,
+        "unknown": list(hit.unknown),
+        "unused": dict(hit.understood.unused),
+        "taken_for": {word: list(other) for word, other in hit.taken_for.items()},
+        "refused": None,
+    }
+
+
+def _refusal(text: str, why: str) -> dict[str, Any]:
+    nothing = {"found": False, "score": None, "point": None, "objects": [], "pixels": 0}
+    words = {"read_as": None, "unknown": [], "unused": {}, "taken_for": {}}
+    return {"text": text, **nothing, **words, "refused": why}
+
+
+def _of_words(answer: Mapping[str, Any]) -> list[str]:
+    """Which words of a text count for its answer, if not all."""
+    lines = []
+    if answer["unknown"]:
+        lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
+    for why in dict.fromkeys(answer["unused"].values()):
+        words = [word for word, other in answer["unused"].items() if other == why]
+        lines.append(f"set aside: {', '.join(words)} ({why})")
+    for word, (other, likeness) in answer["taken_for"].items():
+        lines.append(f"not known and taken for {other}: {word} (similarity {likeness:.2f})")
+    return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
+
+
+def _refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [f"{row['text']!r} is refused: {row['refused']}" for row in rows if row.get("refused")]
+
+
+def _hit_panels(
+    viewpoint: Viewpoint, seen: FieldView, hit: QueryResult
+) -> list[tuple[str, np.ndarray]]:
+    relevancy = pictures.paint_relevancy(hit.relevancy, seen.rgb)
+    where, caption = seen.rgb, f"nothing found (best score {hit.score:.3f})"
+    if hit.found:
+        where = pictures.draw_outline(seen.rgb, hit.mask, pictures.PREDICTED)
+        where, caption = pictures.draw_point(where, hit.point), f"score {hit.score:.3f}"
+    return [
+        (viewpoint.caption, seen.rgb),
+        (f"relevancy of {hit.text!r}", relevancy),
+        (caption, where),
+    ]
+
+
+def _labels_picture(
+    viewpoint: Viewpoint,
+    seen: FieldView,
+    labels: np.ndarray,
+    texts: Sequence[str],
+    asked: Sequence[str],
+) -> np.ndarray:
+    painted = pictures.spotlight(pictures.paint_labels(labels, seen.rgb), labels > 0)
+    shares = np.bincount(labels.ravel(), minlength=len(texts) + 1) / labels.size
+    entries = [(texts.index(text) + 1, text) for text in asked] + [(0, NOTHING)]
+    legend = [
+        (pictures.label_colors(np.array(label)), f"{text}  {100 * shares[label]:.1f} %")
+        for label, text in entries
+    ]
+    row = pictures.side_by_side([(viewpoint.caption, seen.rgb), ("the text that fits", painted)])
+    return pictures.with_legend(row, legend)
+
+
+def _opened(folder: Path, settings: Mapping[str, Any]) -> tuple[dict[str, Any], SemanticField]:
+    """The rules among the settings, and the field, with its encoder ready to be asked."""
+    rules = {name: value for name, value in settings.items() if name not in TABLES}
+    Rules(**rules)
+    field = SemanticField.load(folder)
+    used = field.settings["encoder"]
+    where = {part: table for part, table in settings.items() if part in TABLES}
+    for part in where:
+        if part != used:
+            raise InputError(
+                f"{folder}: settings of {part!r} are given, but the field's encoder is {used!r}; "
+                "leave them out"
+            )
+    field = replace(field, places={**field.places, **where.get(used, {})})
+    field.encoder  # noqa: B018  (what is missing is said before anything is drawn)
+    return rules, field
+
+
+def _sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """The texts that can be asked, each once, and why each of the others cannot be.
+
+    InputError if none can.
+    """
+    refused = {}
+    for text in dict.fromkeys(texts):
+        try:
+            field.reader.understood(text)
+        except InputError as error:
+            refused[text] = str(error)
+    asked = [text for text in dict.fromkeys(texts) if text not in refused]
+    if not asked:
+        raise InputError("; ".join(refused.values()))
+    return asked, refused

@@ -1,0 +1,145 @@
+"""Scores as text for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.score_tables import Table, conditions
+from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.statistics import LEVEL
+from slgaussian.benchmark.summary import METRICS
+from slgaussian.benchmark.verdict import clip_scores, verdict
+from slgaussian.semantic.versions import Version
+
+
+def scores_tables(results: Sequence[SceneResult]) -> str:
+    """A table of scenes for each data set, by the first method, and one of methods if there are
+    others."""
+    tables = []
+    for dataset in dict.fromkeys(result.dataset for result in results):
+        own = [result for result in results if result.dataset == dataset]
+        leading = own[0].method
+        tables.append(_scenes_table([result for result in own if result.method == leading]))
+        scores = _leading_scores(own)
+        if scores and any(result.method != leading for result in own):
+            tables.append(_methods_table(dataset, scores))
+    return "\n\n".join(tables)
+
+
+def _methods_table(dataset: str, scores: Sequence[Mapping[str, Any]]) -> str:
+    """One line a method: the means of its scores over scenes, by the leading protocol.
+
+    The first score has its interval; all of them are in the report. Below is what they go by.
+    """
+    titles = {m.key: m for m in METRICS if any(s["metric"] == m.key for s in scores)}
+    first, *others = (m.title for m in titles.values())
+    rows = [[dataset, first, f"{100 * LEVEL:.0f} %", *others]]
+    for method in dict.fromkeys(score["method"] for score in scores):
+        own = {s["metric"]: s for s in scores if s["method"] == method}
+        value, *rest = (_number(own[key]["value"], m.digits) for key, m in titles.items())
+        (key, m), *_ = titles.items()
+        rows.append([method, value, _interval(own[key], m.digits), *rest])
+    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
+
+
+def _scenes_table(results: Sequence[SceneResult]) -> str:
+    """One line a scene, their mean and its interval; a dash where a scene has not the number.
+
+    The mean is over the scenes that have the number, each counting once. Below is said what the
+    scores of answers go by; the other numbers go by no protocol and have no interval.
+    """
+    shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
+    rows = [["scene", *(m.title for m in shown)]]
+    for result in results:
+        values = (result.scene_metrics.get(m.key) for m in shown)
+        rows.append([result.scene, *map(_number, values, (m.digits for m in shown))])
+    means = []
+    for m in shown:
+        values = [r.scene_metrics[m.key] for r in results if m.key in r.scene_metrics]
+        means.append(_number(sum(values) / len(values), m.digits))
+    rows.append(["mean", *means])
+    scores = _leading_scores(results)
+    if not scores:
+        return _aligned(rows)
+    known = {row["metric"]: row for row in scores}
+    rows.append([f"{100 * LEVEL:.0f} %", *(_interval(known.get(m.key), m.digits) for m in shown)])
+    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
+
+
+def _leading_scores(results: Sequence[SceneResult]) -> list[dict[str, Any]]:
+    """Scores by the protocol whose numbers the scenes' metrics are, that of the first row."""
+    rows = [row for result in results for row in result.rows]
+    own = [row for row in rows if row["protocol"] == rows[0]["protocol"]]
+    return score_table(own).to_pylist()
+
+
+def _by_what(score: Mapping[str, Any]) -> str:
+    counts = ((score[f"{what}s"], what) for what in ("sample", "scene"))
+    of = " of ".join(f"{n} {what}" if n == 1 else f"{n} {what}s" for n, what in counts)
+    note = f"; {score['note']}" if score["note"] else ""
+    return f"by {score['protocol']} ({conditions(score)}); {of}{note}"
+
+
+def _interval(score: Mapping[str, Any] | None, digits: int) -> str:
+    if score is None or score["low"] is None:
+        return "-"
+    return f"{score['low']:.{digits}f}-{score['high']:.{digits}f}"
+
+
+SHOWN_GAINS = ("IoU", "mIoU", "Point in mask", "AP")
+"""Scores that a terminal has room for."""
+
+
+def gains_table(table: Table) -> str:
+    """One line a pair of methods or runs: some differences, each with its interval."""
+    shown = [k for k, column in enumerate(table.columns) if column.title in SHOWN_GAINS]
+    shown = [k for k in shown if table.columns[k].protocol in ("slgaussian", "threshold-free")]
+    rows = [[table.dataset, *(table.columns[k].title for k in shown)]]
+    for line in table.lines:
+        cells = (line.cells[k] for k in shown)
+        told = (f"{c.value} ({c.interval})" if c.interval else c.value for c in cells)
+        rows.append([line.method, *told])
+    return _aligned(rows)
+
+
+def judgements_table(judgements: pa.Table) -> str:
+    """Mean IoU of each lifting, and whether the branch is better than none, and than before."""
+    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
+    scores = {kind: clip_scores(judgements, kind) for kind in kinds}
+    rows = [["lifting", *(f"IoU, labels {kind}" for kind in kinds)]]
+    for name in dict.fromkeys(judgements["lifting"].to_pylist()):
+        rows.append([name, *(f"{np.mean(scores[kind][name]):.4f}" for kind in kinds)])
+    others = [name for name, *_ in rows[1:] if name in ("hard", "filled", "before")]
+    lines = [verdict(judgements, other, other).why for other in others]
+    return "\n".join([_aligned(rows), *lines])
+
+
+def versions_table(versions: Collection[Version], current: Version | None) -> str:
+    """One line a version, the one in use marked, and why it was put to use or not."""
+    rows = [["version", "from", "made", "weights"]]
+    for version in versions:
+        mark = " *" if version == current else ""
+        parent = str(version.parent or "-")
+        rows.append([f"{version.number}{mark}", parent, version.made, version.digest[:12]])
+    lines = _aligned(rows).splitlines()
+    whys = ["", *(f"  {'' if v.promoted else 'not used: '}{v.why}" for v in versions)]
+    told = [line + why for line, why in zip(lines, whys, strict=True)]
+    return "\n".join([*told, "* in use" if current is not None else "none is in use"])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for name, *cells in rows:
+        aligned = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        lines.append("  ".join([name.ljust(widths[0]), *aligned]))
+    return "\n".join(lines)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,123 @@
+"""Prefect's environment: offline, quiet, inside the store. Set before prefect is imported.
+
+Each variable can be overridden from outside. ``PREFECT_API_URL`` set from outside means that a
+server runs already; then none is started.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import secrets
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+from flows.runners.server import LocalServer
+from slgaussian.storage.local_copies import user_cache
+from slgaussian.storage.store import ArtifactStore
+
+
+def prepare(home: Path) -> None:
+    """Set the environment variables that are not set yet."""
+    variables = {
+        "PREFECT_HOME": str(home),
+        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+        "DO_NOT_TRACK": "1",
+        # Without this, a server that stops prints pages of cancelled database calls.
+        "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
+        # Progress and failures are told by flows.runners.progress.
+        "PREFECT_LOGGING_LEVEL": "CRITICAL",
+        # A server of ours ends with the run: nobody reads there what flows.runners.journal logs.
+        "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
+        "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
+        "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
+        # Never Prefect's own embedded server: it stays behind when this process is killed.
+        "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
+    }
+    for name, value in (variables | _for_ray()).items():
+        os.environ.setdefault(name, value)
+
+
+def _for_ray() -> dict[str, str]:
+    """What Ray must know if it is the runner; Prefect may import it at any time."""
+    variables = {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        # Without clusters of several machines, a cluster of ours listens on loopback only.
+        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+        # It would say so whenever a process begins another.
+        "GRPC_VERBOSITY": "ERROR",
+        # It hides all GPUs from tasks that do not book one.
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+        # Who reaches it can have it run code. Left alone, it keeps a token for all to read.
+        "RAY_AUTH_MODE": "token",
+    }
+    if "RAY_AUTH_TOKEN_PATH" in os.environ or Path("~/.ray/auth_token").expanduser().exists():
+        return variables
+    return variables | {"RAY_AUTH_TOKEN": secrets.token_hex(32)}
+
+
+def home_of(store: ArtifactStore) -> Path:
+    """Where Prefect keeps its database: in a local store, else in the user's cache folder."""
+    if store.local:
+        return Path(store.path) / ".prefect"
+    return user_cache() / "prefect"
+
+
+@contextmanager
+def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
+    """Prefect ready to run flows: a server of ours for the time of the block, or one from outside.
+
+    The server comes up while the block goes on to import what it needs; the function that the
+    block is given returns once the server answers and raises SLGaussianError if it never does.
+    """
+    prepare(home_of(store))
+    if os.environ.get("PREFECT_API_URL"):
+        yield lambda: None
+        return
+    server = LocalServer(Path(os.environ["PREFECT_HOME"]))
+    os.environ["PREFECT_API_URL"] = server.url
+    try:
+        server.start()
+        from tasks.shard import NO_EVENTS, send_no_events
+
+        # Nobody watches this server.
+        send_no_events()
+        os.environ[NO_EVENTS] = "1"
+        yield server.wait
+        del os.environ[NO_EVENTS]
+    finally:
+        server.stop()
+        del os.environ["PREFECT_API_URL"]
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """End this program in good order on Ctrl-C or SIGTERM within the block, and at once.
+
+    What was begun in the block is left as after any error; then the program ends as the signal
+    itself ends one, without waiting for threads that are at a stage still.
+    """
+
+    def terminate(number: int, frame: object) -> NoReturn:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    except (KeyboardInterrupt, _Terminated) as reason:
+        sys.stderr.write("\nstopped; the same command goes on from here\n")
+        sys.stderr.flush()
+        number = signal.SIGTERM if isinstance(reason, _Terminated) else signal.SIGINT
+        signal.signal(number, signal.SIG_DFL)
+        atexit._run_exitfuncs()  # pools of processes would otherwise be said to leak
+        os.kill(os.getpid(), number)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class _Terminated(BaseException):
+    """SIGTERM came."""

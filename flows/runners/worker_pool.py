@@ -1,0 +1,306 @@
+"""Run many scenes, each a chain of stages, as one Prefect flow that a bad scene cannot stop."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import threading
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import pyarrow as pa
+from httpx import HTTPError
+from prefect import flow
+from prefect.context import FlowRunContext
+from prefect.futures import PrefectFuture
+from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
+
+from flows.runners.cluster import last_line
+from flows.runners.journal import log
+from flows.runners.progress import Progress
+from flows.runners.task_runners import abandon, started, without_interrupts
+from slgaussian.errors import InputError, SLGaussianError, one_line
+from slgaussian.storage.remote import masked
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.shard import (
+    NO_EVENTS,
+    Chain,
+    Event,
+    Failure,
+    Shard,
+    StoppedError,
+    roll_call,
+    shard_task,
+    watching,
+)
+
+Made = TypeVar("Made")
+
+MOST = 500
+"""Most chains of a shard; where all are done already they take a second or so."""
+
+LONG = 20.0
+"""Seconds after which a worker begins no other chain of its shard: what a worker that dies has not
+told of is little, and the end of the run is shared out well."""
+
+PATIENCE = 120.0
+"""Seconds that the workers of a cluster may take to begin."""
+
+DEATHS = 4
+"""So often a chain may be in a shard whose worker dies before it is left out."""
+
+
+@dataclass
+class Outcome:
+    """What a run made: refs by scene and stage of the scenes that went through, and the others.
+
+    ``begun`` has the refs of the others, of the stages before the one that failed.
+    """
+
+    refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
+    failures: list[Failure] = field(default_factory=list)
+    begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
+
+
+class Crew:
+    """The workers of a flow, and what they tell, in one queue.
+
+    A pool of processes is of no use once one of them has died: then another is started.
+    """
+
+    def __init__(self, store: ArtifactStore, workers: int) -> None:
+        self.store, self.workers = store, workers
+        self.runner = FlowRunContext.get().task_runner
+        self.news: queue.SimpleQueue[Event | PrefectFuture] = queue.SimpleQueue()
+        self.running: dict[PrefectFuture, tuple[TaskRunner, list[Chain]]] = {}
+        self.stop = threading.Event()
+        self.stack = ExitStack()
+
+    def __enter__(self) -> Crew:
+        self.token = watching.set(self._heard)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        watching.reset(self.token)
+        if self.running:
+            self.stop.set()
+            abandon(self.runner)
+        self.stack.close()
+
+    def call(self, runner: str) -> None:
+        """Wait for a worker that can do the work; InputError if one cannot, or there is none."""
+        probe = f".probe-{uuid.uuid4().hex}"
+        self.store.write(probe, b"")
+        task = roll_call(self.store.root, probe, os.environ["PREFECT_API_URL"])
+        try:
+            self.runner.submit(task, {}).result(timeout=PATIENCE)
+        except TimeoutError as error:
+            raise InputError(
+                f"runner: no worker of {runner} took on any work within {PATIENCE:.0f} s; start "
+                "one, or wait until one is free"
+            ) from error
+        except Exception as error:  # each runner has its own
+            raise InputError(
+                f"runner: a worker of {runner} cannot do the work ({last_line(str(error))}); it "
+                "needs the packages that are installed here, and the same store and server within "
+                "its reach"
+            ) from error
+        finally:
+            self.store.remove([probe])
+
+    @property
+    def busy(self) -> int:
+        """How many shards are under way."""
+        return len(self.running)
+
+    def submit(self, shard: list[Chain]) -> None:
+        """Have a worker take this shard on."""
+        task = shard_task(self.store.root, shard, self.workers, LONG)
+        try:
+            with without_interrupts():
+                future = self.runner.submit(task, {})
+        except Exception as error:  # each runner has its own
+            said = one_line(f"{type(error).__name__}: {error}")
+            raise SLGaussianError(
+                f"runner: takes on no more work ({said}); what was made is in the store: if the "
+                "cluster has gone, start it, and the same command goes on"
+            ) from error
+        self.running[future] = self.runner, shard
+        future.add_done_callback(self.news.put)
+
+    def next(self) -> list[Event | tuple[list[Chain], Shard | str]]:
+        """What happened next: events, and a shard with what was made of it or how it was lost."""
+        news = self.news.get()
+        if isinstance(news, Event):
+            return [news]
+        runner, shard = self.running.pop(news)
+        made = _result(news)
+        if isinstance(made, str):
+            if runner is self.runner and isinstance(runner, ProcessPoolTaskRunner):
+                self.runner = self.stack.enter_context(runner.duplicate())
+            return [(shard, made)]
+        return [*made.events, (shard, made)]
+
+    def _heard(self, event: Event) -> None:
+        if self.stop.is_set():
+            raise StoppedError("stopped")
+        self.news.put(event)
+
+
+def run_flow(
+    name: str,
+    work: Callable[[Crew], Made],
+    store: ArtifactStore,
+    runner: str = "threads",
+    workers: int = 1,
+) -> Made:
+    """Do ``work``, which is given a crew, as a Prefect flow of this name.
+
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+
+    Parameters
+    ----------
+    name : str
+    work : callable
+    store : ArtifactStore
+        The one that the crew uses.
+    runner : str
+        Who the crew is, as :data:`flows.settings.Runner` has it.
+    workers : int
+        How many they are.
+
+    Raises
+    ------
+    InputError
+        As :func:`flows.runners.task_runners.started`.
+    SLGaussianError
+        If the Prefect server fails during the run.
+    """
+    here = _Here(work)
+
+    @flow(name=name, persist_result=False, validate_parameters=False)
+    def run() -> None:
+        with Crew(store, workers) as crew:
+            if "://" in runner:
+                crew.call(runner)
+            here.made.append(here.work(crew))
+
+    with started(runner, workers, store) as task_runner, _heard_by_nobody():
+        try:
+            run.with_options(task_runner=task_runner)()
+        except HTTPError as error:  # as when it was killed, or its disk is full
+            url, home = masked(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+            failed = f"the Prefect server at {url} failed ({error})"
+            if not here.made:
+                raise SLGaussianError(
+                    f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; "
+                    f"one of our own may need room on the disk of {home}; what was made is in the "
+                    "store, and the same command goes on"
+                ) from error
+            said = f"{failed} when all was done; it may show this run as running for ever"
+            log(logging.WARNING, "server_failed", said)
+    return here.made[0]
+
+
+@contextmanager
+def _heard_by_nobody() -> Iterator[None]:
+    """Without heartbeats, if events are not sent: they would delay the end by up to a second."""
+    silent = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None} if NO_EVENTS in os.environ else {}
+    with temporary_settings(silent):
+        yield
+
+
+class _Here:
+    """Work that stays in this process, and what it made.
+
+    Prefect sends the flow along with every shard, though workers never call it, and with it all
+    that its function refers to: here every scene of the run, and who is told of it.
+    """
+
+    def __init__(self, work: Callable[[Crew], Any] | None = None) -> None:
+        self.work = work
+        self.made: list[Any] = []
+
+    def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
+        return _Here, ()
+
+
+def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outcome:
+    """Have a crew run the chains.
+
+    As many shards as it has workers are under way at a time, each with one scene in memory. An
+    error takes only its own chain out. When a worker dies, the chains of its shard are tried again,
+    each by itself; those that were lost twice with no other beside them, so that it is known which
+    one is to blame.
+    """
+    waiting, outcome = deque(chains), Outcome()
+    alone: deque[Chain] = deque()
+    deaths: Counter[str] = Counter()
+
+    def share() -> list[Chain]:
+        size = min(MOST, len(waiting) // (2 * crew.workers))
+        shard = [waiting.popleft()]
+        # What was lost before is tried by itself.
+        while len(shard) < size and not deaths[shard[0].scene] + deaths[waiting[0].scene]:
+            shard.append(waiting.popleft())
+        return shard
+
+    def lost(chain: Chain, why: str) -> None:
+        deaths[chain.scene] += 1
+        if deaths[chain.scene] == DEATHS:
+            reason = (
+                f"its worker died {DEATHS} times, the last with nothing beside it ({why}); it may "
+                "need more memory than there is: try it with --workers 1"
+            )
+            failure = Failure(chain.scene, chain.first, "WorkerDied", reason)
+            outcome.failures.append(failure)
+            progress.failed(chain.scene, chain.first, reason)
+        else:
+            (waiting if deaths[chain.scene] == 1 else alone).append(chain)
+
+    while waiting or alone or crew.busy:
+        while waiting and crew.busy < crew.workers:
+            crew.submit(share())
+        if alone and not crew.busy:
+            crew.submit([alone.popleft()])
+        for happened in crew.next():
+            if isinstance(happened, Event):
+                getattr(progress, happened.kind)(happened.scene, happened.stage, *happened.facts)
+                continue
+            shard, made = happened
+            if isinstance(made, Shard):
+                outcome.refs |= made.refs
+                outcome.failures += made.failures
+                outcome.begun |= made.begun
+                waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
+            else:
+                progress.died(made, [chain.scene for chain in shard])
+                for chain in shard:
+                    progress.dropped(chain.scene)
+                    lost(chain, made)
+    outcome.failures.sort(key=lambda failure: failure.scene)
+    return outcome
+
+
+def _result(future: PrefectFuture) -> Shard | str:
+    """What a worker made, or what is known of its end."""
+    try:
+        made = future.result(raise_on_failure=False)
+    except Exception as error:  # each runner has its own
+        made = error
+    if isinstance(made, Shard):
+        return made
+    return last_line(str(made) or type(made).__name__)
+
+
+def failures_table(failures: Sequence[Failure]) -> pa.Table:
+    """The failures as a table of spec ``failures``."""
+    rows = [vars(failure) for failure in failures]
+    return pa.Table.from_pylist(rows, schema=load_spec("failures").schema)

@@ -1,0 +1,134 @@
+"""Methods that are compared in one run, behind one interface, and how to get one by name.
+
+A name that ends in "like" is not the original: it keeps what the original is known for, on the same
+photographs, Gaussians and encoder as everything else here. What each is, and what it lacks, is in
+docs/reference/methods.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from slgaussian.errors import InputError
+from slgaussian.parts.registry import resolve
+
+if TYPE_CHECKING:
+    from slgaussian.benchmark.answering import Answering
+    from slgaussian.benchmark.baselines.inputs import Inputs
+
+METHODS = {
+    "slgaussian": "slgaussian.benchmark.baselines.ours:Ours",
+    "query-2d": "slgaussian.benchmark.baselines.query_2d:Query2d",
+    "langsplat-like": "slgaussian.benchmark.baselines.langsplat_like:LangSplatLike",
+    "lerf-like": "slgaussian.benchmark.baselines.lerf_like:LerfLike",
+    "3d-ovs-like": "slgaussian.benchmark.baselines.ovs3d_like:Ovs3dLike",
+    "segsplat-like": "slgaussian.benchmark.baselines.pooled:SegSplatLike",
+    "nearest-view": "slgaussian.benchmark.baselines.nearest_view:NearestView",
+    "no-association": "slgaussian.benchmark.baselines.ours:NoAssociation",
+    "no-bank": "slgaussian.benchmark.baselines.pooled:NoBank",
+}
+
+
+class Method(Protocol):
+    """Builds what answers texts about one scene."""
+
+    def __call__(self, inputs: Inputs) -> Answering:
+        """Prepare the scene; InputError if the encoder or the proposer cannot do what it takes."""
+
+
+def load_method(name: str, **settings: Any) -> Method:
+    """Make the method called ``name``.
+
+    Raises
+    ------
+    InputError
+        If there is none, it has no such setting, or a setting is out of its range.
+    """
+    made = resolve("method", METHODS, name)
+    try:
+        return made(**settings)
+    except TypeError as error:
+        raise InputError(f"settings of {name!r}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table of methods: one of :data:`METHODS` with settings, and what to call it.
+
+    ``about`` says in one line what it is, and of what is not the original that it is not. ``rules``
+    are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
+    """
+
+    method: str
+    about: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    rules: Mapping[str, Any] = field(default_factory=dict)
+
+    def load(self) -> Method:
+        """The method; raises as :func:`load_method`."""
+        return load_method(self.method, **self.settings)
+
+
+ROWS = {
+    "slgaussian": Row("slgaussian", "the field, as it was built"),
+    "slgaussian, grid codes": Row(
+        "slgaussian", "the field with the paper's code strategy", {"codes": "grid"}
+    ),
+    "slgaussian, exact": Row(
+        "slgaussian", "the field without codes: Gaussians vote for objects", {"codes": "exact"}
+    ),
+    "slgaussian, filled": Row(
+        "slgaussian", "unlabelled Gaussians take the other view's object", {"lifting": "filled"}
+    ),
+    "query-2d": Row(
+        "query-2d", "the paper's 2D query: render, propose, encode, score; the image alone"
+    ),
+    "query-2d, depth": Row(
+        "query-2d",
+        "the same, with the rendered depth and groups of objects, as the field sees photographs",
+        {"depth": True},
+    ),
+    "langsplat-like": Row(
+        "langsplat-like",
+        "not LangSplat: an autoencoder's codes by each view's own masks, on Gaussians that were "
+        "predicted, not optimised",
+    ),
+    "langsplat-like, association": Row(
+        "langsplat-like",
+        "not LangSplat: the same, by masks that agree across views",
+        {"association": True},
+    ),
+    "lerf-like": Row(
+        "lerf-like", "not LERF: a pyramid of crops of each view, lifted a pixel, no training"
+    ),
+    "3d-ovs-like": Row(
+        "3d-ovs-like",
+        "not 3D-OVS: patches at the scale that tells the given classes apart best, lifted a pixel, "
+        "no training",
+    ),
+    "segsplat-like": Row(
+        "segsplat-like", "not SegSplat: an index a Gaussian and one pooled vector an object"
+    ),
+    "nearest-view": Row(
+        "nearest-view", "the nearest photograph's masks and features, as they are: no 3D"
+    ),
+    "no-association": Row("no-association", "ablation: each view's masks are objects of their own"),
+    "no-bank": Row("no-bank", "ablation: the mean over views in place of the multi-view bank"),
+    "absent-zero": Row(
+        "slgaussian",
+        "ablation: the paper's zero vector for an absent view",
+        rules={"absent": "zero"},
+    ),
+}
+"""The table of all methods, in its order."""
+
+PAPER_ABLATION = {
+    (False, False, False): None,
+    (True, False, False): "langsplat-like",
+    (True, True, False): "langsplat-like, association",
+    (True, True, True): "slgaussian",
+}
+"""The paper's ablation table: for (feed-forward model, mask association, multi-view bank) the row
+of :data:`ROWS`. The first, Gaussians optimised for the scene, is not run."""

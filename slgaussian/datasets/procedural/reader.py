@@ -1,0 +1,158 @@
+"""Seeded indoor scenes, ray-cast here, whose depth, object ids and names are exactly known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.datasets.procedural import raycast
+from slgaussian.datasets.procedural.rooms import FOCUS, MOST_OBJECTS, Room, furnish
+from slgaussian.datasets.procedural.shading import photograph
+from slgaussian.errors import InputError
+from slgaussian.kernels import compiling
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.scene import Camera, Scene, View
+
+FOCAL = 0.9
+"""Focal length as a share of the longer image side: a phone's main camera held level."""
+
+
+def read(
+    seed: int = 0,
+    objects: int = 8,
+    views: int = 4,
+    height: int = 416,
+    width: int = 576,
+    baseline: float = 0.6,
+    noise: float = 0.008,
+    exposure: float = 0.05,
+) -> Scene:
+    """Make a small furnished room and the cameras that look at it; views are ray-cast when read.
+
+    Views "view_00" to the last lie on an arc around the room's middle, so that the first and the
+    last make a two-view pair and those between are novel views. The room depends on ``seed``,
+    ``objects`` and ``baseline`` alone, and every view of it on these, its place and its size: the
+    same arguments give the same bytes.
+
+    Parameters
+    ----------
+    seed : int
+    objects : int
+        Free-standing balls, boxes, cylinders, cones and rings, 1 to 16, besides the floor, walls,
+        ceiling and perhaps a carpet, a table and a picture. All are seen from both ends of the arc.
+    views : int
+        At least 2.
+    height, width : int
+        Image size in pixels, at least 16 each.
+    baseline : float
+        Distance in metres between the first and the last camera, which stand some 3.3 m from the
+        room's middle; at most 2.
+    noise : float
+        Standard deviation of the sensor noise, as a share of full scale.
+    exposure : float
+        Standard deviation of the natural logarithm of each view's exposure.
+
+    Returns
+    -------
+    Scene
+        World in metres with z up. Depth and instance ids belong to the ray through each pixel's
+        centre; ``phrases`` names every id, no two alike.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of its range.
+    """
+    compiling.watch()
+    _check("objects", objects, 1, MOST_OBJECTS)
+    _check("views", views, 2, 1000)
+    _check("height", height, 16, 8192)
+    _check("width", width, 16, 8192)
+    _check("baseline", baseline, 0.01, 2.0)
+    _check("noise", noise, 0.0, 1.0)
+    _check("exposure", exposure, 0.0, 1.0)
+    name = f"procedural_{seed}"
+    arc = rng_for(seed, name, "arc")
+    start, lift, distance = arc.uniform((-0.12, 1.25, 3.15), (0.12, 1.55, 3.4))
+    half = math.asin(baseline / 2 / distance)
+
+    def camera(share: float, h: int, w: int) -> Camera:
+        """The camera at ``share`` (-1 to 1) of the arc."""
+        angle = start + share * half
+        eye = FOCUS + [distance * math.sin(angle), -distance * math.cos(angle), lift - FOCUS[2]]
+        focal = FOCAL * max(h, w)
+        K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1.0]])
+        return Camera(K, _look_at(eye, FOCUS), w, h)
+
+    # Judged on small images of one shape, so that the room is the same at any resolution.
+    ends = [camera(share, 52, 72) for share in (-1, 1)]
+    room = furnish(rng_for(seed, name, f"room {objects} {float(baseline)}"), objects, ends)
+    cameras = {
+        f"view_{i:02d}": camera(2 * i / (views - 1) - 1, height, width) for i in range(views)
+    }
+    reader = _Reader(seed, name, room, cameras, noise, exposure)
+    return Scene(name, cameras, reader.read, room.phrases)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    seed: int
+    scene: str
+    room: Room
+    cameras: dict[str, Camera]
+    noise: float
+    exposure: float
+
+    def read(self, name: str) -> View:
+        """Ray-cast one view."""
+        if name not in self.cameras:
+            raise InputError(f"scene {self.scene!r}: no view {name!r}; see its cameras")
+        camera = self.cameras[name]
+        solids = self.room.solids()
+        materials = self.room.materials(rng_for(self.seed, self.scene, "materials"))
+        casters = self.room.solids(casters=True)
+        light = photograph(solids, casters, materials, self.room.light, camera)
+        depth, index = raycast.cast(solids, camera.center, camera.rays())
+        rng = rng_for(self.seed, self.scene, name)
+        gain = math.exp(rng.normal(0.0, 1.0) * self.exposure)
+        srgb = _encoded(light * gain)
+        if self.noise:
+            srgb += rng.normal(0.0, self.noise, srgb.shape)
+        return View(
+            name=name,
+            camera=camera,
+            image=np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8),
+            depth=depth.astype(np.float32),
+            instances=self.room.owners()[index],
+        )
+
+
+def _check(name: str, value: float, least: float, most: float) -> None:
+    whole = isinstance(least, int)
+    if not least <= value <= most or (whole and value != int(value)):
+        kind = "whole number" if whole else "number"
+        raise InputError(
+            f"procedural scene {name}: found {value}, expected a {kind} from {least} to {most}"
+        )
+
+
+def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Camera-to-world of a level camera at ``eye`` looking at ``target``; z is up."""
+    forward = target - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    c2w = np.eye(4)
+    c2w[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    c2w[:3, 3] = eye
+    return c2w
+
+
+def _encoded(light: np.ndarray) -> np.ndarray:
+    """SRGB in [0, 1] of linear light (IEC 61966-2-1), the brightest parts rolled off softly."""
+    knee = 0.8
+    over = np.maximum(light - knee, 0) / (1 - knee)
+    light = np.where(light > knee, knee + (1 - knee) * over / (1 + over), light)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -1,0 +1,352 @@
+"""Seeded small rooms: what stands where, what it is made of, and what to call it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slgaussian.datasets.names import COLOURS, MATERIALS, PATTERNS, SHAPES, jitter, look, material
+from slgaussian.datasets.procedural import raycast, textures
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, Solid
+from slgaussian.datasets.procedural.shading import Light
+from slgaussian.datasets.procedural.textures import Material
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+MOST_OBJECTS = 16
+
+_FLOORS = ("wooden", "wooden", "grey", "beige", "marble", "gravel", "checked", "grey speckled")
+_WALLS = ("white", "grey", "beige", "yellow", "green", "blue", "pink", "brick")
+
+_WIDTH, _BACK, _FRONT, _HEIGHT = 2.3, 1.7, -4.2, 2.7  # half width, y of the walls, height (metres)
+_STAGE = (1.55, -1.05, 1.25)  # objects stand in |x| < .., y between
+_GAP = 0.04
+_THICK = 0.012  # of a carpet
+_SEEN = 0.0035  # smallest share of each end view that an object must fill
+
+FOCUS = np.array([0.0, 0.15, 0.45])
+"""What the cameras look at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """One object: its phrase, its material and the solids that it is made of."""
+
+    phrase: str
+    material: Material
+    solids: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """The things of a room, the surfaces around it first, and its lamp. z is up, units are metres.
+
+    The id of a thing is its place in ``things``, from 1.
+    """
+
+    things: tuple[Thing, ...]
+    light: Light
+
+    @property
+    def phrases(self) -> dict[int, str]:
+        """What each id is called."""
+        return {i: thing.phrase for i, thing in enumerate(self.things, 1)}
+
+    def solids(self, casters: bool = False) -> raycast.Solids:
+        """All solids, or without the walls, floor and ceiling (which cannot cast a shadow)."""
+        return raycast.pack([s for t in self.things for s in t.solids][6 if casters else 0 :])
+
+    def materials(self, rng: np.random.Generator) -> textures.Materials:
+        """A material for each solid, in their order."""
+        return textures.pack([t.material for t in self.things for _ in t.solids], rng)
+
+    def owners(self) -> np.ndarray:
+        """Object id of each solid, int32 [P]."""
+        return np.repeat(
+            np.arange(1, len(self.things) + 1, dtype=np.int32), [len(t.solids) for t in self.things]
+        )
+
+
+def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room:
+    """A room with that many free-standing objects, each seen by every one of ``cameras``.
+
+    Raises
+    ------
+    InputError
+        If the objects cannot be placed.
+    """
+    for _ in range(20):
+        room = _attempt(rng, objects, cameras)
+        if room is not None:
+            return room
+    raise InputError(
+        f"procedural scene: no room was found for {objects} objects that all cameras see; ask for "
+        "fewer, or for a smaller baseline"
+    )
+
+
+def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room | None:
+    taken: set[tuple[str, str]] = set()
+    things = _shell(rng, taken)
+    ground = _Ground()
+    if rng.random() < 0.75:
+        things.append(_carpet(rng, ground, things[0], taken))
+    if rng.random() < 0.75:
+        things.append(_table(rng, ground, taken))
+    if rng.random() < 0.8:
+        things.append(_picture(rng))
+    fixed = len(things)
+    for _ in range(30 * objects):
+        if len(things) - fixed == objects:
+            break
+        candidate = _object(rng, ground, taken)
+        if candidate is not None and _all_seen([*things, candidate.thing], fixed, cameras):
+            things.append(candidate.thing)
+            taken.add(candidate.key)
+            ground.occupy(candidate)
+    if len(things) - fixed < objects:
+        return None
+    light = Light(
+        centre=np.array([rng.choice([-1, 1]) * rng.uniform(0.6, 1.6), rng.uniform(-1.6, 0.0), 2.5]),
+        half=0.22,
+        power=rng.uniform(0.78, 0.9),
+        reach=2.4,
+        ambient=rng.uniform(0.34, 0.4),
+    )
+    return Room(tuple(things), light)
+
+
+def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) -> bool:
+    """Whether all objects past the first ``fixed`` things fill enough of every camera's image."""
+    room = Room(tuple(things), Light(np.zeros(3), 0, 0, 1, 0))
+    owners, solids = room.owners(), room.solids()
+    for camera in cameras:
+        _, index = raycast.cast(solids, camera.center, camera.rays())
+        share = np.bincount(owners[index].ravel(), minlength=len(things) + 1) / index.size
+        if (share[fixed + 1 :] < _SEEN).any():
+            return False
+    return True
+
+
+def _paler(material: Material) -> Material:
+    """The same paint, thinned: walls are large, and strong colours on them drown all else."""
+    if material.pattern == textures.BRICK:
+        return material
+    mixed = tuple(0.88 * value + 0.12 * 0.8 for value in material.first)
+    return replace(material, first=mixed, gloss=0.0)
+
+
+def _shell(rng: np.random.Generator, taken: set[tuple[str, str]]) -> list[Thing]:
+    """Floor, ceiling, back wall and side walls (one thing, with the wall behind the cameras)."""
+    floor = str(rng.choice(_FLOORS))
+    back = str(rng.choice(_WALLS))
+    side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
+    middle, depth, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, 0.1
+
+    def slab(size: tuple[float, ...], centre: tuple[float, float, float]) -> Solid:
+        return Solid(BOX, size, centre)
+
+    upright = (_HEIGHT / 2,)
+    taken.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
+    return [
+        Thing(
+            f"{floor} floor",
+            replace(material(rng, floor, {"checked": 0.35}.get(floor, 0.16)), gloss=0.03),
+            (slab((_WIDTH, depth, t), (0, middle, -t)),),
+        ),
+        Thing(
+            "white ceiling",
+            material(rng, "white", 1.0),
+            (slab((_WIDTH, depth, t), (0, middle, _HEIGHT + t)),),
+        ),
+        Thing(
+            f"{back} wall",
+            _paler(material(rng, back, 0.9)),
+            (slab((_WIDTH, t, *upright), (0, _BACK + t, _HEIGHT / 2)),),
+        ),
+        Thing(
+            f"{side} wall",
+            _paler(material(rng, side, 0.9)),
+            (
+                slab((t, depth, *upright), (-_WIDTH - t, middle, _HEIGHT / 2)),
+                slab((t, depth, *upright), (_WIDTH + t, middle, _HEIGHT / 2)),
+                slab((_WIDTH, t, *upright), (0, _FRONT - t, _HEIGHT / 2)),
+            ),
+        ),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A level rectangle to stand on: pose, half sides and the circles (x, y, radius) taken."""
+
+    centre: tuple[float, float]
+    angle: float
+    half: tuple[float, float]
+    z: float
+    circles: list[tuple[float, float, float]]
+
+    def distance(self, x: float, y: float) -> float:
+        """Signed distance from a point to the rectangle's edge, negative inside."""
+        dx, dy = x - self.centre[0], y - self.centre[1]
+        c, s = math.cos(self.angle), math.sin(self.angle)
+        qx, qy = abs(c * dx + s * dy) - self.half[0], abs(c * dy - s * dx) - self.half[1]
+        return math.hypot(max(qx, 0), max(qy, 0)) + min(max(qx, qy), 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    thing: Thing
+    key: tuple[str, str]
+    place: _Place
+    circle: tuple[float, float, float]
+    top: _Place | None
+
+
+class _Ground:
+    """Where things may stand: the floor first, then the tops of tables, boxes and the carpet."""
+
+    def __init__(self) -> None:
+        x, y0, y1 = _STAGE
+        self.floor = _Place((0, (y0 + y1) / 2), 0.0, (x, (y1 - y0) / 2), 0.0, [])
+        self.carpet: _Place | None = None
+        self.table: _Place | None = None
+        self.tops: list[_Place] = []
+
+    def occupy(self, candidate: _Candidate) -> None:
+        candidate.place.circles.append(candidate.circle)
+        if candidate.top is not None:
+            self.tops.append(candidate.top)
+
+    def find(self, rng: np.random.Generator, radius: float) -> tuple[float, float, _Place] | None:
+        """A free spot for a circle, on whichever surface it falls."""
+        raised = [p for p in self.tops if not p.circles and min(p.half) > radius]
+        if self.table is not None and min(self.table.half) > radius:
+            raised.append(self.table)
+        place = self.floor
+        if raised and rng.random() < 0.4:
+            place = raised[rng.integers(len(raised))]
+        u, v = rng.uniform(-1, 1, 2) * (np.array(place.half) - radius)
+        c, s = math.cos(place.angle), math.sin(place.angle)
+        x, y = place.centre[0] + c * u - s * v, place.centre[1] + s * u + c * v
+        if place is self.floor:
+            if self.table is not None and self.table.distance(x, y) < radius + _GAP:
+                return None
+            if self.carpet is not None:
+                edge = self.carpet.distance(x, y)
+                if abs(edge) < radius + 0.005:
+                    return None
+                # The carpet shares the floor's circles: it only lifts what stands on it.
+                place = self.carpet if edge < 0 else self.floor
+        if any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles):
+            return None
+        return float(x), float(y), place
+
+
+def _carpet(
+    rng: np.random.Generator, ground: _Ground, floor: Thing, taken: set[tuple[str, str]]
+) -> Thing:
+    below = look(floor.phrase)
+    colours = [c for c in ("red", "blue", "green", "purple", "orange", "beige") if c != below]
+    words = str(rng.choice(colours))
+    if rng.random() < 0.4:
+        words += " " + str(rng.choice(["striped", "checked", "dotted"]))
+    elif rng.random() < 0.15 and below != "green":
+        words = "grass"
+    half = (float(rng.uniform(0.75, 1.05)), float(rng.uniform(0.5, 0.7)))
+    centre = (float(rng.uniform(-0.35, 0.35)), float(rng.uniform(-0.4, -0.2)))
+    angle = float(rng.uniform(-0.2, 0.2))
+    ground.carpet = _Place(centre, angle, half, _THICK, ground.floor.circles)
+    solid = Solid(BOX, (*half, _THICK / 2), (*centre, _THICK / 2), _turned(angle))
+    taken.add(("carpet", look(words)))
+    return Thing(f"{words} carpet", replace(material(rng, words, 0.16), gloss=0.0), (solid,))
+
+
+def _table(rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]]) -> Thing:
+    words = str(rng.choice(["wooden", "wooden", "white", "black", "brown"]))
+    half = (float(rng.uniform(0.45, 0.6)), float(rng.uniform(0.28, 0.36)))
+    height, top, leg = float(rng.uniform(0.42, 0.6)), 0.025, 0.03
+    side = float(rng.choice([-1, 1]))
+    angle = float(rng.uniform(-0.15, 0.15))
+    # Its back is at the wall, which leaves its front edge behind any carpet.
+    deep = half[0] * abs(math.sin(angle)) + half[1] * math.cos(angle)
+    centre = (side * float(rng.uniform(0.75, 1.1)), _BACK - 0.06 - deep)
+    turn = _turned(angle)
+    solids = [Solid(BOX, (*half, top), (*centre, height - top), turn)]
+    reach = (height - 2 * top) / 2
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            at = turn @ [sx * (half[0] - 2 * leg), sy * (half[1] - 2 * leg), 0]
+            foot = (centre[0] + float(at[0]), centre[1] + float(at[1]), reach)
+            solids.append(Solid(BOX, (leg, leg, reach), foot, turn))
+    ground.table = _Place(centre, angle, half, height, [])
+    taken.add(("table", look(words)))
+    return Thing(f"{words} table", material(rng, words, 0.4), tuple(solids))
+
+
+def _picture(rng: np.random.Generator) -> Thing:
+    half = float(rng.uniform(0.26, 0.36))
+    frame = jitter(rng, COLOURS[str(rng.choice(["black", "white", "brown"]))])
+    photo = str(rng.choice(textures.PHOTOS[2:]))
+    centre = (float(rng.uniform(-1.0, 1.0)), _BACK - 0.015, float(rng.uniform(1.35, 1.5)))
+    material = Material(textures.PICTURE, frame, frame, photo=photo, gloss=0.02)
+    return Thing("picture", material, (Solid(BOX, (half, 0.015, half), centre),))
+
+
+def _object(
+    rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]]
+) -> _Candidate | None:
+    """A free-standing object at a free spot, with a look and shape that no other has; or None."""
+    shape = str(rng.choice(list(SHAPES)))
+    draw = rng.random()
+    if draw < 0.2 and shape in ("box", "cylinder"):
+        words = str(rng.choice([m for m in MATERIALS if (shape, m) != ("cylinder", "brick")]))
+    else:
+        words = str(rng.choice(list(COLOURS)))
+        if draw > 0.55:
+            words += " " + str(rng.choice(PATTERNS))
+    if (shape, look(words)) in taken:
+        return None
+    scale = float(rng.uniform(0.15, 0.31))
+    spot = ground.find(rng, scale * 1.02)
+    if spot is None:
+        return None
+    x, y, place = spot
+    z, angle, top = place.z, float(rng.uniform(0, 2 * math.pi)), None
+    turn = _turned(angle)
+    if shape == "ball":
+        solid = Solid(BALL, (scale,), (x, y, z + scale))
+    elif shape == "box":
+        a, b = scale * math.sqrt(0.5) * rng.uniform([0.85, 0.85], [1, 1])
+        h = scale * float(rng.uniform(0.6, 1.5))
+        solid = Solid(BOX, (float(a), float(b), h), (x, y, z + h), turn)
+        if h < 1.1 * scale:
+            top = _Place((x, y), angle, (float(a), float(b)), z + 2 * h, [])
+    elif shape == "cylinder":
+        r, h = scale * float(rng.uniform(0.6, 0.9)), scale * float(rng.uniform(0.7, 1.6))
+        solid = Solid(CYLINDER, (r, h), (x, y, z + h), turn)
+    elif shape == "cone":
+        r, h = scale * float(rng.uniform(0.75, 1.0)), scale * float(rng.uniform(0.9, 1.6))
+        solid = Solid(CONE, (r, h), (x, y, z + h), turn)
+    else:
+        tube = scale * float(rng.uniform(0.2, 0.28))
+        ring = scale - tube
+        if rng.random() < 0.5:  # lying
+            solid = Solid(RING, (ring, tube), (x, y, z + tube), turn)
+        else:  # standing, its axis level and roughly towards the cameras
+            turn = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER
+            solid = Solid(RING, (ring, tube), (x, y, z + scale), turn)
+    cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
+    thing = Thing(f"{words} {shape}", material(rng, words, cell), (solid,))
+    return _Candidate(thing, (shape, look(words)), place, (x, y, scale), top)
+
+
+_QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # tips local z over to face -y
+
+
+def _turned(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

@@ -1,0 +1,274 @@
+"""The standard ``.ply`` of 3D Gaussian splatting, out and in.
+
+One element ``vertex`` with the property names of the implementation of Kerbl et al., "3D Gaussian
+Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, nobody reads them), colour
+``f_dc_0..2`` and ``f_rest_*`` (coefficients 1 and up of red, then of green, then of blue; see
+:mod:`slgaussian.rasterize.harmonics`), ``opacity`` as a logit, ``scale_0..2`` as natural
+logarithms, ``rot_0..3`` as wxyz. This project adds ``f_sem_*`` for features, and ``source`` and
+``label``; viewers pass over what they do not know. Whole numbers are floats too, as long as that is
+exact: there are readers that take every property for one, and read nonsense where one is not.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+from scipy.special import expit, logit
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.storage.store import write_atomic
+
+LOWEST = -104.0
+"""Stands for the logit and the logarithm of 0: the greatest whole number whose sigmoid and
+exponential are 0 in float32. Infinity would spoil the ranges that viewers and packers look for."""
+
+HIGHEST = 18.0
+"""Stands for the logit of 1: the least whole number whose sigmoid is 1 in float32."""
+
+REST = (0, 9, 24, 45)
+"""Columns ``f_rest_*`` of degree 0 to 3."""
+
+_MEANS = ["x", "y", "z"]
+_NORMALS = ["nx", "ny", "nz"]
+_DC = [f"f_dc_{i}" for i in range(3)]
+_SCALES = [f"scale_{i}" for i in range(3)]
+_ROTATIONS = [f"rot_{i}" for i in range(4)]
+_NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
+
+_BLOCK = 4096  # rows whose columns are copied in turn while they are in the cache
+
+
+def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
+    """Write Gaussians as a binary little-endian ``.ply``: complete, or not at all.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        With harmonics of degree 0 to 3 in the convention "3dgs". An opacity or a scale of 0, and an
+        opacity of 1, are written as finite numbers that read as 0 and 1 again.
+    path : path
+        A file that is there already is replaced.
+    labels : int [N], optional
+        Object of each Gaussian, 0 where none; written as ``label``.
+
+    Raises
+    ------
+    InputError
+        If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` do not fit,
+        or the file cannot be written.
+    """
+    gaussians.check()
+    arrays = gaussians.to_arrays()
+    n = len(gaussians)
+    opacities, scales, sh = arrays["opacities"], arrays["scales"], arrays["sh"]
+    rest = sh.shape[1] - 1
+    if 3 * rest not in REST:
+        raise InputError(
+            f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
+            ".ply holds harmonics of degree 0 to 3"
+        )
+    with np.errstate(divide="ignore"):  # of 0, which LOWEST stands for
+        logits = logit(opacities.astype(np.float64)).clip(LOWEST, HIGHEST)
+        logs = np.log(scales.astype(np.float64)).clip(LOWEST)
+    features = arrays.get("features", np.empty((n, 0)))
+    columns = [
+        *zip(_MEANS, arrays["means"].T, strict=True),
+        *((name, np.zeros(n)) for name in _NORMALS),
+        *zip(_DC, sh[:, 0].T, strict=True),
+        *((f"f_rest_{i}", sh[:, 1 + i % rest, i // rest]) for i in range(3 * rest)),
+        ("opacity", logits),
+        *zip(_SCALES, logs.T, strict=True),
+        *zip(_ROTATIONS, arrays["quats"].T, strict=True),
+        *((f"f_sem_{i}", column) for i, column in enumerate(features.T)),
+    ]
+    whole = {"source": arrays["source"]}
+    if labels is not None:
+        whole["label"] = _checked(labels, n)
+    kinds = [(name, "<f4") for name, _ in columns]
+    kinds += [
+        (name, "<f4" if np.array_equal(values.astype(np.float32), values) else "<i4")
+        for name, values in whole.items()
+    ]
+    columns += whole.items()
+    table = np.empty(n, kinds)
+    for start in range(0, n, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        for name, values in columns:
+            table[name][block] = values[block]
+    buffer = io.BytesIO()
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
+    try:
+        write_atomic(path, buffer.getbuffer())
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists "
+            "and that you may write to"
+        ) from error
+
+
+def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
+    """Read a ``.ply`` of Gaussians that anybody wrote.
+
+    Ascii or binary of either byte order, columns of any number type in any order. Missing
+    ``f_rest_*`` mean colours that do not depend on the view; without a ``source`` of whole numbers
+    the Gaussians are numbered from 0. Rotations are normalised, normals are dropped, and infinite
+    logits of opacity are 0 and 1.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    gaussians : Gaussians
+        In float32. Of what :func:`save_ply` wrote the logit and logarithm were rounded: opacities
+        are off by at most 6e-8, scales by 6e-8 of themselves times 1 + the size of their logarithm.
+    extra : dict of str to [N]
+        Every other property by its name, in its own type; ``label`` as int32 if it is whole.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no ``.ply``, cut short, without the properties of Gaussians (as a
+        plain point cloud is), or holds a number that makes no Gaussian; the message names the file
+        and the property or vertex.
+    """
+    table = _vertices(path)
+    n = len(table)
+    # A list property is no column of numbers; it can only be extra.
+    names = [name for name in table.dtype.names if table.dtype[name].kind != "O"]
+    if missing := [name for name in _NEEDED if name not in names]:
+        raise InputError(
+            f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
+            "a .ply of 3D Gaussian splatting, not a point cloud, a mesh or a compressed .ply"
+        )
+    rest, semantic = _numbered(names, "f_rest_"), _numbered(names, "f_sem_")
+    if len(rest) not in REST:
+        raise InputError(
+            f"{path}: has {len(rest)} properties f_rest_*, expected one of "
+            f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
+        )
+    columns = _Columns(path, table)
+    quats = columns.read(_ROTATIONS).astype(np.float64)
+    lengths = np.linalg.norm(quats, axis=1, keepdims=True)
+    if not lengths.all():
+        raise InputError(
+            f"{path}: vertex {int(np.argmin(lengths))} has the rotation (0, 0, 0, 0), which is "
+            "none; remove it, or write the file again"
+        )
+    higher = len(rest) // 3
+    sh = np.empty((n, 1 + higher, 3), np.float32)
+    sh[:, 0] = columns.read(_DC)
+    sh[:, 1:] = columns.read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
+    source = _whole(table["source"]) if "source" in names else None
+    arrays = {
+        "means": columns.read(_MEANS),
+        "scales": columns.read(_SCALES, np.exp),
+        "quats": (quats / lengths).astype(np.float32),
+        "opacities": columns.read(["opacity"], expit)[:, 0],
+        "sh": sh,
+        "source": np.arange(n, dtype=np.int32) if source is None else source,
+    }
+    if semantic:
+        arrays["features"] = columns.read(semantic)
+    used = {*_NEEDED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
+    extra = {name: table[name] for name in table.dtype.names if name not in used}
+    # Copies in the machine's byte order, apart from the file, which is only mapped here.
+    extra = {name: np.array(v, v.dtype.newbyteorder("=")) for name, v in extra.items()}
+    if "label" in names and (label := _whole(extra["label"])) is not None:
+        extra["label"] = label
+    return Gaussians.from_arrays(arrays), extra
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Columns of a table side by side, every number finite."""
+
+    path: str | Path
+    table: np.ndarray
+
+    def read(
+        self, names: Sequence[str], convert: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Float32 [N, len(names)], through ``convert`` in float64 if given."""
+        values = np.empty((len(self.table), len(names)), np.float32)
+        with np.errstate(over="ignore"):  # becomes infinite, and is refused below
+            for start in range(0, len(self.table), _BLOCK):
+                block = self.table[start : start + _BLOCK]
+                for column, name in enumerate(names):
+                    raw = block[name]
+                    if convert is not None:
+                        raw = convert(raw.astype(np.float64))
+                    values[start : start + _BLOCK, column] = raw
+        finite = np.isfinite(values)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise InputError(
+                f"{self.path}: vertex {row} has {names[column]} {self.table[names[column]][row]}, "
+                "which makes no Gaussian; remove it, or write the file again"
+            )
+        return values
+
+
+def _vertices(path: str | Path) -> np.ndarray:
+    try:
+        _check_counts(Path(path))
+        data = PlyData.read(str(path))
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({why}); give a .ply file") from error
+    except Exception as error:  # a damaged file raises almost anything
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"{path}: is not a whole .ply file ({said}); copy or write it again"
+        ) from error
+    if "vertex" not in data:
+        found = _some([element.name for element in data])
+        raise InputError(f"{path}: has no element vertex, only {found}; give a .ply of Gaussians")
+    return data["vertex"].data
+
+
+def _check_counts(path: Path) -> None:
+    """ValueError if a header tells of more rows than the file has bytes: all would be allocated."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == [b"end_header"]:
+                return
+            if words[:1] == [b"element"] and len(words) == 3 and int(words[2]) > size:
+                raise ValueError(f"it tells of {int(words[2])} rows, and has {size} bytes")
+
+
+def _numbered(names: Sequence[str], prefix: str) -> list[str]:
+    """The names that are ``prefix`` and a number, counted from 0 without a gap."""
+    return list(takewhile(set(names).__contains__, (f"{prefix}{i}" for i in range(len(names)))))
+
+
+def _whole(values: np.ndarray) -> np.ndarray | None:
+    """Whole numbers as int32 [N], whatever type holds them; None if some are not."""
+    with np.errstate(invalid="ignore"):  # NaN and what is too large come out different
+        integers = values.astype(np.int32)
+    return integers if np.array_equal(integers, values) else None
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def _checked(labels: np.ndarray, n: int) -> np.ndarray:
+    labels = np.asarray(labels)
+    if labels.shape != (n,) or labels.dtype.kind not in "iu":
+        raise InputError(
+            f"labels: found {labels.dtype} {labels.shape}, expected an integer a Gaussian, ({n},)"
+        )
+    if n and not -(2**31) <= labels.min() <= labels.max() < 2**31:
+        raise InputError(f"labels: found {labels.min()} to {labels.max()}, expected 32-bit numbers")
+    return labels

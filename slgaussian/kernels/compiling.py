@@ -1,0 +1,100 @@
+"""Say that kernels are being compiled: the first use of a kernel takes seconds, once a machine."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+SILENT = 1.0
+"""Seconds of compiling before a word is said: a single small kernel is not worth one."""
+
+AGAIN = 1.0
+"""Seconds at least between two words."""
+
+_log = logging.getLogger(__name__)
+_tell: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
+_lock = threading.Lock()
+_watch: _Watch | None = None
+
+
+@contextmanager
+def told_to(tell: Callable[[str], None]) -> Iterator[None]:
+    """Have ``tell`` told what this thread compiles within the block.
+
+    It is given a sentence at most once a second, and an empty text once the work goes on. Without
+    it a program is told once, by a warning of the logger ``slgaussian.kernels.compiling``.
+    """
+    token = _tell.set(tell)
+    try:
+        yield
+    finally:
+        _tell.reset(token)
+
+
+def watch() -> None:
+    """Tell from now on, in all threads, when Numba compiles what it does not have in its cache.
+
+    Called where the work begins that may need kernels; it imports Numba.
+    """
+    global _watch
+    from numba.core import event
+
+    class Listener(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            _watch.begun()
+
+        def on_end(self, event: event.Event) -> None:
+            _watch.ended()
+
+    with _lock:
+        if _watch is None:
+            _watch = _Watch()
+            event.register("numba:compile", Listener())
+
+
+class _Watch:
+    """What was compiled so far. Numba lets one thread compile at a time, and so speak to this.
+
+    Kernels that a kernel calls are compiled within it.
+    """
+
+    said_once = False
+
+    def __init__(self) -> None:
+        self.depth = self.kernels = 0
+        self.seconds = self.start = self.told = 0.0
+        self.showing = False
+
+    def begun(self) -> None:
+        now = time.perf_counter()
+        if self.depth == 0:
+            self.start = now
+        self.depth += 1
+        self.kernels += 1
+        spent = self.seconds + now - self.start
+        if spent >= SILENT and now - self.told >= AGAIN:
+            self.told, self.showing = now, True
+            self._say(
+                "compiling kernels for this processor, once, a minute or two: "
+                f"{self.kernels} in {spent:.0f} s"
+            )
+
+    def ended(self) -> None:
+        self.depth -= 1
+        if self.depth == 0:
+            self.seconds += time.perf_counter() - self.start
+            if self.showing:
+                self.showing = False
+                self._say("")
+
+    def _say(self, text: str) -> None:
+        tell = _tell.get()
+        if tell is not None:
+            tell(text)
+        elif text and not _Watch.said_once:
+            _Watch.said_once = True
+            _log.warning("compiling kernels for this processor, once; it takes a minute or two")

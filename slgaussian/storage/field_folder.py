@@ -1,0 +1,209 @@
+"""The one form in which a field is kept: a folder of a few files, each an artifact of a store too.
+
+``field.json`` says what the folder is, what made it, where its cameras are and which content the
+other files have, whose data specs are called as they are. A run keeps the same files in its store;
+its output folder has links to them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slgaussian import __version__
+from slgaussian.errors import InputError, SpecError
+from slgaussian.formats import strict_json
+from slgaussian.scene import Camera
+from slgaussian.storage.specs import load_spec, mismatch
+from slgaussian.storage.store import Arrays, arrays_digest, decode, is_digest, replacing_folder
+
+FORMAT = 1
+"""Version of the folder: what its files are and mean. One without a number was made before."""
+
+ABOUT = "field.json"
+FILES = {"gaussians": "gaussians.npz", "bank": "bank.npz", "objects": "objects.parquet"}
+"""The other files, by data spec."""
+
+WHAT = (
+    "A semantic field: 3D Gaussians that carry ID codes (gaussians.npz), the memory bank that says "
+    "what the codes mean (bank.npz), and its objects (objects.parquet). Cameras are those of the "
+    "context views: K in pixels, pixel centres at +0.5; c2w camera-to-world, OpenCV axes (x right, "
+    "y down, z forward), scene units. Open it with slgaussian query, render or export, or with "
+    "slgaussian.SemanticField.load."
+)
+AGAIN = "build the field again"
+
+
+@dataclass(frozen=True, eq=False)
+class About:
+    """What ``field.json`` says of a field, wherever it is: the same of the same field.
+
+    Attributes
+    ----------
+    settings : mapping
+        Names and settings of every part that made it, files by content.
+    cameras : mapping str -> Camera
+        The context cameras by view name.
+    digests : {spec: SHA-256}
+        Of what the other files hold, as :func:`slgaussian.storage.store.packed` gives it.
+    """
+
+    settings: Mapping[str, Any]
+    cameras: Mapping[str, Camera]
+    digests: Mapping[str, str]
+
+    def to_json(self, places: Mapping[str, str] | None = None) -> str:
+        """The text of the file; ``places`` are those of the encoder's files on this machine."""
+        cameras = {
+            name: {
+                "K": camera.K.tolist(),
+                "c2w": camera.c2w.tolist(),
+                "width": camera.width,
+                "height": camera.height,
+                "near": camera.near,
+                "far": camera.far,
+            }
+            for name, camera in self.cameras.items()
+        }
+        content = {
+            "format": FORMAT,
+            "what": WHAT,
+            "made_by": f"slgaussian {__version__}",
+            "settings": json.loads(json.dumps(dict(self.settings), sort_keys=True)),
+            "cameras": cameras,
+            "files": {FILES[spec]: digest for spec, digest in self.digests.items()},
+            "places": {key: str(place) for key, place in (places or {}).items()},
+        }
+        return json.dumps(content, indent=1) + "\n"
+
+    @staticmethod
+    def from_json(text: str | bytes, file: str) -> tuple[About, dict[str, str]]:
+        """Inverse of :meth:`to_json`, with the places.
+
+        Raises
+        ------
+        SpecError
+            Naming ``file``, if it is damaged or of another version of the format.
+        """
+        try:
+            content = strict_json.parse(text)
+            version, maker = content.get("format"), content.get("made_by")
+            if version != FORMAT:
+                found = "none" if version is None else repr(version)[:40]
+                by = f", made by {maker:.60}" if isinstance(maker, str) else ""
+                raise mismatch(file, "format", f"{found}{by}", f"{FORMAT}; {AGAIN}")
+            cameras = {
+                name: Camera(**{**own, "K": np.array(own["K"]), "c2w": np.array(own["c2w"])})
+                for name, own in content["cameras"].items()
+            }
+            settings, places = dict(content["settings"]), dict(content["places"])
+            settings["encoder"], settings.get(settings["encoder"], {}).items()
+            if not all(isinstance(place, str) for place in places.values()):
+                raise ValueError("a place is no text")
+            digests = {spec: content["files"][name] for spec, name in FILES.items()}
+            if not all(map(is_digest, digests.values())):
+                raise ValueError("a digest is none")
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
+        return About(settings, cameras, digests), places
+
+
+def write(path: Path, text: str, fill: Callable[[str, Path], None]) -> None:
+    """Write a folder: complete, or not at all. A field that is there already is replaced.
+
+    Parameters
+    ----------
+    path : path
+    text : str
+        ``field.json``, of :meth:`About.to_json`.
+    fill : callable
+        Given a spec of :data:`FILES` and a path, makes that file.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written, or holds something that is not a field.
+    """
+    check_target(path)
+    with replacing_folder(path) as draft:
+        for spec, name in FILES.items():
+            fill(spec, draft / name)
+        (draft / ABOUT).write_text(text, "utf-8")
+
+
+def read_about(path: Path) -> tuple[About, dict[str, str]]:
+    """What ``field.json`` in folder ``path`` says, and where the encoder's files are.
+
+    Raises
+    ------
+    SpecError
+        If there is none, it is damaged, or of another version of the format.
+    """
+    file = path / ABOUT
+    if not file.is_file():
+        raise SpecError(
+            f"{path}: no {ABOUT} there, expected a folder that `slgaussian field` or a run (under "
+            "fields/ of its results) or SemanticField.save wrote"
+        )
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
+    return About.from_json(text, str(file))
+
+
+def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
+    """The arrays of one file of folder ``path``; SpecError if they are not of this digest."""
+    file, rules = path / FILES[spec], load_spec(spec)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
+    arrays = decode(data, rules, str(file), repair=AGAIN)
+    rules.check_arrays(arrays, str(file))
+    found = arrays_digest(arrays)
+    if found != digest:
+        expected = f"{digest[:12]} as {ABOUT} says: it was changed, or is of another field; {AGAIN}"
+        raise mismatch(str(file), "digest", f"content {found[:12]}", expected)
+    return arrays
+
+
+def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
+    """Make the parents of ``path`` and see that a field may be written there.
+
+    Or another folder that is known by the file ``marker`` in it; ``what`` names it.
+
+    Call it before the work, so that hours are not lost to a folder that cannot be written.
+
+    Raises
+    ------
+    InputError
+        If a parent cannot be made or written, or ``path`` holds something that is no such folder.
+    """
+    check_free(path, marker, what)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def check_free(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
+    """Raise :class:`InputError` if ``path`` holds something that is not ``what``."""
+    empty = path.is_dir() and not any(path.iterdir())
+    if path.exists() and not (path / marker).is_file() and not empty:
+        raise InputError(f"{path}: exists and is not {what}; choose another folder, or remove it")
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, on "
+        "a disk with room"
+    )

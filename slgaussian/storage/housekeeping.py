@@ -1,0 +1,271 @@
+"""What lies in a store: how much of what, what is damaged, and what nothing refers to any more.
+
+Files are gone through folder by folder, so memory does not go with their number, except for some
+hundred bytes for each artifact that a record names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.storage.records import FOLDER, Record, Records
+from slgaussian.storage.remote import troubles
+from slgaussian.storage.specs import spec_names
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, File, address
+
+Tell = Callable[[str, int, int], None]
+"""Called with what is being gone through, how many files of it were, and their bytes."""
+
+SIDE_BY_SIDE = 4
+"""Artifacts of a store elsewhere that are read at the same time: each may take 100 MB of memory."""
+
+_UNFINISHED = re.compile(r".*/\.[^/]+\.tmp|\.probe-[0-9a-f]{32}")
+_OURS = {"", FOLDER, "digests", *spec_names()}
+
+
+@dataclass
+class Garbage:
+    """What nothing refers to, and was written before the age asked for.
+
+    Attributes
+    ----------
+    artifacts, records, unfinished, uploads : int
+        Artifacts that no record names; records of other versions of a stage, and unreadable ones;
+        files and uploads in parts that a killed program left.
+    bytes : int
+        Of all the files among them.
+    kept, young : int
+        Artifacts that are referred to, and those that are not but are too young.
+    """
+
+    artifacts: int = 0
+    records: int = 0
+    unfinished: int = 0
+    uploads: int = 0
+    bytes: int = 0
+    kept: int = 0
+    young: int = 0
+
+
+def collect(
+    store: ArtifactStore,
+    age: float,
+    versions: Mapping[str, int] | None = None,
+    keep: Collection[Path] = (),
+    delete: bool = False,
+    tell: Tell = lambda *_: None,
+) -> Garbage:
+    """Find, and with ``delete`` remove, what nothing in a store refers to.
+
+    What a record under ``keys/`` names stays, with its parts. A file that was written less than
+    ``age`` seconds ago, by the clock of the store, stays too: a run writes what it makes before
+    the record that names it, and always anew, whether it is there or not. Should a run still miss
+    something, it makes it again.
+
+    Parameters
+    ----------
+    store : ArtifactStore
+    age : float
+        Seconds.
+    versions : dict, optional
+        Versions of the stages as they are now. Records of others of these stages, which this
+        installation never reads, are then garbage too, with what only they name.
+    keep : paths
+        Parquet tables with a column ``uri``, such as ``lessons.parquet``: what they name stays.
+
+    Raises
+    ------
+    InputError
+        If the store cannot be read or written, or a table of ``keep`` is none.
+    """
+    bound = store.clock() - age
+    found = Garbage()
+    kept = {_name(uri) for table in keep for uri in _uris_of(table)}
+    for record in _records(store, tell):
+        old = record.file.written < bound
+        other = (versions or {}).get(record.stage, record.version) != record.version
+        if old and (record.ref is None or other):
+            found.records += 1
+            found.bytes += record.file.size
+            if delete:
+                store.remove([record.file.uri])
+        elif record.ref is not None:
+            kept.update(map(_name, record.named))
+    for files in store.walk():
+        gone = []
+        for file in files:
+            if _UNFINISHED.fullmatch(file.uri) and _top(file) in _OURS:
+                if file.written < bound:
+                    found.unfinished += 1
+                    gone.append(file)
+            elif ref_of(file) is None:
+                continue  # nobody knows whose it is
+            elif _name(file.uri) in kept:
+                found.kept += 1
+            elif file.written >= bound:
+                found.young += 1
+            else:
+                found.artifacts += 1
+                gone.append(file)
+        found.bytes += sum(file.size for file in gone)
+        if delete:
+            store.remove([file.uri for file in gone])
+        tell("artifacts", len(files), sum(file.size for file in files))
+    found.uploads = _abandoned_uploads(store, bound, delete)
+    return found
+
+
+@dataclass
+class Damage:
+    """What a look at all artifacts found.
+
+    Attributes
+    ----------
+    sound : int
+        Artifacts that are what they should be.
+    damaged : dict
+        Sentence by path, of artifacts and records that are not.
+    missing : int
+        Artifacts that a record names and that are not there: they are made when asked for.
+    superseded : int
+        Artifacts that are not what their specs say now and that only stages of other versions made:
+        nothing reads them any more.
+    """
+
+    sound: int = 0
+    damaged: dict[str, str] = field(default_factory=dict)
+    missing: int = 0
+    superseded: int = 0
+
+
+def verify(
+    store: ArtifactStore,
+    remove: bool = False,
+    versions: Mapping[str, int] | None = None,
+    tell: Tell = lambda *_: None,
+) -> Damage:
+    """Read every artifact and record of a store, and compare them with their specs and digests.
+
+    With ``remove`` those that are damaged are deleted, so that the next run that asks for one makes
+    it again. ``versions`` are those of the stages as they are now, as for :func:`collect`.
+    InputError if the store cannot be read, or not written with ``remove``.
+    """
+    found = Damage()
+    there: set[bytes] = set()
+    in_use: dict[str, bool] = {}
+
+    def look(file: File) -> str | None:
+        ref = ref_of(file)
+        if ref is None:
+            return None
+        try:
+            store.understood(ref, store.read(file.uri))
+        except SpecError as error:
+            return str(error)
+        return ""
+
+    for files in store.walk():
+        for start in range(0, len(files), SIDE_BY_SIDE):
+            some = files[start : start + SIDE_BY_SIDE]
+            for file, bad in zip(some, store.at_once(look, some), strict=True):
+                if bad:
+                    found.damaged[file.uri] = bad
+                elif bad is not None:
+                    found.sound += 1
+                    there.add(_name(file.uri))
+            tell("artifacts", len(some), sum(file.size for file in some))
+    for record in _records(store, tell):
+        if record.ref is None:
+            place = f"{store.root}/{record.file.uri}"
+            found.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
+        else:
+            missing = (_name(uri) not in there and uri not in found.damaged for uri in record.named)
+            found.missing += sum(missing)
+            current = (versions or {}).get(record.stage, record.version) == record.version
+            for uri in found.damaged.keys() & set(record.named):
+                in_use[uri] = in_use.get(uri, False) or current
+    for uri, used in in_use.items():
+        if not used:
+            del found.damaged[uri]
+            found.superseded += 1
+    if remove:
+        store.remove(found.damaged)
+    return found
+
+
+def usage(store: ArtifactStore, tell: Tell = lambda *_: None) -> dict[tuple[str, str], list[int]]:
+    """Number of files and their bytes, by top folder of a store and by stage.
+
+    A top folder is a spec, or ``keys`` and the like. Of artifacts that several stages made, the
+    last by name and version counts; ``""`` stands for none. InputError if the store cannot be read.
+    """
+    rows: dict[tuple[str, str], list[int]] = {}
+    makers: dict[bytes, str] = {}
+    for record in _records(store, tell):
+        for uri in record.named:
+            makers[_name(uri)] = f"{record.stage} v{record.version}"
+    for files in store.walk():
+        for file in files:
+            maker = "" if ref_of(file) is None else makers.get(_name(file.uri), "")
+            row = rows.setdefault((_top(file), maker), [0, 0])
+            row[0] += 1
+            row[1] += file.size
+        tell("files", len(files), sum(file.size for file in files))
+    return dict(sorted(rows.items()))
+
+
+def ref_of(file: File) -> ArtifactRef | None:
+    """The ref of the artifact that a file is by its path; None if it is something else."""
+    spec, digest = _top(file), file.uri.rpartition("/")[2].partition(".")[0]
+    known = spec in spec_names() and file.uri == address(spec, digest) and len(digest) == 64
+    return ArtifactRef(spec, file.uri, digest) if known else None
+
+
+def _records(store: ArtifactStore, tell: Tell) -> Iterator[Record]:
+    for records in Records(store).all():
+        yield from records
+        tell("records", len(records), sum(record.file.size for record in records))
+
+
+def _top(file: File) -> str:
+    return file.uri.partition("/")[0] if "/" in file.uri else ""
+
+
+def _name(uri: str) -> bytes:
+    """What tells artifacts apart, in few bytes: there may be millions."""
+    return uri.rpartition("/")[2].partition(".")[0].encode()
+
+
+def _uris_of(table: Path) -> list[str]:
+    try:
+        return pq.read_table(table, columns=["uri"])["uri"].to_pylist()
+    except (OSError, pa.ArrowException, KeyError) as error:
+        raise InputError(
+            f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
+        ) from error
+
+
+def _abandoned_uploads(store: ArtifactStore, bound: float, delete: bool) -> int:
+    """How many uploads in parts were begun before ``bound`` and are not done; S3 bills for them."""
+    if not hasattr(store.fs, "list_multipart_uploads"):
+        return 0
+    bucket, _, prefix = store.path.partition("/")
+    count = 0
+    try:
+        for upload in store.fs.list_multipart_uploads(bucket):
+            own = upload["Key"].startswith(f"{prefix}/" if prefix else "")
+            if own and upload["Initiated"].timestamp() < bound:
+                count += 1
+                if delete:
+                    named = {"Key": upload["Key"], "UploadId": upload["UploadId"]}
+                    store.fs.call_s3("abort_multipart_upload", Bucket=bucket, **named)
+    except troubles():
+        pass  # a right of its own, which a user of the bucket may not have
+    return count

@@ -1,0 +1,108 @@
+"""Which work made which artifact: small JSON files under ``keys/`` in a store.
+
+They are in the store itself, so that every process and machine that uses it finds what another has
+made. They are read as JSON and checked: nobody who may write to the store can have code run.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from slgaussian.errors import SpecError
+from slgaussian.formats import strict_json
+from slgaussian.storage.specs import spec_names
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, File, address, is_digest
+
+FOLDER = "keys"
+_FILE = re.compile(r"keys/(?P<stage>[^/]+)/v(?P<version>\d+)/[0-9a-f]{2}/[0-9a-f]{64}\.json")
+
+
+@dataclass(frozen=True)
+class Record:
+    """A file under ``keys/``: the stage, its version, and the ref; None if it cannot be read."""
+
+    file: File
+    stage: str
+    version: int
+    ref: ArtifactRef | None
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Paths of the artifacts that it names: the one that was made, and the parts of that."""
+        return () if self.ref is None else (self.ref.uri, *self.ref.meta.get("parts", ()))
+
+
+class Records:
+    """The records of a store, by the keys of :func:`tasks.keys.cache_key`."""
+
+    def __init__(self, store: ArtifactStore) -> None:
+        self.store = store
+
+    def find(self, key: str) -> ArtifactRef | None:
+        """What the work of this key made, if that is still there (:meth:`ArtifactStore.check`).
+
+        A record or an artifact that is lost or damaged is none: the work is done again. A file
+        whose size and time are still those of the record is taken to be as it was; whoever reads it
+        compares its digest anyway. InputError if the store does not answer.
+        """
+        try:
+            ref, stamp = _parse(self.store.read(_place(key)))
+            if ref is None:
+                return None
+            if stamp is not None and stamp == self.store.stamp(ref.uri):
+                self.store.check_parts(ref)
+            else:
+                self.store.check(ref)
+                if self.store.local:
+                    self.keep(key, ref)
+        except SpecError:
+            return None
+        return ref
+
+    def keep(self, key: str, ref: ArtifactRef) -> None:
+        """Note what the work of this key made; InputError if the store cannot be written to."""
+        record = {**asdict(ref), "stamp": self.store.stamp(ref.uri)}
+        self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
+
+    def all(self) -> Iterator[list[Record]]:
+        """All records, those of a folder at a time."""
+        for files in self.store.walk([FOLDER]):
+            yield self.store.at_once(
+                self._read, [file for file in files if _FILE.fullmatch(file.uri)]
+            )
+
+    def _read(self, file: File) -> Record:
+        found = _FILE.fullmatch(file.uri)
+        try:
+            ref, _ = _parse(self.store.read(file.uri))
+        except SpecError:
+            ref = None
+        return Record(file, found["stage"], int(found["version"]), ref)
+
+
+def _place(key: str) -> str:
+    stage, version, digest = key.split("/")
+    return f"{FOLDER}/{stage}/{version}/{digest[:2]}/{digest}.json"
+
+
+def _is_below(uri: str) -> bool:
+    return not uri.startswith("/") and ".." not in uri.split("/")
+
+
+def _parse(data: bytes) -> tuple[ArtifactRef | None, Any]:
+    """The ref of a record, if it is one, and the stamp of its file."""
+    try:
+        fields = strict_json.parse(data)
+        stamp = fields.pop("stamp", None)
+        ref = ArtifactRef(**fields)
+        parts = ref.meta.get("parts", [])
+        whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
+        # Nothing outside the store is even looked at, whoever wrote the record.
+        whole = whole and is_digest(ref.digest) and all(map(_is_below, parts))
+    except (ValueError, TypeError, AttributeError):
+        return None, None
+    return (ref if whole else None), stamp

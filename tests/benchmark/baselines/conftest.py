@@ -1,0 +1,21 @@
+"""Inputs of methods: the room of the benchmark's tests, and what its views show."""
+
+from dataclasses import replace
+
+import pytest
+
+from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.masks import load_proposer
+
+
+@pytest.fixture(scope="session")
+def given(room) -> Inputs:
+    """Shared by tests that do not look at what is worked out only once."""
+    texts = tuple(sorted(room.truth["view_01"]))
+    return Inputs(room.sample, room.field, room.label_maps, load_proposer("regions"), 0, {}, texts)
+
+
+@pytest.fixture
+def fresh(given) -> Inputs:
+    """The same, with nothing worked out yet."""
+    return replace(given)

@@ -1,0 +1,343 @@
+"""What every method of the table must do, and what each of them is."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slgaussian.benchmark import metrics
+from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
+from slgaussian.benchmark.baselines import METHODS, PAPER_ABLATION, ROWS, Method, load_method
+from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.baselines.pooled import pooled
+from slgaussian.benchmark.evaluate import evaluate
+from slgaussian.build import lift_field, remember
+from slgaussian.errors import InputError
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.language.query import Rules
+from slgaussian.masks import load_proposer
+from slgaussian.parts.identity import described, places
+from slgaussian.predict import load_predictor
+
+DOCS = Path(__file__).parents[3] / "docs" / "reference" / "methods.md"
+
+
+PLAIN = "yellow wall"
+"""The largest plainly coloured thing of the room, a third of the picture."""
+
+LEAST_IOU = {
+    "lerf-like": 0.4,
+    "3d-ovs-like": 0.6,
+    "no-association": 0.3,
+    "langsplat-like": 0.6,
+}
+"""With :data:`PLAIN`; 0.7 where nothing is said. Each is 0.15 or more below what was measured."""
+
+
+QUICK = {
+    "langsplat-like": {"steps": 200},
+    "lerf-like": {"scales": (0.25, 0.5)},
+    "3d-ovs-like": {"parts": (5, 7)},
+}
+"""Less work for the same code, for tests."""
+
+
+def load_quick(name: str) -> Method:
+    row = ROWS[name]
+    return load_method(row.method, **{**row.settings, **QUICK.get(row.method, {})})
+
+
+@pytest.fixture(scope="module")
+def answering(given):
+    """Each method prepared once: a function of the row's name."""
+    made = {}
+
+    def get(name: str) -> Answering:
+        if name not in made:
+            made[name] = load_quick(name)(given)
+        return made[name]
+
+    return get
+
+
+@pytest.fixture(scope="module")
+def view_of(answering, room):
+    views = {}
+
+    def get(name: str) -> AnsweringView:
+        if name not in views:
+            views[name] = answering(name).render(room.sample.targets[0].camera)
+        return views[name]
+
+    return get
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_answers_through_the_interface(name, answering, view_of):
+    assert isinstance(answering(name), Answering)
+    view = view_of(name)
+    assert isinstance(view, AnsweringView) and isinstance(view.reader, Reader)
+    shape = view.rgb.shape[:2]
+    assert view.rgb.dtype == np.uint8 and view.rgb.shape == (104, 144, 3)
+    assert view.ids.dtype == np.int32 and view.ids.shape == shape and view.ids.min() >= 0
+    assert view.depth.dtype == np.float32 and view.depth.shape == shape and view.depth.min() >= 0
+    for protocol in ("slgaussian", "langsplat"):
+        for hit in view.query_all([PLAIN, "red qqwx"], protocol=protocol):
+            assert isinstance(hit, Result)
+            assert hit.mask.dtype == bool and hit.mask.shape == shape
+            assert hit.peak.dtype == bool and hit.peak.shape == shape and hit.peak.any()
+            assert hit.relevancy.dtype == np.float32 and hit.relevancy.shape == shape
+            assert 0 <= hit.relevancy.min() <= hit.relevancy.max() <= 1
+            x, y = hit.point
+            assert 0 <= x < shape[1] and 0 <= y < shape[0]
+            assert hit.score == pytest.approx(hit.relevancy.max(), abs=1e-6)
+            assert set(dict(hit.objects)) <= set(np.unique(view.ids)) - {0}
+    assert [hit.text for hit in view.query_all([PLAIN, "red qqwx"])] == [PLAIN, "red qqwx"]
+    assert view.query_all(["red qqwx"])[0].unknown == ("qqwx",)
+    assert view.reader.unknown_words("red qqwx") == ("qqwx",)
+    labels = view.segment([PLAIN, "wooden floor"])
+    assert labels.dtype == np.int32 and set(np.unique(labels)) <= {0, 1, 2}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_refuses_what_it_cannot_answer(name, view_of):
+    view = view_of(name)
+    for texts in ([], "yellow wall", ["qqwx"]):
+        with pytest.raises(InputError):
+            view.query_all(texts)
+        with pytest.raises(InputError):
+            view.segment(texts)
+    with pytest.raises(InputError, match="temperature"):
+        view.query_all([PLAIN], temperature=0.0)
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
+    # The nearest view answers in its own picture, in which the wall is a little elsewhere.
+    (hit,) = view_of(name).query_all([PLAIN])
+    mask = room.truth["view_01"][PLAIN]
+    assert metrics.point_in_mask(hit.point, mask)
+    assert metrics.iou(hit.mask, mask) > LEAST_IOU.get(name, 0.7)
+    # And not by taking everything.
+    assert hit.mask.mean() < 0.75
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_a_threshold_takes_what_is_above_it(name, view_of):
+    view = view_of(name)
+    (hit,) = view.query_all([PLAIN], threshold=0.52)
+    sure = np.abs(hit.relevancy - 0.52) > 1e-6  # relevancy is rounded to float32
+    assert np.array_equal(hit.mask[sure], hit.relevancy[sure] > 0.52)
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
+    again = load_quick(name)(fresh).render(room.sample.targets[0].camera)
+    once = view_of(name)
+    for kind in ("rgb", "ids", "depth"):
+        assert getattr(again, kind).tobytes() == getattr(once, kind).tobytes()
+    texts = list(room.truth["view_01"])
+    for a, b in zip(again.query_all(texts), once.query_all(texts), strict=True):
+        assert a.relevancy.tobytes() == b.relevancy.tobytes()
+        assert a.mask.tobytes() == b.mask.tobytes()
+        assert (a.point, a.score, a.objects) == (b.point, b.score, b.objects)
+    assert again.segment(texts).tobytes() == once.segment(texts).tobytes()
+
+
+@pytest.mark.parametrize("name", ["lerf-like", "query-2d"])
+def test_methods_are_evaluated_as_the_field_is(name, answering, room):
+    result = evaluate(answering(name), room.sample, room.label_maps, room.truth, method=name)
+    assert {row["method"] for row in result.rows} == {name}
+    assert {row["query"] for row in result.rows} == set(room.truth["view_01"])
+    leading = [row for row in result.rows if row["protocol"].startswith("slgaussian@")]
+    assert 0.2 < np.mean([row["iou"] for row in leading]) < 1
+
+
+def test_every_row_loads_with_its_settings():
+    for name in ROWS:
+        assert ROWS[name].load() == load_method(ROWS[name].method, **ROWS[name].settings)
+
+
+def test_rules_of_a_row_are_rules_of_a_query():
+    for row in ROWS.values():
+        assert asdict(Rules(**row.rules)).items() >= row.rules.items()
+
+
+def test_the_table_is_complete_and_described():
+    assert {row.method for row in ROWS.values()} == set(METHODS)
+    assert set(PAPER_ABLATION.values()) - {None} <= set(ROWS)
+    text = DOCS.read_text()
+    for name, row in ROWS.items():
+        assert f"`{name}`" in text
+        # What is like another method says that it is not that one.
+        assert row.method.endswith("-like") == row.about.startswith("not ")
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "reason"),
+    [
+        ("lseg", {}, "unknown method"),
+        ("slgaussian", {"lifting": "soft"}, "lifting: found 'soft'"),
+        ("slgaussian", {"codes": "random"}, "codes: found 'random'"),
+        ("slgaussian", {"seed": 1}, "settings of 'slgaussian'"),
+        ("langsplat-like", {"steps": 0}, "steps: found 0"),
+        ("lerf-like", {"scales": ()}, "scales"),
+        ("lerf-like", {"scales": (0.1, 1.5)}, "scales"),
+        ("3d-ovs-like", {"parts": (5, 0)}, "parts"),
+        ("3d-ovs-like", {"stride": 0.0}, "stride"),
+    ],
+)
+def test_bad_settings_are_refused(name, settings, reason):
+    with pytest.raises(InputError, match=reason):
+        load_method(name, **settings)
+
+
+def test_the_field_itself_is_not_built_again(answering, room):
+    assert answering("slgaussian") is room.field
+    assert answering("slgaussian, exact").bank.dimension == 0
+    same = answering("slgaussian, exact")
+    assert np.array_equal(same.bank.features, room.field.bank.features)
+    assert same.encoder is room.field.encoder
+
+
+def test_without_association_no_object_is_in_two_views(answering, given):
+    bank = answering("no-association").bank
+    assert (bank.present.sum(1) == 1).all()
+    ids = [set(np.unique(labels)) - {0} for labels in given.own_labels.labels]
+    assert len(ids) == 2 and not ids[0] & ids[1]
+    assert sorted(ids[0] | ids[1]) == bank.ids.tolist() == list(range(1, len(bank) + 1))
+
+
+def test_without_the_bank_an_object_has_the_mean_of_its_views(answering, room):
+    bank, mean = room.field.bank, answering("no-bank").bank
+    assert mean.present.shape == (len(bank), 1)
+    for k in range(len(bank)):
+        vectors = bank.features[k][bank.present[k]].astype(np.float64)
+        expected = vectors.mean(0) / np.linalg.norm(vectors.mean(0))
+        # Half precision: 2^-11 of the largest entry, which is below 1.
+        np.testing.assert_allclose(mean.features[k, 0], expected, atol=2**-11)
+
+
+def test_opposite_views_do_not_cancel_to_nothing():
+    features = np.zeros((2, 2, 3), np.float32)
+    features[0, 0, 0], features[0, 1, 0], features[1, 1, 2] = 1, -1, 1
+    present = np.array([[True, True], [False, True]])
+    ids, codes = np.array([1, 2], np.int32), np.zeros((2, 0), np.float32)
+    mean = pooled(MemoryBank(ids, codes, features, present))
+    assert mean.features[:, 0].tolist() == [[1, 0, 0], [0, 0, 1]]
+
+
+def test_zero_vectors_lift_what_one_view_lacks(room):
+    bank = room.field.bank
+    once = bank.present.copy()
+    once[:, 1] = False
+    once[0] = True
+    features = np.where(once[..., None], bank.features, 0).astype(np.float32)
+    partial = replace(bank, features=features, present=once, boxes=None)
+    partial = replace(partial, levels=None, group_features=None)
+    field = room.field.changed(bank=partial)
+    view = field.render(room.sample.targets[0].camera)
+    for text in room.truth["view_01"]:
+        (a,) = view.query_all([text])
+        (b,) = view.query_all([text], **ROWS["absent-zero"].rules)
+        expected = np.where(once.all(1), a.scores, np.maximum(a.scores, 0.5))
+        np.testing.assert_array_equal(b.scores, expected)
+
+
+def test_the_nearest_photograph_answers_for_itself(answering, room):
+    for k, view in enumerate(room.sample.context):
+        seen = answering("nearest-view").render(view.camera)
+        assert np.array_equal(seen.rgb, view.image)
+        assert np.array_equal(seen.ids, room.label_maps.labels[k])
+        assert not seen.depth.any()
+        # Only what this view says counts.
+        own = room.field.bank.features[:, k]
+        assert np.array_equal(seen.field.bank.features[:, 0], own)
+    large = room.sample.context[1].camera.resized(288, 208)
+    seen = answering("nearest-view").render(large)
+    assert seen.rgb.shape == (208, 288, 3)
+    assert np.array_equal(seen.ids[::2, ::2], room.label_maps.labels[1])
+
+
+def test_the_2d_query_looks_at_the_rendered_picture(view_of, room):
+    view = view_of("query-2d")
+    rendered = room.field.render(room.sample.targets[0].camera)
+    assert np.abs(view.rgb.astype(int) - rendered.rgb).max() <= 1
+    assert np.array_equal(view.ids > 0, rendered.alpha >= 0.5)
+    assert len(np.unique(view.ids)) > 3
+
+
+def test_the_2d_query_of_an_empty_picture_finds_nothing(answering, room):
+    camera = room.sample.targets[0].camera
+    away = camera.c2w.copy()
+    away[:3, 3] -= 100 * camera.c2w[:3, 2]
+    away[:3, :3] = away[:3, :3] @ np.diag([-1.0, 1, -1])
+    for name in ("query-2d", "query-2d, depth", "lerf-like", "langsplat-like"):
+        view = answering(name).render(replace(camera, c2w=away))
+        assert not view.rgb.any()
+        for protocol in ("slgaussian", "langsplat"):
+            (hit,) = view.query_all([PLAIN], protocol=protocol)
+            assert hit.point is None and hit.score == 0 and hit.objects == ()
+            assert not hit.mask.any() and not hit.relevancy.any() and not hit.peak.any()
+        assert not view.segment([PLAIN, "wooden floor"]).any()
+
+
+def test_association_alone_changes_the_masks_of_the_codes(view_of, room):
+    # Truth is what the labels of this room are: with them, borders follow objects.
+    scores = []
+    for name in ("langsplat-like", "langsplat-like, association"):
+        hits = view_of(name).query_all(["red carpet", PLAIN])
+        masks = [room.truth["view_01"][hit.text] for hit in hits]
+        scores.append(np.mean([metrics.iou(h.mask, m) for h, m in zip(hits, masks, strict=True)]))
+    assert scores[1] > scores[0]
+
+
+def test_codes_say_nothing_where_there_was_no_mask(fresh, room):
+    labels = room.label_maps.labels.copy()
+    labels[labels == labels[0, 0, 0]] = 0
+    maps = replace(room.label_maps, labels=labels)
+    method = load_method("langsplat-like", association=True, steps=20)
+    view = method(replace(fresh, label_maps=maps)).render(room.sample.context[0].camera)
+    missing = labels[0] == 0
+    assert 0.05 < missing.mean() < 0.9
+    # But for borders, where Gaussians reach over.
+    assert (view.seen != missing).mean() > 0.95
+    (hit,) = view.query_all(["red carpet"])
+    assert not hit.relevancy[~view.seen].any()
+
+
+def test_a_closed_list_is_needed_only_to_compete_with(fresh, room):
+    camera = room.sample.targets[0].camera
+    method = load_method("3d-ovs-like", parts=(5,))
+    listed = method(replace(fresh, classes=(*fresh.classes, "qqwx"))).render(camera)
+    assert listed.classes == fresh.classes  # of a word that nobody knows nothing can be said
+    free = method(replace(fresh, classes=())).render(camera)
+    assert np.array_equal(listed.vectors, free.vectors)  # one scale: nothing to choose
+    texts = sorted(room.truth["view_01"])
+    won = listed.segment(texts)
+    for k, hit in enumerate(listed.query_all(texts), start=1):
+        # A text has the pixels that it wins over the rest of the list.
+        assert np.array_equal(hit.mask, won == k)
+    assert not np.array_equal(free.query_all([PLAIN])[0].mask, hit.mask)
+
+
+def test_every_row_works_with_another_encoder(room, tmp_path_factory):
+    pytest.importorskip("transformers")
+    from tests.language.small_clip import save_clip
+
+    model = save_clip(tmp_path_factory.mktemp("methods") / "clip")
+    sample = room.sample.resized(64, 64)
+    labels = np.stack([view.instances for view in sample.context])
+    label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    gaussians = load_predictor("planesweep")(sample)
+    settings = {"clip": {"model": str(model)}}
+    bank = remember(sample, gaussians, label_maps, "clip", "separated", 0, settings)
+    about = {"encoder": "clip", **described(settings)}
+    field = lift_field(sample, gaussians, label_maps, bank, "hard", about, places(settings["clip"]))
+    inputs = Inputs(sample, field, label_maps, load_proposer("regions"))
+    for name in ROWS:
+        made = load_quick(name)(inputs)
+        (hit,) = made.render(sample.targets[0].camera).query_all(["red ball"])
+        assert hit.relevancy.shape == (64, 64) and hit.point is not None

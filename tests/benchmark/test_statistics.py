@@ -1,0 +1,105 @@
+"""Things are told apart only beyond noise."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.benchmark.statistics import (
+    DRAWS,
+    LEAST,
+    LEVEL,
+    compare,
+    interval_of_mean,
+    resamplings,
+    totals,
+)
+from slgaussian.errors import InputError
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=30), st.floats(-0.5, 0.5))
+def test_a_constant_gain_is_certain(scores, gain):
+    found = compare([s + gain for s in scores], scores)
+    assert found.difference == pytest.approx(gain, abs=1e-9)
+    assert found.low == pytest.approx(gain, abs=1e-9)
+    assert found.high == pytest.approx(gain, abs=1e-9)
+    assert found.samples == len(scores)
+
+
+def test_the_interval_is_that_of_the_mean():
+    """For many samples 1.96 standard errors to both sides; 10,000 draws: measured 2 % off."""
+    gains = np.random.default_rng(0).normal(0.03, 0.1, 400)
+    found = compare(gains, np.zeros(400))
+    error = gains.std() / 20
+    assert found.low == pytest.approx(gains.mean() - 1.96 * error, abs=0.1 * error)
+    assert found.high == pytest.approx(gains.mean() + 1.96 * error, abs=0.1 * error)
+    assert compare(gains, np.zeros(400)) == found
+    swapped = compare(np.zeros(400), gains)
+    assert swapped.low == pytest.approx(-found.high)
+
+
+def test_samples_without_a_score_are_left_out():
+    found = compare([0.5, np.nan, 0.7], [0.4, 0.2, np.nan])
+    assert found.samples == 1
+    with pytest.raises(InputError, match="no sample that both were judged on"):
+        compare([np.nan], [0.1])
+    with pytest.raises(InputError, match="found 1 and 2 scores"):
+        compare([0.1], [0.1, 0.2])
+
+
+def test_the_interval_is_that_of_plain_resampling():
+    """One mean after another, of the same draws."""
+    values = np.random.default_rng(1).random(7)
+    means = [sum(values[i] for i in chosen) / 7 for chosen in resamplings(7).tolist()]
+    means.sort()
+    low, high = interval_of_mean(values)
+    assert low == pytest.approx(means[round(0.025 * (DRAWS - 1))], abs=1e-3)
+    assert high == pytest.approx(means[round(0.975 * (DRAWS - 1))], abs=1e-3)
+    assert resamplings(7).min() == 0 and resamplings(7).max() == 6
+    assert not np.array_equal(resamplings(7, seed=1), resamplings(7))
+
+
+def test_fewer_samples_than_are_needed_can_all_gain_by_chance():
+    """What is as often worse as better gains n times of n once in 2^n: five are too few."""
+    assert LEVEL == 0.95
+    assert 2.0**-LEAST <= (1 - LEVEL) / 2 < 2.0 ** (1 - LEAST)
+
+
+def test_groups_are_drawn_whole():
+    """Against plain loops over the same draws of groups, each value of which counts alike.
+
+    Of so many groups no end of the interval is that of one group drawn again and again, whose mean
+    is its own however values are weighed.
+    """
+    groups = list("babccbadefgggggg")
+    values = np.random.default_rng(2).random(len(groups)) + (np.array(groups) == "g")
+    order = list("bacdefg")
+    own = {name: values[np.array(groups) == name] for name in order}
+    means, unweighted = [], []
+    for chosen in resamplings(7).tolist():
+        drawn = np.concatenate([own[order[k]] for k in chosen])
+        means.append(drawn.mean())
+        unweighted.append(np.mean([own[order[k]].mean() for k in chosen]))
+    low, high = np.quantile(means, [0.025, 0.975])
+    assert interval_of_mean(values, groups=groups) == pytest.approx((low, high), abs=1e-12)
+    assert abs(high - np.quantile(unweighted, 0.975)) > 0.1
+    assert totals(values, groups)[1] == pytest.approx(values[1] + values[6])
+
+
+def test_a_difference_is_that_of_every_sample_and_its_interval_that_of_groups():
+    gains = [0.9] * 6 + [0.0, 0.1, 0.2, 0.0, 0.1, 0.2]
+    groups = ["large"] * 6 + list("abcdef")
+    found = compare(gains, np.zeros(12), groups=groups)
+    assert found.difference == pytest.approx(np.mean(gains))
+    assert (found.low, found.high) == interval_of_mean(np.array(gains), groups=groups)
+    alone = compare(gains, np.zeros(12))
+    assert found.high - found.low > 1.3 * (alone.high - alone.low)
+
+
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))
+def test_samples_that_are_there_several_times_make_nothing_surer(values, copies):
+    once = compare(values, [0.0] * len(values))
+    groups = [k for k in range(len(values)) for _ in range(copies)]
+    again = compare([v for v in values for _ in range(copies)], [0.0] * len(groups), 0, groups)
+    assert (again.low, again.high) == pytest.approx((once.low, once.high), abs=1e-12)
+    assert (again.samples, again.drawn) == (copies * len(values), len(values))

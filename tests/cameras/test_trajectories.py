@@ -1,0 +1,166 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from slgaussian.cameras.trajectories import ROUND, between, orbit
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+K = np.array([[300.0, 0, 160], [0, 310, 120], [0, 0, 1]])
+WALL = np.stack(np.meshgrid(*2 * [np.linspace(-3, 3, 21)], [5.0]), -1).reshape(-1, 3)
+"""Points of a plane 5 before a camera at the origin."""
+
+numbers = st.floats(-3, 3, allow_nan=False)
+shares = st.floats(0, 1)
+
+
+@st.composite
+def poses(draw):
+    """Any orientation, as a quaternion of either sign, and position."""
+    quaternion = np.array(draw(st.tuples(*4 * [numbers])))
+    assume(np.linalg.norm(quaternion) > 0.1)
+    c2w = np.eye(4)
+    c2w[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    c2w[:3, 3] = draw(st.tuples(*3 * [numbers]))
+    return c2w
+
+
+def camera(c2w=None, **changes) -> Camera:
+    return replace(Camera(K, np.eye(4) if c2w is None else c2w, 320, 240), **changes)
+
+
+def at(x=0.0, y=0.0, z=0.0, turned=0.0) -> Camera:
+    """A camera at a place, turned to the left by degrees."""
+    c2w = np.eye(4)
+    c2w[:3, :3] = Rotation.from_euler("y", -turned, degrees=True).as_matrix()
+    c2w[:3, 3] = x, y, z
+    return camera(c2w)
+
+
+def angle(a: Camera, b: Camera) -> float:
+    return Rotation.from_matrix(a.c2w[:3, :3].T @ b.c2w[:3, :3]).magnitude()
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses(), poses(), shares, st.floats(0.5, 2))
+def test_between_is_a_rigid_pose_on_the_way_the_same_from_either_end(first, second, t, zoom):
+    a, b = camera(first), camera(second, K=K * [[zoom], [zoom], [1]])
+    assume(angle(a, b) < np.pi - 1e-3)
+    for share, end in ((0.0, a), (1.0, b)):
+        made = between(a, b, share)
+        np.testing.assert_allclose(made.c2w, end.c2w, atol=1e-9)
+        np.testing.assert_allclose(made.K, end.K, atol=1e-9)
+    made, back = between(a, b, t), between(b, a, 1 - t)
+    rotation = made.c2w[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) > 0
+    np.testing.assert_allclose(made.c2w, back.c2w, atol=1e-9)
+    np.testing.assert_allclose(made.K, back.K, atol=1e-9)
+    np.testing.assert_allclose(made.center, (1 - t) * a.center + t * b.center, atol=1e-12)
+    # It turns at an even rate, the shorter way: no detour, whatever the signs of quaternions.
+    assert angle(a, made) == pytest.approx(t * angle(a, b), abs=1e-6)
+    assert angle(made, b) == pytest.approx((1 - t) * angle(a, b), abs=1e-6)
+
+
+def test_between_two_sizes_of_picture_has_the_first_ones():
+    a, b = camera(), at(1.0).resized(640, 480)
+    np.testing.assert_allclose(between(a, b, 0.5).K, K)
+    np.testing.assert_allclose(between(b, a, 0.5).K, b.K)
+
+
+@pytest.mark.parametrize("t", [-0.1, 1.001, float("nan")])
+def test_beyond_the_two_is_refused(t):
+    with pytest.raises(InputError, match="from 0 to 1"):
+        between(at(), at(1.0), t)
+
+
+def test_half_a_turn_has_no_one_way():
+    with pytest.raises(InputError, match="half a turn"):
+        between(at(), at(1.0, turned=180), 0.5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.05, 1.5), numbers, poses(), st.integers(2, 13))
+def test_a_turn_of_two_stays_by_the_baseline_and_aims_at_one_point(baseline, lift, world, n):
+    cameras = [at(-baseline / 2, lift * baseline, turned=-4), at(baseline / 2, turned=5)]
+    moved = [replace(one, c2w=world @ one.c2w) for one in cameras]
+    points = WALL @ world[:3, :3].T + world[:3, 3]
+    turn = orbit(moved, points, n)
+    assert len(turn) == n
+    a, b = (one.center for one in moved)
+    np.testing.assert_allclose(turn[0].center, a, atol=1e-9)
+    if n % 2 == 0:
+        np.testing.assert_allclose(turn[n // 2].center, b, atol=1e-9)
+    half = np.linalg.norm(b - a) / 2
+    axis = (b - a) / (2 * half)
+    aims = []
+    for one in turn:
+        offset = one.center - (a + b) / 2
+        along = offset @ axis
+        across = np.linalg.norm(offset - along * axis)
+        assert (along / half) ** 2 + (across / (ROUND * half)) ** 2 == pytest.approx(1, abs=1e-6)
+        rotation = one.c2w[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+        aims.append((one.center, rotation[:, 2]))
+    # All axes meet: each passes the point where the first two do, of points that are there to see.
+    focus = np.median((points - world[:3, 3]) @ world[:3, :3], 0)[2]
+    for place, way in aims:
+        distance = np.linalg.norm(np.cross(_meeting(aims) - place, way))
+        assert distance < 1e-6 * focus
+
+
+def _meeting(rays) -> np.ndarray:
+    """The point nearest to all rays."""
+    sides = [np.eye(3) - np.outer(way, way) for _, way in rays]
+    where = [side @ place for side, (place, _) in zip(sides, rays, strict=True)]
+    return np.linalg.lstsq(np.sum(sides, 0), np.sum(where, 0), rcond=None)[0]
+
+
+def test_a_turn_does_not_depend_on_the_run_nor_roll():
+    cameras = [at(-0.2, turned=3), at(0.25, 0.05, turned=-3)]
+    one, other = (orbit(cameras, WALL, 24) for _ in range(2))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.c2w, b.c2w)
+        assert abs(a.c2w[1, 0]) < 0.01  # the picture's x axis stays level
+    steps = [angle(a, b) for a, b in zip(one, one[1:] + one[:1], strict=True)]
+    assert max(steps) < 3 * np.median(steps)
+
+
+def test_a_turn_among_many_reaches_as_far_as_they_do():
+    cameras = [at(x, y) for x in (-1, 0, 1) for y in (-0.6, 0.6)]
+    turn = orbit(cameras, WALL, 16)
+    reach = np.abs([one.center for one in turn]).max(0)
+    np.testing.assert_allclose(reach, [1, 0.6, 0], atol=1e-9)
+
+
+def test_a_turn_leaves_out_cameras_that_look_elsewhere():
+    ring = []
+    for turned in range(0, 360, 30):
+        outwards = Rotation.from_euler("y", -turned, degrees=True).as_matrix()
+        c2w = np.eye(4)
+        c2w[:3, :3], c2w[:3, 3] = outwards, outwards @ [0, 0, -4]
+        ring.append(camera(c2w))
+    thing = np.random.default_rng(0).normal(size=(200, 3)) * 0.3
+    for one in orbit(ring, thing, 12):
+        assert np.linalg.norm(one.center) > 3  # the mean of all would stand inside the thing
+        pixel, z = one.project(np.zeros(3))
+        assert z > 3 and np.abs(pixel - [160, 120]).max() < 10
+    assert len(orbit([at(), at(0.5, turned=60)], WALL, 4)) == 4
+
+
+@pytest.mark.parametrize(
+    ("cameras", "points", "n", "sentence"),
+    [
+        ([at(), at(1.0)], WALL, 1, "at least two"),
+        ([at()], WALL, 8, "at least two"),
+        ([at(), at()], WALL, 8, "in one place"),
+        ([at(), at(1.0)], -WALL, 8, "nothing lies before"),
+    ],
+)
+def test_what_cannot_be_a_turn_is_refused(cameras, points, n, sentence):
+    with pytest.raises(InputError, match=sentence):
+        orbit(cameras, points, n)

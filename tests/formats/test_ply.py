@@ -1,0 +1,303 @@
+"""The .ply file: exact out and in, and files as others write them."""
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+from slgaussian.errors import InputError
+from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.gaussians import Gaussians
+
+EPS = 2.0**-24
+"""Relative round-off of float32."""
+
+
+def some(n=50, count=16, seed=0, **given) -> Gaussians:
+    g = torch.Generator().manual_seed(seed)
+    quats = torch.randn(n, 4, generator=g)
+    parts = {
+        "means": torch.randn(n, 3, generator=g) * 10,
+        "scales": torch.exp(torch.randn(n, 3, generator=g) * 3 - 4),
+        "quats": quats / quats.norm(dim=1, keepdim=True),
+        "opacities": torch.rand(n, generator=g),
+        "sh": torch.randn(n, count, 3, generator=g),
+        "source": torch.randperm(n, generator=g).int() + 1000,
+    }
+    return Gaussians(**{**parts, **given})
+
+
+def columns(n=5, count=4) -> dict[str, np.ndarray]:
+    """Columns as a program that is not ours would write them, in an order of its own."""
+    rng = np.random.default_rng(3)
+    names = [*(f"rot_{i}" for i in range(4)), "opacity", "z", "y", "x"]
+    names += [f"f_rest_{i}" for i in reversed(range(3 * (count - 1)))]
+    names += [f"scale_{i}" for i in range(3)] + [f"f_dc_{i}" for i in range(3)]
+    return {name: rng.normal(size=n) for name in names}
+
+
+def write(path, data, kind="f4", text=False, order="<"):
+    table = np.empty(len(next(iter(data.values()))), [(name, kind) for name in data])
+    for name, values in data.items():
+        table[name] = values
+    element = PlyElement.describe(table, "vertex")
+    PlyData([element], text=text, byte_order="=" if text else order).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("count", [1, 4, 9, 16])
+@pytest.mark.parametrize("width", [0, 4])
+def test_gaussians_round_trip(tmp_path, count, width):
+    features = torch.rand(50, width) if width else None
+    made = some(count=count, features=features)
+    labels = np.arange(50) % 7
+    save_ply(made, tmp_path / "a.ply", labels)
+    again, extra = load_ply(tmp_path / "a.ply")
+    for name in ("means", "sh", "source", *(["features"] if width else [])):
+        assert torch.equal(getattr(again, name), getattr(made, name)), name
+    assert width or again.features is None
+    assert all(value.dtype == dict(made.items())[name].dtype for name, value in again.items())
+    # What is stored is rounded once: the logarithm by EPS of itself, which is that relative error
+    # of the scale, and the value by EPS again. Twice that leaves room for exp and sigmoid.
+    log = made.scales.double().log().abs()
+    relative = (again.scales.double() / made.scales.double() - 1).abs()
+    assert (relative <= 2 * EPS * (1 + log)).all()
+    assert (again.opacities.double() - made.opacities.double()).abs().max() <= EPS
+    assert (again.quats - made.quats).abs().max() <= 4 * EPS  # as unit as float32 made them
+    assert extra["label"].tolist() == labels.tolist()
+    assert extra["label"].dtype == np.int32
+    assert extra.keys() == {"label"}
+
+
+def test_opacity_and_scale_at_their_ends_survive(tmp_path):
+    tiny, last = np.float32(1.5e-45), np.nextafter(np.float32(1), np.float32(0))
+    ends = torch.from_numpy(np.array([0, tiny, 1e-30, 1e-6, 0.5, 1 - 1e-6, last, 1], np.float32))
+    made = some(8, opacities=ends, scales=ends[:, None].repeat(1, 3))
+    save_ply(made, tmp_path / "a.ply")
+    vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
+    for name in ("opacity", "scale_0"):
+        assert np.isfinite(vertex[name]).all()
+    again, _ = load_ply(tmp_path / "a.ply")
+    for found, expected in ((again.opacities, ends), (again.scales[:, 0], ends)):
+        exact = [0, 1, 6, 7]
+        assert torch.equal(found[exact], expected[exact])
+        assert (found / expected - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
+
+
+def test_the_file_is_the_standard_one(tmp_path):
+    made = some(count=4)
+    save_ply(made, tmp_path / "a.ply")
+    file = PlyData.read(str(tmp_path / "a.ply"))
+    vertex = file["vertex"]
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{i}" for i in range(9)]
+    names += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    assert [p.name for p in vertex.properties] == [*names, "source"]
+    assert (file.byte_order, file.text) == ("<", False)
+    assert {p.val_dtype for p in vertex.properties} == {"f4"}
+    np.testing.assert_array_equal(vertex["f_rest_2"], made.sh[:, 3, 0])  # all of red first
+    np.testing.assert_array_equal(vertex["f_rest_3"], made.sh[:, 1, 1])
+    np.testing.assert_array_equal(vertex["f_rest_7"], made.sh[:, 2, 2])
+    np.testing.assert_allclose(np.exp(vertex["scale_1"]), made.scales[:, 1], rtol=1e-5)
+    opacity = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
+    np.testing.assert_allclose(opacity, made.opacities, atol=1e-7)
+    np.testing.assert_array_equal(vertex["rot_0"], made.quats[:, 0])  # w comes first
+
+
+def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
+    source = torch.tensor([2**24, 2**24 + 1, 2**31 - 1], dtype=torch.int32)
+    save_ply(some(3, source=source), tmp_path / "a.ply", np.array([2**24, 0, -1]))
+    vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
+    assert [vertex[name].dtype.kind for name in ("source", "label")] == ["i", "f"]
+    again, extra = load_ply(tmp_path / "a.ply")
+    assert torch.equal(again.source, source)
+    assert extra["label"].tolist() == [2**24, 0, -1]
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+@pytest.mark.parametrize(
+    "form", [{"text": True}, {"order": "<"}, {"order": ">"}], ids=["ascii", "little", "big"]
+)
+@pytest.mark.parametrize("count", [1, 4, 9, 16])
+def test_files_of_any_form_and_order_are_read(tmp_path, kind, form, count):
+    data = columns(count=count)
+    again, extra = load_ply(write(tmp_path / "a.ply", data, kind, **form))
+    as_stored = {name: values.astype(kind).astype(np.float64) for name, values in data.items()}
+    assert (
+        again.means.tolist()
+        == np.stack([as_stored[name] for name in "xyz"], 1).astype(np.float32).tolist()
+    )
+    for k in range(1, count):
+        for channel in range(3):
+            rest = as_stored[f"f_rest_{channel * (count - 1) + k - 1}"].astype(np.float32)
+            assert again.sh[:, k, channel].tolist() == rest.tolist()
+    np.testing.assert_allclose(again.scales[:, 2], np.exp(as_stored["scale_2"]), rtol=1e-6)
+    np.testing.assert_allclose(again.opacities, 1 / (1 + np.exp(-as_stored["opacity"])), rtol=1e-6)
+    quats = np.stack([as_stored[f"rot_{i}"] for i in range(4)], 1)
+    expected = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    np.testing.assert_allclose(again.quats, expected, atol=1e-7)
+    assert again.source.tolist() == [0, 1, 2, 3, 4]
+    assert again.features is None
+    assert extra == {}
+
+
+def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
+    data = columns(3)
+    table = np.empty(
+        3, [(name, ">f4") for name in data] + [("id", ">u2"), ("nx", ">f4"), ("source", ">f8")]
+    )
+    for name, values in data.items():
+        table[name] = values
+    table["id"], table["nx"], table["source"] = [1, 2, 65535], 5, [0.5, 1, 2]
+    PlyData([PlyElement.describe(table, "vertex")], byte_order=">").write(str(tmp_path / "a.ply"))
+    again, extra = load_ply(tmp_path / "a.ply")
+    assert extra.keys() == {"id", "source"}  # half a pixel is no source
+    assert extra["id"].dtype == np.dtype("=u2")
+    assert extra["id"].tolist() == [1, 2, 65535]
+    extra["id"][:] = 0  # apart from the file
+    assert again.source.tolist() == [0, 1, 2]
+
+
+def test_a_list_property_is_kept_too(tmp_path):
+    data = columns(2, 1)
+    table = np.empty(2, [*((name, "f4") for name in data), ("parts", "O")])
+    for name, values in data.items():
+        table[name] = values
+    table["parts"] = [np.array([1, 2], "i4"), np.array([3], "i4")]
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(tmp_path / "a.ply"))
+    _, extra = load_ply(tmp_path / "a.ply")
+    assert [part.tolist() for part in extra["parts"]] == [[1, 2], [3]]
+
+
+def test_infinite_logits_of_opacity_are_zero_and_one(tmp_path):
+    data = columns(2)
+    data["opacity"] = np.array([-np.inf, np.inf])
+    assert load_ply(write(tmp_path / "a.ply", data))[0].opacities.tolist() == [0, 1]
+
+
+def test_no_gaussians_make_a_file_without_vertices(tmp_path):
+    save_ply(some(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32))
+    again, extra = load_ply(tmp_path / "a.ply")
+    assert (len(again), tuple(again.sh.shape)) == (0, (0, 4, 3))
+    assert extra["label"].shape == (0,)
+
+
+def test_a_point_cloud_is_told_what_it_lacks(tmp_path):
+    points = {name: np.ones(4) for name in ("x", "y", "z", "red", "green", "blue")}
+    with pytest.raises(InputError, match=r"a\.ply: holds no Gaussians: lacks f_dc_0, .* has x, y"):
+        load_ply(write(tmp_path / "a.ply", points))
+
+
+def spoil(name, row, value):
+    def change(data):
+        data[name][row] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (spoil("x", 3, np.nan), "vertex 3 has x nan"),
+        (spoil("f_rest_5", 1, np.inf), "vertex 1 has f_rest_5 inf"),
+        (spoil("opacity", 2, np.nan), "vertex 2 has opacity nan"),
+        (spoil("scale_1", 4, 1000), "vertex 4 has scale_1 1000.0"),
+        (spoil("rot_2", 0, np.nan), "vertex 0 has rot_2 nan"),
+        (spoil("y", 0, 1e300), "vertex 0 has y 1e"),
+        (lambda d: d.pop("f_rest_8"), "has 8 properties f_rest_"),
+        (lambda d: d.pop("scale_2"), "lacks scale_2"),
+        (lambda d: [d[f"rot_{i}"].__setitem__(2, 0) for i in range(4)], r"vertex 2 .*\(0, 0, 0, 0"),
+    ],
+)
+def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
+    data = columns()
+    change(data)
+    with pytest.raises(InputError, match=sentence) as error:
+        load_ply(write(tmp_path / "a.ply", data, "f8"))
+    assert str(error.value).startswith(str(tmp_path / "a.ply"))
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_a_file_cut_short_anywhere_is_one_sentence(tmp_path, text):
+    whole = write(tmp_path / "whole.ply", columns(3), text=text).read_bytes()
+    cut = tmp_path / "cut.ply"
+    # Of a number in ascii the last digits may go, and nobody can tell.
+    for length in (*range(0, 60, 7), len(whole) // 2, len(whole) - 30):
+        cut.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"cut\.ply: is not a whole \.ply file") as error:
+            load_ply(cut)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"\x89PNG\r\n\x1a\n", "is not a whole .ply file"),
+        (b"ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "only face"),
+        (b"ply\nformat ascii 1.0\nend_header\n", "no element vertex"),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\nabc\n",
+            "is not a whole .ply file",
+        ),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n",
+            "is not a whole .ply file",
+        ),
+        (
+            b"ply\nformat binary_little_endian 1.0\nelement vertex -5\nproperty float x\n"
+            b"end_header\n",
+            "is not a whole .ply file",
+        ),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n"
+            b"1 2.0\n",
+            "holds no Gaussians",
+        ),
+        (
+            b"ply\nformat ascii 1.0\ncomment \xc3\xa9\nelement vertex 0\nend_header\n",
+            "is not a whole .ply file",
+        ),
+    ],
+)
+def test_what_is_no_such_file_is_one_sentence(tmp_path, data, sentence):
+    (tmp_path / "a.ply").write_bytes(data)
+    with pytest.raises(InputError, match=sentence) as error:
+        load_ply(tmp_path / "a.ply")
+    assert str(error.value).startswith(f"{tmp_path / 'a.ply'}: ")
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_not_there_or_a_folder_is_one_sentence(tmp_path):
+    for path in (tmp_path / "none.ply", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            load_ply(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "labels", "sentence"),
+    [
+        ({"sh": torch.zeros(50, 25, 3)}, None, "found 25 coefficients a colour"),
+        ({"opacities": torch.full((50,), 1.5)}, None, r"opacities\[0\]: found 1.5, expected 0 to"),
+        ({"scales": torch.full((50, 3), -1.0)}, None, r"scales\[0\]: found .*, expected 0 or more"),
+        ({"means": torch.full((50, 3), torch.nan)}, None, r"means\[0\]: holds NaN"),
+        ({}, np.zeros(49, int), r"labels: found int64 \(49,\), expected .*\(50,\)"),
+        ({}, np.zeros(50), "labels: found float64"),
+        ({}, np.full(50, 2**31), "labels: found 2147483648"),
+    ],
+)
+def test_what_cannot_be_written_leaves_no_file(tmp_path, given, labels, sentence):
+    with pytest.raises(InputError, match=sentence):
+        save_ply(some(**given), tmp_path / "a.ply", labels)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.ply"
+    save_ply(some(3), path)
+    before = path.read_bytes()
+    with pytest.raises(InputError):
+        save_ply(some(3, opacities=torch.full((3,), 2.0)), path)
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="cannot be written"):
+        save_ply(some(3), tmp_path / "nowhere" / "a.ply")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]

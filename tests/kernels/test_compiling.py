@@ -1,0 +1,98 @@
+"""Who waits for kernels to be compiled is told so, and nobody else."""
+
+import io
+import logging
+import os
+import subprocess
+import sys
+
+import numba
+import pytest
+
+from flows.runners import display
+from flows.runners.display import Waiting
+from slgaussian.kernels import compiling
+
+FIRST_USE = """
+from slgaussian.kernels import compiling
+compiling.SILENT = 0.0
+from flows.cli.app import main
+main()
+"""
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    monkeypatch.setattr(compiling, "SILENT", 0.0)
+    monkeypatch.setattr(compiling, "AGAIN", 0.0)
+    monkeypatch.setattr(compiling._Watch, "said_once", False)
+    compiling.watch()
+
+
+def new_kernel():
+    @numba.njit
+    def twice(x):
+        return 2 * x
+
+    return twice
+
+
+def test_a_kernel_is_told_while_it_is_compiled_and_never_again(at_once):
+    kernel, told = new_kernel(), []
+    with compiling.told_to(told.append):
+        kernel(1)
+        assert told[0].startswith("compiling kernels for this processor, once")
+        # Whole on a terminal of 80 columns, though there may be hundreds.
+        assert " s" in told[0] and len(told[0]) < 76
+        assert told[-1] == ""
+        del told[:]
+        kernel(2)
+        assert told == []
+    new_kernel()(1)
+    assert told == []
+
+
+def test_a_small_kernel_is_not_worth_a_word(monkeypatch):
+    monkeypatch.setattr(compiling, "SILENT", 60.0)
+    compiling.watch()
+    told = []
+    with compiling.told_to(told.append):
+        new_kernel()(1)
+    assert told == []
+
+
+def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatch):
+    # What flows.runners.journal, once imported, sends elsewhere.
+    monkeypatch.setattr(logging.getLogger("slgaussian"), "propagate", True)
+    for _ in range(2):
+        new_kernel()(1)
+    # A record may be caught by handlers of several loggers.
+    (said,) = {id(r): r for r in caplog.records if r.name == compiling.__name__}.values()
+    assert said.levelno == logging.WARNING and "takes a minute or two" in said.message
+
+
+def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
+    """A command with few kernels: it packs a made-up room."""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    said = []
+    for out in ("first", "second"):
+        words = ["pack", "procedural:0", "--views", "2", "--size", "16x16", "-o", tmp_path / out]
+        made = subprocess.run(
+            [sys.executable, "-c", FIRST_USE, *map(str, words)],
+            env=env, capture_output=True, text=True,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr
+        said.append(made.stderr)
+    assert "compiling kernels for this processor, once" in said[0]
+    assert "compiling" not in said[1]
+
+
+def test_where_there_is_no_terminal_a_line_comes_now_and_then(monkeypatch):
+    stream = io.StringIO()
+    waiting = Waiting(stream)
+    for text in ("one", "two", "", "three"):
+        waiting(text)
+    assert stream.getvalue() == "one\n"
+    monkeypatch.setattr(display, "PATIENCE", 0.0)
+    waiting("four")
+    assert stream.getvalue() == "one\nfour\n"

@@ -1,0 +1,132 @@
+"""What networks say depends on numbers alone: not on threads, nor on where weights begin."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from slgaussian.kernels import threads
+
+
+def placed(values: torch.Tensor, offset: int) -> torch.Tensor:
+    """The same values, ``offset`` floats past a boundary of 64 bytes."""
+    room = torch.empty(values.numel() + 32)
+    start = -(room.data_ptr() // 4) % 16 + offset
+    place = room[start : start + values.numel()].view(values.shape)
+    return place.copy_(values)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 9, 50])
+@pytest.mark.parametrize("side", [24, 64, 512])
+def test_weights_give_the_same_bytes_wherever_they_begin(rows, side):
+    state = torch.Generator().manual_seed(rows)
+    x = torch.randn(rows, side, generator=state)
+    weights, bias = torch.randn(side, side, generator=state), torch.randn(side, generator=state)
+    with threads.fixed(1):
+        found = [F.linear(x, placed(weights, i), placed(bias, i)) for i in (0, 1, 2, 4, 7)]
+        found += [F.linear(placed(x, i), weights, bias) for i in (1, 2, 4, 7)]
+    assert all(torch.equal(found[0], other) for other in found)
+
+
+class Small(torch.nn.Module):
+    """Layers in which PyTorch and its libraries share sums by the number of threads."""
+
+    def __init__(self, waste: int = 0) -> None:
+        super().__init__()
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            self.point, self.wide = torch.nn.Conv2d(10, 32, 1), torch.nn.Conv2d(32, 5, 3)
+            self.last = torch.nn.Linear(5 * 62 * 62, 7)
+        self.waste = torch.nn.Parameter(torch.zeros(waste), requires_grad=False)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.last(self.wide(self.point(x)).flatten(1)) + x.sum()
+
+
+@pytest.fixture
+def sizes():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("sizes")
+@pytest.mark.parametrize("waste", [0, threads.LARGE])
+def test_a_network_says_the_same_bytes_with_any_number_of_threads(waste):
+    network, found = Small(waste), []
+    x = torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(1))
+    for count in (1, 2, 3, 8):
+        torch.set_num_threads(count)
+        with torch.inference_mode(), threads.inside(network):
+            assert torch.get_num_threads() == (threads.LARGE_THREADS if waste else 1)
+            found.append(network(x))
+        assert torch.get_num_threads() == count
+    assert all(torch.equal(found[0], other) for other in found)
+
+
+@pytest.mark.usefixtures("sizes")
+def test_what_one_thread_fixes_another_does_not_see():
+    seen, (ready, inside, done) = {}, (threading.Event() for _ in range(3))
+
+    def other():
+        seen["before"] = torch.get_num_threads()
+        ready.set()
+        inside.wait()
+        seen["while"] = torch.get_num_threads()
+        done.set()
+
+    torch.set_num_threads(2)
+    worker = threading.Thread(target=other)
+    worker.start()
+    ready.wait()
+    with threads.fixed(3):
+        inside.set()
+        done.wait()
+        assert torch.get_num_threads() == 3
+    worker.join()
+    assert seen == {"before": 2, "while": 2}
+
+
+def said_by(program: str, **environment: str) -> str:
+    clean = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=clean | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stderr
+
+
+USED = "import torch; torch.ones(64, 64) @ torch.ones(64, 64); import slgaussian"
+
+
+@pytest.mark.skipif(
+    "mkl" not in torch.__config__.show().lower(), reason="PyTorch is built without MKL here"
+)
+def test_who_computed_before_is_told():
+    assert "import slgaussian first, or set MKL_CBWR=AUTO" in said_by(USED)
+
+
+@pytest.mark.parametrize(
+    ("program", "environment"),
+    [("import torch; import slgaussian", {}), (USED, {"MKL_CBWR": "AUTO"})],
+)
+def test_who_only_imported_torch_is_not_told(program, environment):
+    assert "slgaussian" not in said_by(program, **environment)
+
+
+@pytest.mark.skipif(
+    "avx2" not in torch.backends.cpu.get_cpu_capability().lower()
+    and "avx512" not in torch.backends.cpu.get_cpu_capability().lower(),
+    reason="needs a processor with AVX2",
+)
+def test_the_kernels_of_a_process_are_named():
+    show = "from slgaussian.kernels import threads; import sys; print(threads.kernels(), file=sys.stderr)"
+    found = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
+    assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in found

@@ -1,0 +1,177 @@
+"""Spherical harmonics against SciPy's, which share neither code nor form with ours."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from scipy.special import sph_harm_y
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.rasterize.harmonics import BANDS, basis, colors, turned
+from slgaussian.scene import Camera
+
+
+def camera(center=(0.0, 0.0, 0.0)) -> Camera:
+    c2w = np.eye(4)
+    c2w[:3, 3] = center
+    return Camera(np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]]), c2w, 48, 32)
+
+
+def some(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:
+    g = torch.Generator().manual_seed(count)
+    means = torch.randn(n, 3, generator=g, dtype=torch.float64)
+    sh = size * torch.randn(n, count, 3, generator=g, dtype=torch.float64)
+    return with_sh(means.to(dtype), sh.to(dtype))
+
+
+def with_sh(means: torch.Tensor, sh: torch.Tensor) -> Gaussians:
+    n = len(means)
+    one = torch.ones(n, 4, dtype=means.dtype)
+    return Gaussians(means, one[:, :3], one / 2, one[:, 0], sh, torch.arange(n, dtype=torch.int32))
+
+
+def directions(n=200) -> np.ndarray:
+    d = np.random.default_rng(0).normal(size=(n, 3))
+    d[:6] = np.concatenate([np.eye(3), -np.eye(3)])  # the poles, where angles are not unique
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def scipy_basis(polar, azimuth, degree, phase: bool) -> np.ndarray:
+    """Real harmonics [N, (degree + 1)^2] of SciPy's complex ones, with or without ``(-1)^m``."""
+    columns = []
+    for n in range(degree + 1):
+        for m in range(-n, n + 1):
+            value = sph_harm_y(n, abs(m), polar, azimuth)
+            part = value.imag if m < 0 else value.real
+            scale = 2**0.5 if m else 1.0
+            columns.append(part * scale * (1 if phase else (-1.0) ** m))
+    return np.stack(columns, -1)
+
+
+def test_the_basis_is_that_of_scipy_with_the_condon_shortley_phase():
+    d = directions()
+    x, y, z = d.T
+    expected = scipy_basis(np.arccos(z), np.arctan2(y, x), 3, phase=True)
+    # Measured 8e-16, most of it from arccos and arctan2.
+    np.testing.assert_allclose(basis(torch.from_numpy(d.T), 3).T, expected, atol=1e-14)
+
+
+def test_degree_one_is_minus_y_z_minus_x():
+    d = torch.tensor([[0.36], [0.48], [0.8]], dtype=torch.float64)
+    found = basis(d, 1)[1:, 0].tolist()
+    assert found == pytest.approx([-0.48 * 0.4886025, 0.8 * 0.4886025, -0.36 * 0.4886025], abs=1e-7)
+
+
+def test_the_basis_is_orthonormal_on_the_sphere():
+    # Gauss-Legendre by even angles integrates polynomials of degree 7 exactly; products have 6.
+    z, weight = np.polynomial.legendre.leggauss(8)
+    azimuth = np.arange(16) * np.pi / 8
+    r = np.sqrt(1 - z**2)[:, None]
+    d = np.stack(
+        [r * np.cos(azimuth), r * np.sin(azimuth), np.broadcast_to(z[:, None], (8, 16))]
+    ).reshape(3, -1)
+    Y = basis(torch.from_numpy(d), 3).numpy()
+    gram = (Y * np.repeat(weight, 16) * np.pi / 8) @ Y.T
+    np.testing.assert_allclose(gram, np.eye(16), atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 4, 9, 16])
+def test_colours_are_half_plus_the_harmonics_of_the_way_from_the_camera(count):
+    made, eye = some(count=count, size=1), np.array([0.3, -0.2, 0.5])
+    d = made.means.double().numpy() - eye
+    x, y, z = (d / np.linalg.norm(d, axis=1, keepdims=True)).T
+    Y = scipy_basis(np.arccos(z), np.arctan2(y, x), round(count**0.5) - 1, phase=True)
+    expected = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, made.sh.double().numpy()))
+    assert (expected == 0).any()  # the clamp is part of what is compared
+    # Float32 noise, measured on 4,000 Gaussians: at most 9e-7, in sums of 16 products.
+    np.testing.assert_allclose(colors(made, camera(eye)), expected, atol=2e-6)
+
+
+def test_turned_harmonics_are_those_of_turned_directions():
+    d = torch.from_numpy(directions().T.copy())
+    for R in Rotation.random(5, random_state=0).as_matrix():
+        D = turned(R)
+        # Measured 9e-16 and 3e-15, from the pseudo-inverse.
+        np.testing.assert_allclose(
+            D @ basis(d, 3).numpy(), basis(torch.tensor(R) @ d, 3), atol=1e-14
+        )
+        np.testing.assert_allclose(D @ D.T, np.eye(16), atol=1e-14)
+        for band in BANDS:
+            D[band, band] = 0
+        assert not D.any()
+
+
+def test_a_turned_scene_looks_the_same_from_a_turned_camera():
+    made, R = some(dtype=torch.float64), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+    sh = torch.einsum("jk,nkc->njc", torch.from_numpy(turned(R)), made.sh)
+    moved = with_sh(made.means @ torch.from_numpy(R.T), sh)
+    eye = np.array([0.3, -0.2, 0.5])
+    np.testing.assert_allclose(
+        colors(moved, camera(R @ eye)), colors(made, camera(eye)), atol=1e-14
+    )
+
+
+def test_a_lower_degree_leaves_out_what_is_above_it():
+    made = some()
+    fewer = with_sh(made.means, made.sh[:, :4])
+    assert torch.equal(colors(made, camera(), degree=1), colors(fewer, camera()))
+    assert torch.equal(colors(made, camera(), degree=0), made.colors().clamp(min=0))
+
+
+@pytest.mark.parametrize("count", [4, 16])
+def test_gradients_are_those_of_finite_differences(count):
+    made = some(6, count, torch.float64, size=0.05)  # small, so that no colour is at the clamp
+
+    def run(means, sh):
+        return colors(with_sh(means, sh), camera((0.1, 0.2, 0.3)))
+
+    assert (run(made.means, made.sh) > 0).all()
+    inputs = (made.means.requires_grad_(), made.sh.requires_grad_())
+    assert torch.autograd.gradcheck(run, inputs)
+
+
+def test_a_mean_at_the_camera_has_its_plain_colour_and_finite_gradients():
+    made = some(3)
+    made.sh.abs_()
+    made.means[1] = torch.tensor([0.5, 0.25, 2.0])
+    made.means.requires_grad_()
+    made.sh.requires_grad_()
+    seen = colors(made, camera((0.5, 0.25, 2.0)))
+    assert torch.equal(seen[1], made.colors()[1])
+    seen.sum().backward()
+    assert made.means.grad.isfinite().all()
+    assert made.sh.grad.isfinite().all()
+    assert (made.means.grad[1] == 0).all()
+    assert (made.sh.grad[1, 1:] == 0).all()
+    assert (made.means.grad[0] != 0).any()
+
+
+def test_a_scene_a_million_units_away_keeps_its_directions():
+    made = some()
+    # Eighths are exact at a million in float32; the camera's thousandths are not.
+    made.means[:] = (made.means * 8).round() / 8
+    far = with_sh(made.means + 1e6, made.sh)
+    eye = np.array([0.321, 0.123, 0.777])
+    near_seen, far_seen = colors(made, camera(eye)), colors(far, camera(eye + 1e6))
+    # float64 keeps 1e-10 of a unit at a million; to lose the thousandths would change 0.1.
+    np.testing.assert_allclose(far_seen, near_seen, atol=1e-6)
+
+
+def test_no_gaussians_have_no_colours():
+    assert colors(some(0), camera()).shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("count", "options", "sentence"),
+    [
+        (25, {}, "found 25 coefficients a colour, expected one of 1, 4, 9, 16"),
+        (5, {}, "found 5 coefficients"),
+        (4, {"degree": 2}, "asked for degree 2, expected 0 to 1 with 4 coefficients"),
+        (4, {"degree": -1}, "asked for degree -1"),
+        (16, {"degree": 4}, "asked for degree 4, expected 0 to 3"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(count, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        colors(some(count=count), camera(), **options)

@@ -1,0 +1,87 @@
+"""Versions of weights: what is in use is always there, and nothing is forgotten."""
+
+import json
+import multiprocessing
+import os
+
+import pytest
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.semantic.versions import Versions
+
+
+@pytest.fixture
+def versions(tmp_path):
+    return Versions(tmp_path / "models")
+
+
+def test_nothing_yet(versions):
+    assert versions.current() is None and versions.all() == []
+    with pytest.raises(InputError, match="cannot roll back, as nothing is in use"):
+        versions.roll_back()
+
+
+def test_the_way_of_three_versions(versions):
+    first = versions.add(b"one", {"iou": 0.5}, True, "the first")
+    second = versions.add(b"two", {"iou": 0.6}, True, "better by 0.1", first)
+    third = versions.add(b"three", {"iou": 0.6}, False, "no gain beyond noise", second)
+    assert [v.number for v in (first, second, third)] == [1, 2, 3]
+    assert [(v.parent, v.promoted) for v in versions.all()] == [(0, True), (1, True), (2, False)]
+    assert versions.all() == [first, second, third]
+    assert versions.current() == second and versions.current().facts == {"iou": 0.6}
+    assert versions.weights(third).read_bytes() == b"three"
+    assert versions.roll_back() == first == versions.current()
+    with pytest.raises(InputError, match="has no parent"):
+        versions.roll_back()
+    versions.use(third)
+    assert versions.current() == third
+    assert len(versions.all()) == 3
+
+
+def test_a_failed_write_leaves_what_is_in_use(versions, monkeypatch):
+    first = versions.add(b"one", {}, True, "the first")
+    replace = os.replace
+
+    def full(source, target):
+        if str(target).endswith(".parquet"):
+            raise OSError(28, "No space left on device")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        versions.add(b"two", {}, True, "better")
+    monkeypatch.undo()
+    assert versions.current() == first and versions.all() == [first]
+    assert versions.add(b"two", {}, True, "better", first).number == 3
+
+
+def test_damage_is_one_sentence(versions):
+    first = versions.add(b"one", {}, True, "the first")
+    versions.weights(first).write_bytes(b"other")
+    with pytest.raises(SpecError, match=r"\.safetensors: missing or altered"):
+        versions.weights(first)
+    with pytest.raises(SpecError, match="missing or altered"):
+        versions.use(first)
+    for text in ("{", json.dumps({"version": 9}), "[]"):
+        (versions.folder / "current.json").write_text(text)
+        with pytest.raises(SpecError, match=r"current\.json: cannot be read|000009"):
+            versions.current()
+
+
+def _add(folder, number):
+    Versions(folder).add(b"%d" % number, {"by": number}, True, "at the same time")
+
+
+def test_two_at_the_same_time_get_different_numbers(tmp_path):
+    # Not forked: after other tests this process has threads, which forks do not survive.
+    context = multiprocessing.get_context("spawn")
+    workers = [context.Process(target=_add, args=(tmp_path, n)) for n in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+        assert worker.exitcode == 0
+    found = Versions(tmp_path).all()
+    assert [v.number for v in found] == [1, 2, 3, 4]
+    assert sorted(v.facts["by"] for v in found) == list(range(4))
+    assert Versions(tmp_path).current() in found

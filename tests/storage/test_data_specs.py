@@ -1,0 +1,101 @@
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from slgaussian.errors import SpecError
+from slgaussian.storage.specs import COLUMN_TYPES, load_spec, spec_names
+
+
+@pytest.mark.parametrize("name", spec_names())
+def test_every_spec_is_complete(name):
+    spec = load_spec(name)
+    assert spec.doc
+    assert bool(spec.fields) != bool(spec.columns)
+    for entry in (*spec.fields.values(), *spec.columns.values()):
+        assert entry.doc
+    for field in spec.fields.values():
+        assert field.dtype == "str" or np.dtype(field.dtype).name == field.dtype
+    assert all(column.type in COLUMN_TYPES for column in spec.columns.values())
+
+
+def test_an_unknown_spec_says_which_there_are():
+    with pytest.raises(SpecError, match=r"no data spec 'lables': expected one of .*labels"):
+        load_spec("lables")
+
+
+def gaussians(n: int = 3) -> dict[str, np.ndarray]:
+    return {
+        "means": np.zeros((n, 3), np.float32),
+        "scales": np.ones((n, 3), np.float32),
+        "quats": np.ones((n, 4), np.float32),
+        "opacities": np.ones(n, np.float32),
+        "sh": np.zeros((n, 1, 3), np.float32),
+        "source": np.zeros(n, np.int32),
+    }
+
+
+def test_a_good_artifact_passes_with_and_without_optional_fields():
+    spec = load_spec("gaussians")
+    spec.check_arrays(gaussians(), "file")
+    spec.check_arrays({**gaussians(), "features": np.zeros((3, 7), np.float32)}, "file")
+    spec.check_arrays(gaussians(0), "file")
+
+
+def changed(name, value):
+    arrays = gaussians()
+    if value is None:
+        del arrays[name]
+    else:
+        arrays[name] = value
+    return arrays
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("means", None, "f.npz: means: found no such field, expected float32 [N, 3]"),
+        ("extra", np.zeros(3), "f.npz: extra: found an unknown field, expected only means, scales"),
+        ("means", np.zeros((3, 3)), "f.npz: means: found float64 [3, 3], expected float32 [N, 3]"),
+        (
+            "quats",
+            np.ones((3, 3), np.float32),
+            "quats: found float32 [3, 3], expected float32 [N, 4]",
+        ),
+        (
+            "sh",
+            np.zeros((3, 3), np.float32),
+            "sh: found float32 [3, 3], expected float32 [N, K, 3]",
+        ),
+        (
+            "scales",
+            np.ones((4, 3), np.float32),
+            "scales: found float32 [4, 3], expected float32 [N, 3] with N = 3 as in means",
+        ),
+        ("means", np.full((3, 3), np.nan, np.float32), "means: found NaN or infinity"),
+        (
+            "opacities",
+            np.full(3, 1.5, np.float32),
+            "opacities: found 1.5, expected values of at most 1",
+        ),
+        ("source", np.full(3, -1, np.int32), "source: found -1, expected values of at least 0"),
+    ],
+)
+def test_a_mismatch_names_file_field_found_and_expected(name, value, message):
+    with pytest.raises(SpecError) as error:
+        load_spec("gaussians").check_arrays(changed(name, value), "f.npz")
+    assert message in str(error.value)
+
+
+def test_tables_are_checked_by_column():
+    spec = load_spec("failures")
+    row = {"scene": "a", "stage": "masks", "kind": "InputError", "reason": "why"}
+    good = pa.Table.from_pylist([row], schema=spec.schema)
+    spec.check_table(good, "t")
+    with pytest.raises(SpecError, match="t: reason: found no such column"):
+        spec.check_table(good.drop_columns("reason"), "t")
+    with pytest.raises(SpecError, match="t: stage: found int64, expected string"):
+        spec.check_table(good.set_column(1, "stage", pa.array([1])), "t")
+    with pytest.raises(SpecError, match="t: stage: found 1 empty cells"):
+        spec.check_table(good.set_column(1, "stage", pa.array([None], pa.string())), "t")
+    with pytest.raises(SpecError, match="t: more: found an unknown column"):
+        spec.check_table(good.append_column("more", pa.array([1])), "t")

@@ -1,0 +1,207 @@
+"""What stays in a store, what may go, and what is found damaged."""
+
+import json
+import os
+import time
+import uuid
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from contents import failures, labels
+
+from slgaussian.errors import InputError
+from slgaussian.storage.housekeeping import collect, usage, verify
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactStore
+
+KEYS = {stage: f"{stage}/v{version}/{stage * 9:f<64.64}" for stage, version in [("a", 1), ("b", 2)]}
+
+
+@pytest.fixture(params=["local", "memory", "s3"])
+def store(request, tmp_path):
+    if request.param == "s3":
+        return ArtifactStore(request.getfixturevalue("bucket") + "/slg")
+    root = tmp_path / "store" if request.param == "local" else f"memory://{uuid.uuid4().hex}"
+    return ArtifactStore(root)
+
+
+@pytest.fixture
+def local(tmp_path):
+    return ArtifactStore(tmp_path / "store")
+
+
+def names(store: ArtifactStore) -> set[str]:
+    return {file.uri for files in store.walk() for file in files}
+
+
+def filled(store: ArtifactStore) -> dict[str, str]:
+    """Paths of artifacts: of stage a, of stage b with a part, and one that nothing refers to."""
+    a, b, part, loose = (store.put("labels", labels(value)) for value in range(4))
+    Records(store).keep(KEYS["a"], a)
+    table = store.put("failures", failures("x"), {"parts": [part.uri, b.uri]})
+    Records(store).keep(KEYS["b"], table)
+    return {"a": a.uri, "b": b.uri, "part": part.uri, "loose": loose.uri, "table": table.uri}
+
+
+def test_only_what_nothing_refers_to_goes(store):
+    uris = filled(store)
+    store.write("digests/abc.json", b"{}")
+    store.write("notes.txt", b"of the user")
+    before = names(store)
+    found = collect(store, age=-60)
+    assert (found.artifacts, found.records, found.kept) == (1, 0, 4)
+    assert found.bytes == len(store.read(uris["loose"]))
+    assert names(store) == before
+    assert collect(store, age=-60, delete=True) == found
+    assert names(store) == before - {uris["loose"]}
+    assert collect(store, age=-60, delete=True).artifacts == 0
+    assert all(Records(store).find(key) for key in KEYS.values())
+
+
+def test_what_is_young_stays(store):
+    uris = filled(store)
+    found = collect(store, age=3600, delete=True)
+    assert (found.artifacts, found.young) == (0, 1)
+    assert uris["loose"] in names(store)
+
+
+def test_what_is_put_again_is_young_again(local):
+    uris = filled(local)
+    path = Path(local.path) / uris["loose"]
+    os.utime(path, (time.time() - 7200,) * 2)
+    assert collect(local, age=3600).artifacts == 1
+    local.put("labels", labels(3))
+    assert collect(local, age=3600, delete=True).artifacts == 0
+
+
+def test_records_of_other_versions_go_with_what_only_they_name(store):
+    uris = filled(store)
+    assert collect(store, -60, versions={"b": 2, "other": 1}).records == 0
+    found = collect(store, -60, versions={"a": 1, "b": 3}, delete=True)
+    assert (found.records, found.artifacts) == (1, 4)
+    kept = {uri for uri in names(store) if not uri.startswith("keys/")}
+    assert kept == {uris["a"]}
+    assert Records(store).find(KEYS["b"]) is None
+
+
+def test_what_a_table_of_the_user_names_stays(local, tmp_path):
+    uris = filled(local)
+    pq.write_table(pa.table({"uri": [uris["loose"]], "more": [1]}), tmp_path / "lessons.parquet")
+    assert collect(local, -60, keep=[tmp_path / "lessons.parquet"], delete=True).artifacts == 0
+    (tmp_path / "text").write_text("no table")
+    with pytest.raises(InputError, match="text: cannot be read"):
+        collect(local, -60, keep=[tmp_path / "text"], delete=True)
+    assert uris["loose"] in names(local)
+
+
+def test_what_killed_programs_left_goes(local):
+    ref = local.put("labels", labels())
+    Records(local).keep(KEYS["a"], ref)
+    folder = Path(local.path) / ref.uri
+    left = [
+        folder.with_name(f".{ref.digest}.npz.0123abcd.tmp"),
+        Path(local.path) / f".probe-{'0' * 32}",
+        Path(local.path)
+        / KEYS["a"].replace("a/", "keys/a/", 1).rsplit("/", 1)[0]
+        / ".x.json.1.tmp",
+    ]
+    for path in left:
+        path.write_bytes(b"half")
+    others = Path(local.path) / "checkpoints" / ".going-on.tmp"
+    others.parent.mkdir()
+    others.write_bytes(b"not ours")
+    assert collect(local, age=3600, delete=True).unfinished == 0
+    assert collect(local, age=-60, delete=True).unfinished == 3
+    assert not any(path.exists() for path in left)
+    assert others.exists()
+
+
+def test_uploads_in_parts_that_were_never_done_are_ended(bucket):
+    store = ArtifactStore(f"{bucket}/slg")
+    name = bucket.removeprefix("s3://")  # moto says of each upload that it was begun in 2010
+    for key in ("slg/labels/00/x.npz", "elsewhere/x"):
+        store.fs.call_s3("create_multipart_upload", Bucket=name, Key=key)
+    assert collect(store, age=-60).uploads == 1
+    assert collect(store, age=-60, delete=True).uploads == 1
+    (left,) = store.fs.list_multipart_uploads(name)
+    assert left["Key"] == "elsewhere/x"
+
+
+def test_damage_is_found_removed_and_then_made_again(store):
+    uris = filled(store)
+    assert verify(store).damaged == {}
+    whole = store.read(uris["part"])
+    store.fs.pipe_file(f"{store.path}/{uris['part']}", whole[:90] + b"?" + whole[91:])
+    store.fs.pipe_file(f"{store.path}/{uris['table']}", b"PAR1")
+    store.remove([uris["a"]])
+    found = verify(store)
+    assert (found.sound, sorted(found.damaged), found.missing) == (
+        2, sorted([uris["part"], uris["table"]]), 1,
+    )  # fmt: skip
+    assert all("\n" not in why and uri in why for uri, why in found.damaged.items())
+    assert names(store) >= set(found.damaged)
+    verify(store, remove=True)
+    assert not names(store) & set(found.damaged)
+    assert Records(store).find(KEYS["b"]) is None
+
+
+def test_what_only_another_version_made_is_superseded_and_not_damaged(store):
+    uris = filled(store)
+    whole = store.read(uris["part"])
+    store.fs.pipe_file(f"{store.path}/{uris['part']}", whole[:90] + b"?" + whole[91:])
+    for versions, damaged in (({"b": 2}, 1), ({"a": 9}, 1), ({"b": 3}, 0)):
+        found = verify(store, versions=versions)
+        assert (len(found.damaged), found.superseded) == (damaged, 1 - damaged)
+    verify(store, remove=True, versions={"b": 3})
+    assert uris["part"] in names(store)
+
+
+RECORDS = {
+    "not JSON": b"\x80\x04\x95",
+    "a list": b"[]",
+    "no ref": b"{}",
+    "another spec": b'{"spec": "passwd", "uri": "a", "digest": "b"}',
+    "a place outside": json.dumps(
+        {"spec": "labels", "uri": "labels/../../../../etc/passwd", "digest": "0" * 64}
+    ).encode(),
+    "parts that are no paths": json.dumps(
+        {"spec": "labels", "uri": f"labels/00/{'0' * 64}.npz", "digest": "0" * 64,
+         "meta": {"parts": [1]}}
+    ).encode(),
+    "meta that is none": json.dumps(
+        {"spec": "labels", "uri": f"labels/00/{'0' * 64}.npz", "digest": "0" * 64, "meta": 3}
+    ).encode(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("data", RECORDS.values(), ids=RECORDS)
+def test_a_bad_record_is_no_result_and_is_named(local, data):
+    ref = local.put("labels", labels())
+    Records(local).keep(KEYS["a"], ref)
+    (record,) = (record for some in Records(local).all() for record in some)
+    (Path(local.path) / record.file.uri).write_bytes(data)
+    assert Records(local).find(KEYS["a"]) is None
+    assert list(verify(local).damaged) == [record.file.uri]
+    assert collect(local, -60, delete=True).records == 1
+    assert names(local) == set()
+
+
+def test_usage_counts_by_spec_and_maker(store):
+    uris = filled(store)
+    store.write("digests/abc.json", b"{}")
+    size = len(store.read(uris["a"]))
+    rows = usage(store)
+    assert rows["labels", "a v1"] == [1, size]
+    assert rows["labels", "b v2"] == [2, len(store.read(uris["b"])) + len(store.read(uris["part"]))]
+    assert rows["labels", ""][0] == 1
+    assert rows["failures", "b v2"][0] == 1
+    assert rows["digests", ""] == [1, 2]
+    assert rows["keys", ""][0] == 2
+
+
+def test_an_empty_store_has_nothing(store):
+    assert collect(store, 0, delete=True).kept == 0
+    assert verify(store).sound == 0
+    assert usage(store) == {}

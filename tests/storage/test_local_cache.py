@@ -1,0 +1,105 @@
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from slgaussian.errors import InputError
+from slgaussian.storage.local_copies import ABANDONED, LocalCache, parse_size
+
+ROOT = Path(__file__).parents[2]
+KB = bytes(1000)
+
+
+def size_of(folder) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def test_what_was_put_is_there_until_it_is_dropped(tmp_path):
+    cache = LocalCache(tmp_path, 10**6)
+    assert cache.get("labels/aa/x.npz") is None
+    cache.put("labels/aa/x.npz", b"abc")
+    assert cache.get("labels/aa/x.npz") == b"abc"
+    assert LocalCache(tmp_path, 10**6).get("labels/aa/x.npz") == b"abc"
+    cache.drop("labels/aa/x.npz")
+    cache.drop("labels/aa/x.npz")
+    assert cache.get("labels/aa/x.npz") is None
+
+
+def test_the_bound_is_kept_and_what_is_used_stays(tmp_path):
+    cache = LocalCache(tmp_path, 32 * 1000)
+    cache.put("often", KB)
+    for number in range(200):
+        cache.put(f"a/{number}", KB)
+        assert cache.get("often") == KB
+        assert size_of(tmp_path) <= cache.bound
+    assert cache.get("a/199") == KB
+    assert cache.get("a/0") is None
+    assert size_of(tmp_path) > cache.bound / 2
+
+
+def test_what_is_too_large_is_not_kept_and_drives_nothing_out(tmp_path):
+    cache = LocalCache(tmp_path, 16 * 1000)
+    cache.put("small", KB)
+    cache.put("large", 3 * KB)
+    assert cache.get("large") is None
+    assert cache.get("small") == KB
+
+
+def test_what_a_killed_process_left_goes_and_what_is_being_written_stays(tmp_path):
+    for name, age in (("old", 2 * ABANDONED), ("new", 0)):
+        path = tmp_path / f".{name}.tmp"
+        path.write_bytes(KB)
+        os.utime(path, (time.time() - age,) * 2)
+    LocalCache(tmp_path, 8 * 1000).put("a", KB)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".new.tmp", "a"]
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from slgaussian.storage.local_copies import LocalCache
+cache = LocalCache(Path(sys.argv[1]), 64000)
+for number in range(400):
+    uri = f"a/{number % 97}"
+    data = bytes([number % 97]) * 1000
+    found = cache.get(uri)
+    assert found in (None, data), "a copy of something else, or a part of one"
+    cache.put(uri, data)
+"""
+
+
+def test_processes_may_share_it(tmp_path):
+    command = [sys.executable, "-c", WRITER, str(tmp_path)]
+    running = [subprocess.Popen(command, cwd=ROOT) for _ in range(3)]
+    assert [process.wait(60) for process in running] == [0, 0, 0]
+    assert size_of(tmp_path) <= 64000 * 17 / 16
+
+
+def test_a_cache_that_cannot_be_written_is_none(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    cache = LocalCache(tmp_path / "file" / "cache", 10**6)
+    cache.put("a", KB)
+    assert cache.get("a") is None
+
+
+def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
+    monkeypatch.delenv("SLGAUSSIAN_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("SLGAUSSIAN_CACHE_SIZE", raising=False)
+    found = LocalCache.from_environment()
+    assert (found.folder, found.bound) == (tmp_path / "slgaussian" / "objects", 10**10)
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
+    assert LocalCache.from_environment() is None
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "much")
+    with pytest.raises(InputError, match="SLGAUSSIAN_CACHE_SIZE: found 'much'"):
+        LocalCache.from_environment()
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("0", 0), ("500M", 5 * 10**8), ("1.5 GB", 15 * 10**8), ("2 tb", 2 * 10**12)]
+)
+def test_sizes_are_read_as_people_write_them(text, size):
+    assert parse_size(text) == size

@@ -1,0 +1,91 @@
+"""What is done already, and how sure of it one is without reading it."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactStore, DamagedError
+
+KEY = f"train/v1/{'a' * 64}"
+
+
+@pytest.fixture
+def store(tmp_path):
+    return ArtifactStore(tmp_path / "store")
+
+
+@pytest.fixture
+def ref(store):
+    made = store.put("weights", {"safetensors": np.arange(100, dtype=np.uint8)})
+    Records(store).keep(KEY, made)
+    return made
+
+
+def alter(store, ref, back_in_time: bool) -> None:
+    """Change a byte, with or without the time of the file."""
+    file = Path(store.path) / ref.uri
+    before, data = file.stat(), bytearray(file.read_bytes())
+    data[150] ^= 1
+    file.write_bytes(data)
+    changed = before.st_mtime_ns + (0 if back_in_time else 5_000_000_000)
+    os.utime(file, ns=(changed, changed))
+
+
+def noted(store) -> str:
+    (file,) = Path(store.path).glob("keys/train/v1/*/*.json")
+    return json.loads(file.read_text())["stamp"]
+
+
+def test_an_artifact_that_was_changed_is_read_and_found_damaged(store, ref):
+    assert Records(store).find(KEY) == ref
+    alter(store, ref, back_in_time=False)
+    assert Records(store).find(KEY) is None
+
+
+def test_one_of_the_same_size_and_time_is_checked_by_who_reads_it(store, ref):
+    alter(store, ref, back_in_time=True)
+    assert Records(store).find(KEY) == ref
+    with pytest.raises(DamagedError):
+        store.get(ref)
+
+
+def test_one_that_moved_is_checked_once_and_noted(store, ref):
+    file = Path(store.path) / ref.uri
+    os.utime(file, ns=(1, 1))
+    before = noted(store)
+    assert Records(store).find(KEY) == ref
+    assert noted(store) == f"{file.stat().st_size} 1" != before
+
+
+def test_a_record_without_a_stamp_is_as_good(store, ref):
+    (file,) = Path(store.path).glob("keys/train/v1/*/*.json")
+    record = json.loads(file.read_text())
+    del record["stamp"]
+    file.write_text(json.dumps(record))
+    assert Records(store).find(KEY) == ref
+    assert noted(store) is not None
+
+
+def test_an_artifact_that_is_gone_is_none(store, ref):
+    store.remove([ref.uri])
+    assert Records(store).find(KEY) is None
+
+
+def test_a_record_whose_parts_are_gone_or_lie_elsewhere_is_none(store, ref, tmp_path):
+    """A part is asked for even where the artifact itself is known by its time."""
+    part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
+    whole = replace(ref, meta={"parts": [part.uri]})
+    Records(store).keep(KEY, whole)
+    assert Records(store).find(KEY) == whole
+    outside = tmp_path / "outside.npz"
+    outside.write_bytes(b"")
+    Records(store).keep(KEY, replace(ref, meta={"parts": ["../outside.npz"]}))
+    assert Records(store).find(KEY) is None
+    Records(store).keep(KEY, whole)
+    store.remove([part.uri])
+    assert Records(store).find(KEY) is None

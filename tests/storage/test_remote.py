@@ -1,0 +1,52 @@
+"""No credential in a URL gets any further than the door."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError
+from slgaussian.storage.remote import check_url, masked
+from slgaussian.storage.store import ArtifactStore
+
+SECRETS = [
+    "s3://AKIA123:ab/cd+ef@bucket/prefix",
+    "https://me:hidden@host:8080/chunks",
+    "ftp://me:hidden@host/a",
+    "simplecache::s3://AKIA123:hidden@bucket",
+    "s3://bucket/a?key=AKIA123&secret=hidden",
+    "https://host/a?X-Amz-Signature=hidden&x=1",
+    "https://host/a?sv=1&sig=hidden",
+]
+PLAIN = [
+    "s3://bucket/some/prefix",
+    "s3://bucket/prefix?versionId=3",
+    "http://127.0.0.1:9000/a@b/c",
+    "http://host:9000",
+    "sftp://me@host/folder",
+    "/folder/with:colon/and@sign",
+    "./slg-data",
+]
+
+
+@pytest.mark.parametrize("url", SECRETS)
+def test_a_url_with_credentials_is_refused_and_not_repeated(url):
+    for refuse in (ArtifactStore, lambda place: check_url(place, "chunks")):
+        with pytest.raises(InputError, match="found credentials in the URL") as error:
+            refuse(url)
+        for secret in ("hidden", "AKIA123", "ab/cd+ef"):
+            assert secret not in str(error.value)
+
+
+@pytest.mark.parametrize("url", PLAIN)
+def test_other_urls_are_left_as_they_are(url):
+    check_url(url, "store")
+    assert masked(f"cannot read {url}: why") == f"cannot read {url}: why"
+
+
+@given(
+    st.text("abcXYZ019+/=-_.%", min_size=1).filter(lambda s: not s[0].isdigit()),
+    st.text("abcXYZ019", min_size=1),
+)
+def test_no_password_survives_masking(password, user):
+    shown = masked(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
+    assert shown == "could not reach s3://***@bucket/x, nor gs://other/y"

@@ -1,0 +1,144 @@
+"""A store on a real S3 server, moto's, and what its users meet: no rights, no network, kill -9."""
+
+import os
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from contents import labels, weights
+from forwarder import Forwarder
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import PART, ArtifactStore
+
+s3fs = pytest.importorskip("s3fs")
+
+
+@pytest.fixture
+def store(bucket):
+    return ArtifactStore(f"{bucket}/slg")
+
+
+@pytest.fixture
+def fresh():
+    """File systems made in the test know nothing of those made before, nor those after of them."""
+    s3fs.S3FileSystem.clear_instance_cache()
+    yield
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+def names(store: ArtifactStore) -> list[str]:
+    return [file.uri for files in store.walk() for file in files]
+
+
+def test_what_another_process_wrote_is_seen_at_once(store, bucket):
+    other = ArtifactStore(f"{bucket}/slg")
+    assert names(store) == []
+    ref = other.put("labels", labels())
+    assert names(store) == [ref.uri]
+    store.check(ref)
+    other.remove([ref.uri])
+    with pytest.raises(SpecError, match="found nothing"):
+        store.check(ref)
+
+
+def test_a_copy_is_read_while_it_is_whole(store):
+    ref = store.put("labels", labels())
+    copy = store.cache.folder / ref.uri
+    store.fs.rm_file(f"{store.path}/{ref.uri}")
+    assert store.get(ref)["labels"].max() == 3
+    with pytest.raises(SpecError, match="found nothing"):
+        store.check(ref)  # another machine would not find it
+    store.put("labels", labels())
+    copy.write_bytes(b"damaged")
+    assert store.get(ref)["labels"].max() == 3
+    assert copy.read_bytes() == store.read(ref.uri)
+    copy.unlink()
+    store.get(ref)
+    assert copy.exists()
+
+
+def test_an_upload_in_parts_comes_back_whole(store):
+    content = weights(2 * PART + 1000)
+    ref = store.put("weights", content)
+    store.cache.drop(ref.uri)
+    assert (store.get(ref)["safetensors"] == content["safetensors"]).all()
+
+
+UPLOAD = """
+import sys
+from contents import weights
+from slgaussian.storage.store import ArtifactStore
+store = ArtifactStore(sys.argv[1])
+print("ready", flush=True)
+store.put("weights", weights(int(sys.argv[2])))
+"""
+
+
+@pytest.mark.parametrize("size", [2 * 2**20, 2 * PART + 2**20], ids=["one put", "parts"])
+def test_kill_9_in_the_middle_of_an_upload_leaves_nothing_to_be_seen(
+    store, bucket, s3_server, size
+):
+    wire = Forwarder(s3_server, limit=size - 2**20)
+    here = Path(__file__).parent
+    env = {**os.environ, "AWS_ENDPOINT_URL": wire.url, "SLGAUSSIAN_CACHE_SIZE": "0"}
+    env["PYTHONPATH"] = os.pathsep.join(map(str, (here, here.parent.parent)))
+    command = [sys.executable, "-c", UPLOAD, f"{bucket}/slg", str(size)]
+    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"ready\n"
+    assert wire.reached.wait(60)
+    process.kill()
+    process.communicate()
+    wire.close()
+    time.sleep(0.2)  # for the server to see the end of it
+    assert names(store) == []
+    # And the same again, not disturbed, is all there is.
+    ref = store.put("weights", weights(size))
+    assert names(store) == [ref.uri]
+    store.cache.drop(ref.uri)
+    store.get(ref)
+
+
+def test_a_bucket_is_never_made_by_writing(bucket):
+    with pytest.raises(InputError, match=r"cannot write there \(no bucket 'slg-not-there'"):
+        ArtifactStore("s3://slg-not-there/slg").check_writable()
+    assert not s3fs.S3FileSystem(use_listings_cache=False).exists("slg-not-there")
+
+
+def test_without_credentials_the_sentence_says_where_they_go(bucket, fresh, monkeypatch):
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    with pytest.raises(InputError, match=r"no credentials: .*; set AWS_ACCESS_KEY_ID and"):
+        ArtifactStore(bucket).check_writable()
+
+
+def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3_server):
+    def guard(unchecked: str) -> None:
+        place, plain = f"{s3_server}/moto-api/reset-auth", {"Content-Type": "text/plain"}
+        asked = urllib.request.Request(place, unchecked.encode(), plain)
+        urllib.request.urlopen(asked).close()
+
+    guard("0")
+    try:
+        with pytest.raises(InputError, match=r"no permission: .*check the credentials") as error:
+            ArtifactStore(bucket).check_writable()
+        assert "AKIAEXAMPLE" not in str(error.value)
+        assert "not/a+secret" not in str(error.value)
+        with pytest.raises(InputError, match="cannot read there"):
+            Records(ArtifactStore(bucket)).find(f"masks/v1/{'0' * 64}")
+    finally:
+        guard("inf")
+
+
+def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
+    """It must not be taken for a lost result, or everything would be computed again."""
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://someone:hidden@127.0.0.1:9")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
+    with pytest.raises(InputError, match=r"no answer: .*AWS_ENDPOINT_URL") as error:
+        Records(ArtifactStore(bucket)).find(f"masks/v1/{'0' * 64}")
+    assert "hidden" not in str(error.value)

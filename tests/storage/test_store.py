@@ -1,0 +1,251 @@
+import io
+import os
+import stat
+import sys
+import uuid
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from contents import failures, labels
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import (
+    ArtifactRef,
+    ArtifactStore,
+    arrays_digest,
+    decode,
+    encode_arrays,
+    encode_table,
+    table_digest,
+)
+
+
+@pytest.fixture(params=["local", "memory", "s3"])
+def store(request, tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")  # copies are tested elsewhere
+    if request.param == "s3":
+        return ArtifactStore(request.getfixturevalue("bucket") + "/some/prefix")
+    root = tmp_path / "store" if request.param == "local" else f"memory://{uuid.uuid4().hex}"
+    return ArtifactStore(root)
+
+
+@pytest.fixture
+def local(tmp_path):
+    return ArtifactStore(tmp_path / "store")
+
+
+def path_of(store: ArtifactStore, ref: ArtifactRef) -> Path:
+    return Path(store.path) / ref.uri
+
+
+def test_arrays_and_tables_come_back_as_they_were(store):
+    ref = store.put("labels", labels(), {"objects": 1})
+    back = store.get(ref)
+    assert set(back) == {"labels", "margin"}
+    for name, array in labels().items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array)
+    assert ref.meta == {"objects": 1}
+    table = failures("a", "b")
+    assert store.get(store.put("failures", table)).equals(table)
+
+
+def test_every_kind_of_array_of_the_specs_survives(store):
+    arrays = {
+        "views": np.array(["a", "b"]),
+        "queries": np.array(["red ball", "größe"]),
+        "masks": np.eye(4, dtype=bool)[None].repeat(2, 0),
+        "box_masks": np.zeros(0, np.int32),
+        "boxes": np.zeros((0, 4)),
+        "has_boxes": np.array(False),
+    }
+    back = store.get(store.put("truth", arrays))
+    for name, array in arrays.items():
+        assert back[name].shape == array.shape
+        np.testing.assert_array_equal(back[name], array)
+
+
+def test_equal_content_is_one_file_and_other_content_another(store):
+    a, b, c = (store.put("labels", labels(v)) for v in (3, 3, 4))
+    assert a == b
+    assert a.uri == f"labels/{a.digest[:2]}/{a.digest}.npz"
+    assert c.digest != a.digest
+    assert len([p for p in store.fs.find(store.path) if p.endswith(".npz")]) == 2
+
+
+def test_memory_order_and_order_of_names_do_not_matter(local):
+    arrays = labels()
+    turned = {name: np.asfortranarray(arrays[name]) for name in reversed(arrays)}
+    first = path_of(local, local.put("labels", arrays)).read_bytes()
+    assert path_of(local, local.put("labels", turned)).read_bytes() == first
+
+
+@given(
+    npst.arrays(
+        dtype=st.sampled_from([np.uint8, np.int32, np.float32, np.float64, np.bool_, "<U3"]),
+        shape=npst.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+    )
+)
+def test_any_array_survives_the_file_with_its_digest(array):
+    arrays = {"a": array, "b": np.arange(3)}
+    for compress in (True, False):
+        data = encode_arrays(arrays, compress)
+        assert data == encode_arrays(dict(reversed(arrays.items())), compress)
+        back = decode(data, load_spec("labels"), "file")
+        assert back["a"].dtype == array.dtype
+        assert arrays_digest(back) == arrays_digest(arrays)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"a": np.zeros((2, 3), np.float32)},
+        {"b": np.zeros((3, 2), np.float32)},
+        {"a": np.zeros((3, 2), np.float64)},
+        {"a": np.zeros((3, 2), np.int32)},  # the same bytes
+        {"a": np.zeros((3, 2), np.float32) - 0.0, "b": np.zeros(1)},
+        {"a": np.full((3, 2), -0.0, np.float32)},
+    ],
+)
+def test_name_shape_dtype_and_bits_are_all_in_the_digest(other):
+    assert arrays_digest({"a": np.zeros((3, 2), np.float32)}) != arrays_digest(other)
+
+
+def test_a_table_digest_ignores_chunks_and_sees_values():
+    whole = failures("a", "b")
+    parts = pa.concat_tables([failures("a"), failures("b")])
+    assert table_digest(parts) == table_digest(whole)
+    assert encode_table(parts) == encode_table(whole)
+    assert table_digest(failures("a", "c")) != table_digest(whole)
+    small, large = (pa.table({"a": pa.array([1, 2], kind)}) for kind in (pa.int32(), pa.int64()))
+    assert table_digest(small) != table_digest(large)
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped"])
+def test_damage_is_one_sentence_that_names_the_file(store, damage):
+    ref, other = store.put("labels", labels(3)), store.put("labels", labels(4))
+    path = f"{store.path}/{ref.uri}"
+    whole = store.fs.cat_file(path)
+    if damage == "missing":
+        store.fs.rm_file(path)
+    else:
+        bad = {
+            "cut": whole[: len(whole) // 2],
+            "altered": whole[:90] + bytes([whole[90] ^ 255]) + whole[91:],
+            "empty": b"",
+            "swapped": store.fs.cat_file(f"{store.path}/{other.uri}"),
+        }[damage]
+        store.fs.pipe_file(path, bad)
+    with pytest.raises(SpecError) as error:
+        store.get(ref)
+    message = str(error.value)
+    assert ref.uri in message
+    assert "found" in message
+    assert "expected" in message
+    assert "\n" not in message
+    assert store.put("labels", labels(3)) == ref
+    assert store.fs.cat_file(path) == whole
+
+
+def test_a_damaged_table_is_a_spec_error(store):
+    ref = store.put("failures", failures("a"))
+    store.fs.pipe_file(f"{store.path}/{ref.uri}", b"PAR1 and then nothing PAR1")
+    with pytest.raises(SpecError, match="cannot be read"):
+        store.get(ref)
+
+
+def test_no_damaged_byte_escapes_as_another_error(local):
+    """Flags, versions and lengths inside the file formats too, not only the content."""
+    label_maps = {"labels": np.ones((1, 2, 3), np.int32), "margin": np.ones((1, 2, 3), np.float32)}
+    rows = [{"scene": "é", "stage": "b", "kind": "c", "reason": "d"}]
+    table = pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
+    for spec, content in (("labels", label_maps), ("failures", table)):
+        ref = local.put(spec, content)
+        path = Path(local.path) / ref.uri
+        whole = path.read_bytes()
+        for place in range(0, len(whole), 3):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x81]) + whole[place + 1 :])
+            try:
+                local.get(ref)  # a byte that says nothing, such as a date
+            except SpecError as error:
+                assert str(path) in str(error)
+
+
+@pytest.mark.parametrize(
+    ("root", "why"),
+    [
+        ("foo://bucket", "Protocol not known: foo; or choose a folder"),
+        ("s3a://bucket", r"needs s3fs \(`pip install 's3fs>=\d"),
+    ],
+)
+def test_a_place_that_cannot_be_a_store_is_an_input_error(root, why, monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(InputError, match=f"store {root}: {why}"):
+        ArtifactStore(root)
+
+
+def test_what_a_spec_forbids_is_neither_written_nor_read(local):
+    wrong = {**labels(), "margin": np.zeros((2, 4, 5), np.float64)}
+    with pytest.raises(SpecError, match=r"margin: found float64 .*expected float32"):
+        local.put("labels", wrong)
+    assert not Path(local.path).exists()
+    ref = local.put("labels", labels())
+    path_of(local, ref).write_bytes(encode_arrays(wrong, True))
+    with pytest.raises(SpecError, match=f"{ref.digest}.npz: margin: found float64"):
+        local.get(ref)
+
+
+def test_pickled_objects_are_refused(local):
+    ref = local.put("labels", labels())
+    buffer = io.BytesIO()
+    np.savez(buffer, labels=np.array([{"code": "here"}], object), margin=labels()["margin"])
+    path_of(local, ref).write_bytes(buffer.getvalue())
+    with pytest.raises(SpecError, match="cannot be read"):
+        local.get(ref)
+
+
+def test_an_interrupted_write_leaves_nothing_behind(local, monkeypatch):
+    ref = local.put("labels", labels(1))
+    before = sorted(Path(local.path).rglob("*"))
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        local.put("labels", labels(2))
+    after = [p for p in sorted(Path(local.path).rglob("*")) if p.is_file() or p in before]
+    assert after == before
+    local.get(ref)
+
+
+@pytest.mark.skipif(sys.platform == "win32" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_an_input_error(tmp_path):
+    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    with pytest.raises(InputError, match="cannot write"):
+        ArtifactStore(tmp_path / "store").check_writable()
+
+
+def test_a_store_below_a_file_is_an_input_error(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(InputError, match=r"cannot write there .*--store"):
+        ArtifactStore(tmp_path / "file" / "store").check_writable()
+
+
+def test_check_writable_leaves_no_trace(store):
+    store.check_writable()
+    assert store.fs.find(store.path) == []
+
+
+def test_a_ref_outlives_a_move(local, tmp_path):
+    ref = local.put("labels", labels())
+    Path(local.path).rename(tmp_path / "moved")
+    np.testing.assert_array_equal(
+        ArtifactStore(tmp_path / "moved").get(ref)["labels"], labels()["labels"]
+    )
