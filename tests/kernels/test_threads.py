@@ -127,6 +127,9 @@ def test_who_only_imported_torch_is_not_told(program, environment):
     reason="needs a processor with AVX2",
 )
 def test_the_kernels_of_a_process_are_named():
-    show = "from slgaussian.kernels import threads; import sys; print(threads.kernels(), file=sys.stderr)"
+    show = (
+        "import sys; from slgaussian.kernels import threads; "
+        "print(threads.kernels(), file=sys.stderr)"
+    )
     found = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
     assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in found
