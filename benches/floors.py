@@ -24,6 +24,7 @@ from slgaussian.benchmark.metrics import depth_errors
 from slgaussian.build import build_field
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 
@@ -81,7 +82,7 @@ def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
 
 
 def _scores(sample: Sample, truth: Mapping, seed: int, boxes: Mapping | None = None) -> dict:
-    field = build_field(sample, seed=seed)
+    field = build_field(sample, Method(seed=seed))
     unused = np.zeros((1, 1, 1), np.int32)  # what is drawn of label maps
     maps = LabelMaps(unused, unused)
     return evaluate(

@@ -21,6 +21,9 @@ from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
 from slgaussian.parts import registry
+from slgaussian.parts.method import Method as BuildMethod
+from slgaussian.parts.part import Part
+from slgaussian.parts.registry import KINDS
 from slgaussian.storage.remote import check_url
 
 SIDES = range(16, 8193)
@@ -364,11 +367,16 @@ class Method(QueryRules):
         """How queries are answered, as :class:`slgaussian.language.query.Rules` takes it."""
         return self.model_dump(include=RULES)
 
-    def build_arguments(self) -> dict[str, Any]:
-        """What :func:`slgaussian.build.build_field` takes besides the sample."""
-        named = self.model_dump(include=PARTS | {"replicas", "seed"})
-        own = {"settings": self.part_settings(), "trust_cameras": self.trust_cameras}
-        return {**named, **own}
+    def part(self, kind: str) -> Part:
+        """The part of a kind, with its settings; InputError if its files cannot be read."""
+        name = getattr(self, kind)
+        return Part.of(kind, name, self.part_settings().get(name))
+
+    @cached_property
+    def built_by(self) -> BuildMethod:
+        """How a field is built, as the library takes it; InputError if files cannot be read."""
+        parts = {kind: self.part(kind) for kind in KINDS}
+        return BuildMethod(**parts, replicas=self.replicas, seed=self.seed)
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -376,10 +384,7 @@ class Method(QueryRules):
 
         The chosen parts, their settings with files by content, replicas and seed.
         """
-        from slgaussian.parts.identity import described
-
-        named = self.model_dump(include=PARTS | {"replicas", "seed"})
-        return {**named, **described(self.part_settings())}
+        return self.built_by.identity()
 
 
 TABLES: dict[str, type[PartTable]] = {

@@ -24,6 +24,7 @@ _PUBLIC = {
     "MemoryBank": "slgaussian.language.bank",
     "SemanticField": "slgaussian.field",
     "build_field": "slgaussian.build",
+    "Method": "slgaussian.parts.method",
     "rasterize": "slgaussian.rasterize",
     "load_ply": "slgaussian.formats.ply",
     "save_ply": "slgaussian.formats.ply",

@@ -1,6 +1,6 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,32 +15,22 @@ from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
-from slgaussian.language import ENCODERS, load_codes, load_encoder
+from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
-from slgaussian.language.named import true_names
+from slgaussian.language.named import Named, true_names
 from slgaussian.language.room import find_room
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.parts.identity import PartSettings, described, places
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.method import Method, PartSettings
+from slgaussian.parts.part import Part
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 from slgaussian.semantic import load_lifting
 
 
 def build_field(
-    sample: Sample,
-    predictor: str = "planesweep",
-    proposer: str = "regions",
-    tracker: str = "geometric",
-    encoder: str = "lexicon",
-    codes: str = "separated",
-    lifting: str = "hard",
-    replicas: int = 5,
-    seed: int = 0,
-    settings: PartSettings | None = None,
-    trust_cameras: bool = False,
+    sample: Sample, method: Method | None = None, trust_cameras: bool = False
 ) -> SemanticField:
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
@@ -48,53 +38,32 @@ def build_field(
     ----------
     sample : Sample
         Its targets are not looked at, nor its truths, but by the encoder ``named``.
-    predictor, proposer, tracker, encoder, codes, lifting : str
-        The method of each part, by its name in the registry of its package.
-    replicas : int
-        How many copies of each view vote on its labels (five in the paper, section 3.2).
-    seed : int
-        Of everything random: the planes that fill depth, and the ID codes. The same seed gives
-        the same bytes, whatever scene and views are called.
-    settings : mapping, optional
-        Settings of these parts, each under its name (see its class):
-        ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
+    method : Method, optional
+        Its parts and their settings; ``Method()`` if left out, which needs no weights.
     trust_cameras : bool
         Do not refuse cameras that the matches between the photographs contradict.
 
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this, see :func:`slgaussian.parts.identity.described`, and
+        Its own ``settings`` say all this, see :meth:`slgaussian.parts.method.Method.identity`, and
         under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`.
 
     Raises
     ------
     InputError
-        If a name or a setting is unknown, a checkpoint does not fit, the views cannot be used, or
+        If a setting is out of bounds, a checkpoint does not fit, the views cannot be used, or
         their cameras are not theirs; the message says which and why.
     """
-    settings = _with_defaults(encoder, settings or {})
-    check_parts(predictor, proposer, tracker, encoder, codes, lifting, settings)
-    made_by = described(settings)
+    method = method or Method()
+    method.check()
     compiling.watch()
-    gaussians = predict(sample, predictor, seed, settings, trust_cameras)
-    label_maps = label_views(sample, gaussians, proposer, tracker, replicas, settings)
-    bank = remember(sample, gaussians, label_maps, encoder, codes, seed, settings)
-    about = {
-        "scene": sample.scene,
-        "predictor": predictor,
-        "proposer": proposer,
-        "tracker": tracker,
-        "encoder": encoder,
-        "codes": codes,
-        "lifting": lifting,
-        "replicas": replicas,
-        "seed": seed,
-        **made_by,
-    }
-    where = places(settings.get(encoder, {}))
-    own = settings.get(lifting, {})
-    return lift_field(sample, gaussians, label_maps, bank, lifting, about, where, own)
+    gaussians = predict(sample, method.predictor, method.seed, trust_cameras=trust_cameras)
+    label_maps = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, gaussians, label_maps, method.encoder, method.codes, method.seed)
+    about = {"scene": sample.scene, **method.identity()}
+    where = method.encoder.places()
+    return lift_field(sample, gaussians, label_maps, bank, method.lifting, about, where)
 
 
 def check_parts(
@@ -133,7 +102,11 @@ def check_parts(
 
 
 def predict(
-    sample: Sample, predictor: str, seed: int, settings: PartSettings, trust_cameras: bool = False
+    sample: Sample,
+    predictor: Part | str,
+    seed: int,
+    settings: PartSettings | None = None,
+    trust_cameras: bool = False,
 ) -> Gaussians:
     """Gaussians from the context views (paper, section 3.1), once their cameras are believed.
 
@@ -145,7 +118,7 @@ def predict(
     """
     if not trust_cameras:
         check_cameras(sample)
-    gaussians = load_predictor(predictor, **settings.get(predictor, {}))(sample, seed)
+    gaussians = _loaded(load_predictor, predictor, settings)(sample, seed)
     opaque = _opaque(sample)
     if opaque is None:
         return gaussians
@@ -162,17 +135,17 @@ def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
 def label_views(
     sample: Sample,
     gaussians: Gaussians,
-    proposer: str,
-    tracker: str,
+    proposer: Part | str,
+    tracker: Part | str,
     replicas: int,
-    settings: PartSettings,
+    settings: PartSettings | None = None,
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     maps = associate(
         sample.context,
-        load_proposer(proposer, **settings.get(proposer, {})),
-        load_tracker(tracker, **settings.get(tracker, {})),
+        _loaded(load_proposer, proposer, settings),
+        _loaded(load_tracker, tracker, settings),
         replicas,
         depths,
     )
@@ -184,8 +157,8 @@ def remember(
     sample: Sample,
     gaussians: Gaussians,
     label_maps: LabelMaps,
-    encoder: str,
-    codes: str,
+    encoder: Part | str,
+    codes: Part | str,
     seed: int,
     settings: PartSettings | None = None,
 ) -> MemoryBank:
@@ -194,11 +167,10 @@ def remember(
     Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them.
     With the encoder ``named`` objects get the vectors of their true names instead, and groups none.
     """
-    settings = settings or {}
-    strategy = load_codes(codes, **settings.get(codes, {}))
+    strategy = _loaded(load_codes, codes, settings)
     drawn = strategy(label_maps, rng_for(seed, sample.content, "codes"))
-    loaded = load_encoder(encoder, **settings.get(encoder, {}))
-    names = true_names(sample, label_maps) if encoder == "named" else None
+    loaded = _loaded(load_encoder, encoder, settings)
+    names = true_names(sample, label_maps) if isinstance(loaded, Named) else None
     cameras = [view.camera for view in sample.context]
     depths = source_depths(gaussians, cameras)
     room = find_room(cameras, depths)
@@ -212,7 +184,7 @@ def lift_field(
     gaussians: Gaussians,
     label_maps: LabelMaps,
     bank: MemoryBank,
-    lifting: str,
+    lifting: Part | str,
     settings: Mapping[str, Any],
     where: Mapping[str, str] | None = None,
     own: Mapping[str, Any] | None = None,
@@ -223,7 +195,8 @@ def lift_field(
     ``own`` are settings of the lifting, and ``settings`` what the field says of itself.
     """
     cameras = {view.name: view.camera for view in sample.context}
-    lifted = load_lifting(lifting, **(own or {}))(gaussians, label_maps, bank)
+    name = lifting if isinstance(lifting, str) else lifting.name
+    lifted = _loaded(load_lifting, lifting, {name: own or {}})(gaussians, label_maps, bank)
     said = {**settings, "quality": quality_of(sample, gaussians).as_json()}
     return SemanticField(lifted, bank, cameras, said, where or {})
 
@@ -237,8 +210,8 @@ def _opaque(sample: Sample) -> np.ndarray | None:
     return np.stack([full if mask is None else mask for mask in masks])
 
 
-def _with_defaults(encoder: str, settings: PartSettings) -> PartSettings:
-    """A model is written down even where it is the one that the encoder has by default."""
-    model = getattr(resolve("encoder", ENCODERS, encoder), "model", None)
-    own = {} if model is None else {encoder: {"model": model, **settings.get(encoder, {})}}
-    return {**settings, **own}
+def _loaded(load: Callable, part: Part | str, settings: PartSettings | None) -> Any:
+    """A part ready to work, given as such, or by its name with its settings by place."""
+    if isinstance(part, Part):
+        return part.load()
+    return load(part, **(settings or {}).get(part, {}))

@@ -17,7 +17,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats.brief import brief, said
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import compiling
-from slgaussian.language import Encoder, load_encoder
+from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.objectmap import ObjectMap
@@ -30,7 +30,7 @@ from slgaussian.language.query import (
     describe,
     segment,
 )
-from slgaussian.parts.identity import placed, places
+from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
@@ -135,18 +135,15 @@ class SemanticField:
         SpecError
             If its vectors have another width than those of the bank.
         """
-        name = self.settings["encoder"]
-        own = self.settings.get(name, {})
-        _check_places(name, own, self.places)
-        other = "is not what the field was built with; give that one, or build the field with it"
-        try:
-            encoder = load_encoder(name, **placed(own, self.places, other))
-        except TypeError as error:
-            raise InputError(f"settings of {name!r}: {error}") from None
+        part = Part.stored("encoder", self.settings, self.places)
+        _check_places(part)
+        encoder: Encoder = part.load(
+            "is not what the field was built with; give that one, or build the field with it"
+        )
         if self.bank.features.shape[2] != encoder.encode_text(encoder.canonical).shape[1]:
             raise SpecError(
-                f"memory bank: made by another version of the encoder {name!r}; build the field "
-                "again"
+                f"memory bank: made by another version of the encoder {part.name!r}; build the "
+                "field again"
             )
         return encoder
 
@@ -282,11 +279,11 @@ class SemanticField:
             loaded = SemanticField.of(about, arrays, where)
         except InputError as error:
             raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
-        if not places(about.settings.get(about.settings["encoder"], {})):
-            try:
+        try:
+            if not Part.stored("encoder", about.settings).files:
                 loaded.encoder  # noqa: B018  (what needs no files is checked at once)
-            except (InputError, SpecError) as error:
-                raise SpecError(f"{path}: {error}") from error
+        except (InputError, SpecError) as error:
+            raise SpecError(f"{path}: {error}") from error
         return loaded
 
     @staticmethod
@@ -321,15 +318,15 @@ def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
 
 
-def _check_places(encoder: str, own: Mapping[str, Any], where: Mapping[str, str]) -> None:
+def _check_places(encoder: Part) -> None:
     """InputError if a file of the encoder has no place, or is no longer there."""
-    for key in {**places(own), **where}:
-        place = where.get(key)
-        if place is None or (os.path.isabs(place) and not os.path.exists(place)):
-            gone = "" if place is None else f" and is no longer at {place}"
+    for key, known in encoder.files.items():
+        place = known.place
+        if not place or (os.path.isabs(place) and not os.path.exists(place)):
+            gone = f" and is no longer at {place}" if place else ""
             raise InputError(
-                f"the field's encoder {encoder!r} needs its {key}, which is not stored with a "
-                f"field{gone}; say where it is, as in --{encoder}-{key} PLACE or "
+                f"the field's encoder {encoder.name!r} needs its {key}, which is not stored with a "
+                f"field{gone}; say where it is, as in --{encoder.name}-{key} PLACE or "
                 f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
             )
 

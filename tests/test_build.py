@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.build import build_field, check_parts
+from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
-from slgaussian.parts.identity import described
+from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 
 NAMES = {
@@ -35,23 +35,23 @@ NAMES = {
 )
 def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):
     with pytest.raises(InputError, match=sentence) as error:
-        check_parts(**NAMES, settings=settings)
+        Method(settings=settings).check()
     assert "\n" not in str(error.value)
 
 
 def test_files_are_written_down_by_content(tmp_path):
     file = tmp_path / "weights.ckpt"
     file.write_bytes(b"weights")
-    settings = {"mvsplat": {"checkpoint": str(file), "precision": "float32"}}
+    settings = {"mvsplat": {"checkpoint": str(file), "depth_candidates": 64}}
     digest = hashlib.sha256(b"weights").hexdigest()
-    expected = {"mvsplat": {"checkpoint": digest, "precision": "float32"}}
-    assert described(settings) == described({"mvsplat": settings["mvsplat"]}) == expected
+    expected = {"checkpoint": digest, "precision": "float32", "depth_candidates": 64}
+    assert Method("mvsplat", settings=settings).identity()["mvsplat"] == expected
     assert settings["mvsplat"]["checkpoint"] == str(file)
 
 
 def test_what_cannot_be_written_down_is_refused():
     with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
-        described({"planesweep": {"near": np.float32(1.5)}})
+        Method(settings={"planesweep": {"near": np.float32(1.5)}})
 
 
 def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
@@ -60,7 +60,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
     depths = {}
     for far in (10.0, 20.0):
         given = {"planesweep": {"near": 0.9, "far": far}}
-        field = build_field(sample, replicas=1, settings=given)
+        field = build_field(sample, Method(replicas=1, settings=given))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
         quality = settings.pop("quality")
@@ -70,7 +70,9 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             **NAMES,
             "replicas": 1,
             "seed": 0,
-            **given,
+            "planesweep": {"depth_candidates": 144, **given["planesweep"]},
+            "lexicon": {"synonyms": None},
+            "separated": {"dimension": 3, "error": 0.01},
         }
         cameras = [view.camera for view in sample.context]
         depths[far] = source_depths(field.gaussians, cameras).max()
@@ -80,7 +82,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
 
 def of_pair(sample: Sample, seed: int = 0) -> dict[str, bytes]:
     """All arrays of the field of the stereo pair, and an answer, as bytes."""
-    field = build_field(sample, replicas=1, seed=seed)
+    field = build_field(sample, Method(replicas=1, seed=seed))
     arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
     arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
     view = field.render(sample.context[0].camera)
@@ -122,7 +124,9 @@ def test_what_is_transparent_becomes_nothing(tmp_path):
             for view in sample.context
         ),
     )
-    field = build_field(cut, replicas=1, settings={"planesweep": {"near": 0.9, "far": 20.0}})
+    field = build_field(
+        cut, Method(replicas=1, settings={"planesweep": {"near": 0.9, "far": 20.0}})
+    )
     source = field.gaussians.source.numpy()
     assert len(source) and opaque.ravel()[source % opaque.size].all()
     seen = field.render(next(iter(field.cameras.values())))

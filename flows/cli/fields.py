@@ -67,7 +67,7 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
         f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
         file=sys.stderr,
     )
-    field = build_field(sample, **method.build_arguments())
+    field = build_field(sample, method.built_by, method.trust_cameras)
     field.save(out)
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)

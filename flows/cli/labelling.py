@@ -16,10 +16,8 @@ from slgaussian.benchmark import pictures
 from slgaussian.build import predict
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
-from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.precomputed import encode_ids, map_names
-from slgaussian.parts.identity import described
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.store import replacing_folder
 
@@ -54,19 +52,19 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     check_target(out, ABOUT, "a folder of masks")
     sample = posed_sample(photos, cameras, method)
     names = map_names([view.name for view in sample.context])
-    chosen = {step: getattr(method, step) for step in STEPS}
-    own = {part: t for part, t in method.part_settings().items() if part in chosen.values()}
-    proposer = load_proposer(method.proposer, **own.get(method.proposer, {}))
-    tracker = load_tracker(method.tracker, **own.get(method.tracker, {}))
+    parts = [method.part(step) for step in STEPS]
+    predictor, proposer, tracker = parts
+    made_by = proposer.load(), tracker.load()
     height, width = sample.context[0].image.shape[:2]
+    called = ", ".join(part.name for part in parts)
     print(
-        f"labelling {len(names)} views of {width}x{height} with {', '.join(chosen.values())}",
+        f"labelling {len(names)} views of {width}x{height} with {called}",
         file=sys.stderr,
     )
     start = time.perf_counter()
-    gaussians = predict(sample, method.predictor, method.seed, own, method.trust_cameras)
+    gaussians = predict(sample, predictor, method.seed, trust_cameras=method.trust_cameras)
     depths = source_depths(gaussians, [view.camera for view in sample.context])
-    maps = associate(sample.context, proposer, tracker, method.replicas, depths)
+    maps = associate(sample.context, *made_by, method.replicas, depths)
     print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)
 
     files, panels = {}, []
@@ -81,7 +79,8 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
             panels += [(view.name, view.image), ("objects", painted)]
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
-        about = {**chosen, "replicas": method.replicas, **described(own)}
+        about = {part.kind: part.name for part in parts} | {"replicas": method.replicas}
+        about |= {part.name: part.identity() for part in parts if part.settings}
         text = {"size": [height, width], "views": files, "settings": about}
         (draft / ABOUT).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     return Labelled(files, maps)

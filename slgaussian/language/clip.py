@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.language.crops import check_regions, region_crop
 from slgaussian.language.open_clip import load_open_clip
@@ -28,14 +28,14 @@ from slgaussian.parts.pretrained import (
     find_tokenizer,
     load_pretrained,
     load_tokenizer,
+    model_digest,
     read_json,
+    tokenizer_digest,
 )
+from slgaussian.parts.settings import check_settings, setting
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 """Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
-
-CROPS = ("masked", "context")
-PRECISIONS = ("float32", "bfloat16")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,26 +78,37 @@ class Clip:
     name: ClassVar[str] = "clip"
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
 
-    model: str | Path = FAMILY.example
-    tokenizer: str | Path | None = None
-    crops: str = "masked"
-    batch: int = 4
-    precision: str = "float32"
+    model: str | Path = setting(
+        FAMILY.example,
+        "CLIP: folder, name on the Hugging Face hub, or open_clip's file or folder.",
+        content=model_digest,
+    )
+    tokenizer: str | Path | None = setting(
+        None,
+        "CLIP's tokenizer if not beside its model: folder, or name on the hub.",
+        content=tokenizer_digest,
+        optional=True,
+    )
+    crops: str = setting(
+        "masked",
+        "What CLIP sees of a region: masked, itself on black, or context, also what is around it.",
+        choices=("masked", "context"),
+        expected="'masked' or 'context'",
+    )
+    batch: int = setting(4, "Regions encoded together: memory goes with it.", low=1)
+    precision: str = setting(
+        "float32",
+        "Of CLIP's image tower on a CPU: float32 or bfloat16.",
+        choices=("float32", "bfloat16"),
+        expected="'float32' or 'bfloat16'",
+    )
     device: str = "auto"
     network: Any = field(init=False, repr=False)
     _words: Any = field(init=False, repr=False)
     _colours: tuple[torch.Tensor, torch.Tensor] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, choices in (("crops", CROPS), ("precision", PRECISIONS)):
-            given = getattr(self, name)
-            if given not in choices:
-                raise InputError(
-                    f"clip {name}: found {given!r}, expected "
-                    f"{' or '.join(map(repr, choices))}{did_you_mean(given, choices)}"
-                )
-        if self.batch < 1:
-            raise InputError(f"clip batch: found {self.batch}, expected at least 1")
+        check_settings(self, "clip")
         network = load_pretrained(self.model, self.FAMILY, self.device)
         object.__setattr__(self, "network", network)
         object.__setattr__(self, "_words", self._load_words())

@@ -14,6 +14,10 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.nearest import MOST_DIMENSIONS
+from slgaussian.parts.settings import check_settings, setting
+
+DIMENSIONS = f"1 to {MOST_DIMENSIONS} numbers a code"
+"""What sentences expect of a dimension."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +35,12 @@ class Grid:
         If the dimension is another.
     """
 
-    dimension: int = 3
+    dimension: int = setting(
+        3, "Numbers a code, 1 to 3.", low=1, high=MOST_DIMENSIONS, expected=DIMENSIONS
+    )
 
     def __post_init__(self) -> None:
-        check_dimension(self.dimension)
+        check_settings(self, "code")
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
@@ -83,14 +89,6 @@ def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarr
     levels = np.linspace(0, 1, k, dtype=np.float32) if k > 1 else np.array([0.5], np.float32)
     chosen = rng.choice(k**dimension, n, replace=False)
     return np.stack([levels[axis] for axis in np.unravel_index(chosen, (k,) * dimension)], 1)
-
-
-def check_dimension(dimension: int) -> None:
-    """Raise InputError unless ``dimension`` is 1, 2 or 3."""
-    if dimension not in range(1, MOST_DIMENSIONS + 1):
-        raise InputError(
-            f"code dimension: found {dimension!r}, expected 1 to {MOST_DIMENSIONS} numbers a code"
-        )
 
 
 def count_objects(label_maps: LabelMaps) -> int:

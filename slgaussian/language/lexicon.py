@@ -22,7 +22,9 @@ and how each is measured are listed in docs/reference/lexicon.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +34,8 @@ from slgaussian.language.crops import check_regions
 from slgaussian.language.descriptors import Descriptors
 from slgaussian.language.room import Surroundings
 from slgaussian.language.vocabulary import load_vocabulary
+from slgaussian.parts.pretrained import model_digest
+from slgaussian.parts.settings import setting
 
 POSITIVE = 0.8
 """Evidence for a descriptor counts this much of evidence against: one word that does not fit
@@ -42,10 +46,11 @@ SAYS = 0.5
 The order of objects for one text does not depend on it."""
 
 
+@dataclass(eq=False)
 class Lexicon:
     """Encoder for the words of ``vocabulary.toml``; see the module.
 
-    Parameters
+    Attributes
     ----------
     synonyms : path or str, optional
         Model that finds known words for unknown ones, which are left out otherwise; see
@@ -57,15 +62,23 @@ class Lexicon:
         If that model cannot be used.
     """
 
-    name = "lexicon"
+    name: ClassVar[str] = "lexicon"
 
-    def __init__(self, synonyms: str | Path | None = None) -> None:
+    synonyms: str | Path | None = setting(
+        None,
+        "Model that finds known words for unknown ones, such as all-MiniLM-L6-v2: folder, or name "
+        "on the Hugging Face hub.",
+        content=model_digest,
+        optional=True,
+    )
+
+    def __post_init__(self) -> None:
         self._vocabulary = load_vocabulary()
         self._guess = None
-        if synonyms is not None:
+        if self.synonyms is not None:
             from slgaussian.language.synonyms import Synonyms
 
-            self._guess = Synonyms(synonyms, self._vocabulary.words).nearest
+            self._guess = Synonyms(self.synonyms, self._vocabulary.words).nearest
         self._descriptors = Descriptors(
             ColourNames(self._vocabulary.colours), self._vocabulary.groups
         )

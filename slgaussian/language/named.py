@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -18,6 +19,8 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.room import Surroundings
+from slgaussian.parts.identity import file_digest
+from slgaussian.parts.settings import setting
 from slgaussian.scene import Sample
 
 CANONICAL = ("object", "things", "stuff", "texture")
@@ -30,12 +33,13 @@ pairs of different names then have a relevancy above 0.5; four names drawn at ra
 let 9 to 23 % of them through, and the four nearest to the mean 1.4 %."""
 
 
+@dataclass(eq=False)
 class Named:
     """Vectors by name; see the module.
 
-    Parameters
+    Attributes
     ----------
-    table : path or str
+    table : path
         ``.npz`` with ``names`` str [M] and ``features`` float [M, C]. Has no default.
 
     Raises
@@ -47,7 +51,10 @@ class Named:
 
     name: ClassVar[str] = "named"
 
-    def __init__(self, table: str | Path | None = None) -> None:
+    table: Path | None = setting(None, "Names and vectors, .npz.", content=file_digest)
+
+    def __post_init__(self) -> None:
+        table = self.table
         if table is None:
             raise InputError("named table: none given; give the .npz, as in --named-table FILE")
         names, features = _read(Path(table))

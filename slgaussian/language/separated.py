@@ -16,11 +16,11 @@ from typing import Literal, NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.kernels.simd import LANES, vabs, vload, vsum, vwhere, vzero
 from slgaussian.labels import LabelMaps
-from slgaussian.language.codes import check_dimension, count_objects
-from slgaussian.language.nearest import nearest_code
+from slgaussian.language.codes import DIMENSIONS, count_objects
+from slgaussian.language.nearest import MOST_DIMENSIONS, nearest_code
+from slgaussian.parts.settings import check_settings, setting
 
 GAPS = (1, 2, 4, 8, 16)
 """Objects that are so many pixels apart, along rows or columns, are neighbours; they count by one
@@ -78,14 +78,23 @@ class Separated:
         If a setting is out of its range.
     """
 
-    dimension: int | Literal["auto"] = 3
-    error: float = 0.01
+    dimension: int | Literal["auto"] = setting(
+        3,
+        "Numbers a code, 1 to 3, or 'auto': as few as the scene needs.",
+        low=1,
+        high=MOST_DIMENSIONS,
+        expected=DIMENSIONS,
+    )
+    error: float = setting(
+        0.01,
+        "With 'auto': mixtures of neighbours that may read as a third object.",
+        low=0,
+        high=1,
+        expected="a share from 0 to 1",
+    )
 
     def __post_init__(self) -> None:
-        if self.dimension != "auto":
-            check_dimension(self.dimension)
-        if not 0 <= self.error <= 1:
-            raise InputError(f"code error: found {self.error}, expected a share from 0 to 1")
+        check_settings(self, "code")
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""

@@ -17,12 +17,13 @@ import cv2
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
 from slgaussian.masks.regions import check_image
-from slgaussian.parts.pretrained import Family, chosen_device, load_pretrained
+from slgaussian.parts.pretrained import Family, chosen_device, load_pretrained, model_digest
+from slgaussian.parts.settings import check_settings, setting
 
 LEVELS = ("s", "m", "l")
 """The masks that one point gives, in the order of the model's outputs: part, object, group."""
@@ -149,27 +150,30 @@ class AutomaticProposer(ABC):
 
     FAMILY: ClassVar[Family]
 
-    model: str | Path | None = None
-    preset: str | Automatic = "grouping"
-    points: int | None = None
-    level: str = "all"
-    batch: int = 16
+    model: str | Path | None = setting(
+        None, "Pretrained model: folder, or name on the Hugging Face hub.", content=model_digest
+    )
+    preset: str | Automatic = setting(
+        "grouping",
+        "Which masks are asked and kept: sam, sam2, langsplat or grouping.",
+        choices=tuple(PRESETS),
+    )
+    points: int | None = setting(
+        None, "Points prompted along each side, if not as many as the preset says.", low=1
+    )
+    level: str = setting(
+        "all",
+        "Which masks of a point: s (parts), m (objects), l (groups) or all.",
+        choices=(*LEVELS, "all"),
+        expected="s, m, l or all",
+    )
+    batch: int = setting(16, "Points prompted together: memory goes with it.", low=1)
     device: str = "auto"
     network: Any = field(init=False, repr=False)
     _encoded: dict[Any, PromptedImage] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        part = self.FAMILY.part
-        if not isinstance(self.preset, Automatic) and self.preset not in PRESETS:
-            raise InputError(
-                f"{part} preset: found {self.preset!r}, expected one of {', '.join(PRESETS)}"
-                f"{did_you_mean(self.preset, PRESETS)}"
-            )
-        if self.level not in (*LEVELS, "all"):
-            raise InputError(f"{part} level: found {self.level!r}, expected s, m, l or all")
-        for name, value in (("points", self.points), ("batch", self.batch)):
-            if value is not None and value < 1:
-                raise InputError(f"{part} {name}: found {value}, expected at least 1")
+        check_settings(self, self.FAMILY.part)
         object.__setattr__(self, "device", chosen_device(self.device))
         object.__setattr__(self, "network", load_pretrained(self.model, self.FAMILY, self.device))
 

@@ -14,6 +14,7 @@ from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, read_npy
+from slgaussian.parts.settings import setting
 from slgaussian.scene import View
 from slgaussian.storage.store import sha256_of
 
@@ -26,6 +27,15 @@ crop from 16:9 to a square is 1.8, a quarter turn of 3:2 is 2.3."""
 TOP = 2**31 - 1
 TOP_PNG = 2**16 - 1
 """The largest id, in any map and in a grey PNG."""
+
+
+def folder_digest(folder: Path | str) -> str:
+    """What a folder of id maps is known by: SHA-256, hexadecimal, of their names and contents."""
+    folder = Path(folder)
+    digest = hashlib.sha256()
+    for file in sorted(file for file in folder.rglob("*") if file.suffix in SUFFIXES):
+        digest.update(f"{file.relative_to(folder).as_posix()} {sha256_of(file)}\n".encode())
+    return digest.hexdigest()
 
 
 @dataclass(eq=False)
@@ -57,7 +67,9 @@ class Precomputed:
         another type or shape, or is another view's too.
     """
 
-    folder: Path | str | None = None
+    folder: Path | None = setting(
+        None, "Folder of id maps made elsewhere, PNG or NPY.", content=folder_digest
+    )
     final: ClassVar[bool] = True
     _views: dict[Path, str] = field(default_factory=dict, init=False)
 
@@ -144,15 +156,6 @@ def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
         return ".png", out.getvalue()
     np.save(out, ids)
     return ".npy", out.getvalue()
-
-
-def folder_digest(folder: Path | str) -> str:
-    """What a folder of id maps is known by: SHA-256, hexadecimal, of their names and contents."""
-    folder = Path(folder)
-    digest = hashlib.sha256()
-    for file in sorted(file for file in folder.rglob("*") if file.suffix in SUFFIXES):
-        digest.update(f"{file.relative_to(folder).as_posix()} {sha256_of(file)}\n".encode())
-    return digest.hexdigest()
 
 
 def read_ids(file: Path) -> np.ndarray:

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.masks.memory import check_labels
 from slgaussian.masks.regions import check_image
 from slgaussian.masks.sam import normalised
-from slgaussian.parts.pretrained import Family, load_pretrained
+from slgaussian.parts.pretrained import Family, load_pretrained, model_digest
+from slgaussian.parts.settings import check_settings, setting
 from slgaussian.scene import View
 
 
@@ -58,16 +58,17 @@ class Sam2Video:
         "sam2-video", "Sam2VideoModel", ("sam2_video",), "facebook/sam2.1-hiera-tiny"
     )
 
-    model: str | Path | None = None
-    batch: int = 16
+    model: str | Path | None = setting(
+        None, "Pretrained model: folder, or name on the Hugging Face hub.", content=model_digest
+    )
+    batch: int = setting(16, "Objects tracked together: memory goes with it.", low=1)
     device: str = "auto"
     final: ClassVar[bool] = False
     _frames: list[_Frame] = field(default_factory=list, init=False)
     _encoded: list[tuple[np.ndarray, dict[str, Any]]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        if self.batch < 1:
-            raise InputError(f"sam2-video batch: found {self.batch}, expected at least 1")
+        check_settings(self, "sam2-video")
         self._network = load_pretrained(self.model, self.FAMILY, self.device)
 
     def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:

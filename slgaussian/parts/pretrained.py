@@ -17,12 +17,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.parts.extras import install_line
-from slgaussian.storage.store import sha256_of
+from slgaussian.parts.identity import file_digest
 
 CONFIG, WEIGHTS, INDEX = "config.json", "model.safetensors", "model.safetensors.index.json"
 OPEN_CLIP_CONFIG = "open_clip_config.json"
@@ -146,6 +144,7 @@ def load_tokenizer(place: str | Path, class_name: str) -> Any:
 
 
 def _load_folder(folder: Path, family: Family) -> Any:
+    import torch
     import transformers
 
     try:
@@ -176,6 +175,8 @@ def chosen_device(device: str) -> str:
     """The device itself, or for "auto" the best one."""
     if device != "auto":
         return device
+    import torch
+
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
@@ -304,16 +305,8 @@ def tokenizer_digest(place: str | Path) -> str:
 def _digest(files: Mapping[str, Path]) -> str:
     digest = hashlib.sha256()
     for name, file in files.items():
-        state = file.stat()
-        content = _digest_of(file.resolve(), state.st_size, state.st_mtime_ns)
-        digest.update(f"{name} {content}\n".encode())
+        digest.update(f"{name} {file_digest(file)}\n".encode())
     return digest.hexdigest()
-
-
-@lru_cache(maxsize=64)
-def _digest_of(file: Path, size: int, changed: int) -> str:
-    """SHA-256 of a file of gigabytes, taken once for each size and time of change."""
-    return sha256_of(file)
 
 
 def _tokenizer_files(folder: Path) -> list[Path]:

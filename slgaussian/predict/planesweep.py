@@ -11,6 +11,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import rng_for
+from slgaussian.parts.settings import check_settings, setting
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
     MAX_CANDIDATES,
@@ -43,9 +44,6 @@ SPECKLE = 1 / 1200
 MIN_MARGIN = 0.02
 """A pixel whose best cost is not this much below all others is not answered: on a blank wall the
 smoothness alone decides, and both views may agree on what it says."""
-
-CANDIDATES = range(8, 513)
-"""Numbers of candidates that may be asked for."""
 
 MIN_VISIBLE = 0.05
 """Least share of the image that the sweep must see in a source view."""
@@ -109,7 +107,13 @@ class PlaneSweep:
 
     near: float | None = None
     far: float | None = None
-    depth_candidates: int = MAX_CANDIDATES
+    depth_candidates: int = setting(
+        MAX_CANDIDATES,
+        "Most depths that planesweep compares, 8 to 512; a pair gets no more than it needs.",
+        low=8,
+        high=512,
+        expected="a whole number from 8 to 512",
+    )
 
     def __post_init__(self) -> None:
         for name, value in (("near", self.near), ("far", self.far)):
@@ -119,11 +123,7 @@ class PlaneSweep:
             raise InputError(
                 f"plane sweep: near {self.near:g} must be below far {self.far:g}; correct them"
             )
-        if self.depth_candidates not in CANDIDATES:
-            raise InputError(
-                f"plane sweep depth_candidates: found {self.depth_candidates}, expected a whole "
-                f"number from {CANDIDATES[0]} to {CANDIDATES[-1]}"
-            )
+        check_settings(self, "plane sweep")
 
     def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Gaussians in the world frame of ``sample``.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits 
 LIFTINGS = {
     "hard": "slgaussian.semantic.hard:HardIndex",
     "filled": "slgaussian.semantic.filled:Filled",
-    "branch": "slgaussian.semantic.branch:load_lifting",
+    "branch": "slgaussian.semantic.trained:TrainedBranch",
 }
 
 

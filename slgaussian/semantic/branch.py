@@ -163,28 +163,6 @@ class BranchLifting:
         return replace(gaussians, features=features)
 
 
-def load_lifting(weights: str | Path | None = None) -> BranchLifting:
-    """The lifting by the branch with these weights.
-
-    Parameters
-    ----------
-    weights : str or path
-        What :func:`find_weights` takes. The package has none.
-
-    Raises
-    ------
-    InputError
-        If none are given, there are none, or they are damaged.
-    """
-    if weights is None:
-        raise InputError(
-            "lifting 'branch': no weights are given; train some with `slgaussian train` and give "
-            "the file, as in --branch-weights trained/branch.safetensors, or choose the lifting "
-            "'hard'"
-        )
-    return BranchLifting(load_branch(find_weights(weights)))
-
-
 def find_weights(place: str | Path) -> Path:
     """The file of weights that a place stands for.
 

@@ -17,6 +17,7 @@ from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.clip import Clip
+from slgaussian.parts.method import Method
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks, supervision
@@ -128,11 +129,11 @@ def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
 
 def test_from_python_too(model, tmp_path, monkeypatch):
     own = {"clip": {"model": model}}
-    field = build_field(room_sample(), encoder="clip", replicas=1, settings=own)
+    field = build_field(room_sample(), Method(encoder="clip", replicas=1, settings=own))
     camera = field.cameras["view_00"]
     hit = field.render(camera).query("red basket")
     field.save(tmp_path / "field")
-    assert field.settings["clip"] == {"model": model_digest(model)}
+    assert field.settings["clip"]["model"] == model_digest(model)
     moved = shutil.copytree(model, tmp_path / "moved")
     about = json.loads((tmp_path / "field" / "field.json").read_text())
     (tmp_path / "field" / "field.json").write_text(json.dumps({**about, "places": {}}))
@@ -155,8 +156,8 @@ def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
     (place / "refs").mkdir(parents=True)
     (place / "refs" / "main").write_text("0" * 40)
     shutil.copytree(model, place / "snapshots" / ("0" * 40))
-    field = build_field(room_sample(), encoder="clip", replicas=1)
-    assert field.settings["clip"] == {"model": model_digest(model)}
+    field = build_field(room_sample(), Method(encoder="clip", replicas=1))
+    assert field.settings["clip"]["model"] == model_digest(model)
     assert field.places == {"model": Clip.model}
 
 

@@ -18,6 +18,7 @@ from flows.cli.app import app
 from flows.cli.help import ALL
 from slgaussian import __version__
 from slgaussian.errors import did_you_mean
+from slgaussian.parts.settings import settings_of
 
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)
@@ -121,9 +122,13 @@ def test_choices_that_are_listed_are_those_that_are_taken():
     assert listed("absent") == set(relevancy.ABSENT)
     assert listed("preset", settings.SamTable) == set(automatic.PRESETS)
     assert listed("level", settings.SamTable) == {*automatic.LEVELS, "all"}
-    assert listed("crops", settings.ClipTable) == set(clip.CROPS)
-    assert listed("precision", settings.ClipTable) == set(clip.PRECISIONS)
-    assert listed("precision", settings.MVSplatTable) == set(predictor.PRECISIONS)
+    for part, table in (
+        (clip.Clip, settings.ClipTable),
+        (predictor.MVSplat, settings.MVSplatTable),
+    ):
+        for name, declared in settings_of(part).items():
+            if declared.choices:
+                assert listed(name, table) == set(declared.choices)
 
 
 @pytest.mark.parametrize(

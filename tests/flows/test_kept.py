@@ -18,6 +18,7 @@ from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.query import Rules
+from slgaussian.parts.method import Method
 from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -30,7 +31,7 @@ SCENES = {"room": "room", "a room/of *mine*": "a room_of _mine_-"}
 
 @pytest.fixture(scope="module")
 def field() -> SemanticField:
-    return build_field(room_sample(), replicas=1)
+    return build_field(room_sample(), Method(replicas=1))
 
 
 def here(tmp_path: Path) -> str:

@@ -112,7 +112,7 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     settings = settings_for(folder, missing)
     scene = datasets.load(ROOM["format"], **ROOM["options"])
     sample = scene.sample(ROOM["context"], size=settings.size)
-    own = build_field(replace(sample, scene="room"), **settings.build_arguments())
+    own = build_field(replace(sample, scene="room"), settings.built_by)
     own.save(tmp_path / "own")
     assert files_below(left) == files_below(tmp_path / "own")
     assert finished.ready.startswith("slgaussian query ")

@@ -15,6 +15,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.masks.sam import Sam
 from slgaussian.masks.sam2 import Sam2
+from slgaussian.parts.method import Method
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks
@@ -43,11 +44,12 @@ def settings_for(folder: Path, out: Path, proposer: str = "sam", **own) -> Setti
 @pytest.mark.parametrize("name", ["sam", "sam2"])
 def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
     own = {name: {"model": folders[name], **OWN}}
-    field = build_field(room_sample(), proposer=name, replicas=1, settings=own)
+    field = build_field(room_sample(), Method(proposer=name, replicas=1, settings=own))
     field.save(tmp_path / "field")
     said = SemanticField.load(tmp_path / "field").settings
     assert said["proposer"] == name
-    assert said[name] == {"model": model_digest(folders[name]), **OWN}
+    complete = {**said[name], "model": model_digest(folders[name]), **OWN}
+    assert said[name] == complete
     assert str(folders[name]) not in (tmp_path / "field" / "field.json").read_text()
 
 

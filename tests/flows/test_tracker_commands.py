@@ -12,6 +12,7 @@ from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import Precomputed, folder_digest
 from slgaussian.masks.sam2_video import Sam2Video
+from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactStore
 from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
@@ -29,9 +30,8 @@ def ids(tmp_path):
 
 
 def test_a_field_has_the_given_objects_and_says_so(ids):
-    field = build_field(
-        room_sample(), tracker="precomputed", settings={"precomputed": {"folder": ids}}
-    )
+    method = Method(tracker="precomputed", settings={"precomputed": {"folder": ids}})
+    field = build_field(room_sample(), method)
     truth = np.unique([view.instances for view in room_sample().context])
     np.testing.assert_array_equal(field.bank.ids, truth[truth > 0])
     assert field.settings["tracker"] == "precomputed"

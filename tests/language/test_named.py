@@ -14,6 +14,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import build_bank
 from slgaussian.language.named import ANY_NAME, true_names
+from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 
 
@@ -205,7 +206,7 @@ def test_a_whole_field_by_name(tmp_path):
     names = sorted(set(sample.phrases.values()))
     table = save(tmp_path / "names.npz", names)
     own = {"named": {"table": table}}
-    field = build_field(sample, encoder="named", replicas=1, settings=own)
+    field = build_field(sample, Method(encoder="named", replicas=1, settings=own))
     field.save(tmp_path / "field")
     (tmp_path / "elsewhere").mkdir()
     moved = table.rename(tmp_path / "elsewhere" / "n.npz")

@@ -11,9 +11,11 @@ from typing import Literal
 import numpy as np
 import torch
 
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
+from slgaussian.parts.identity import file_digest
+from slgaussian.parts.settings import check_settings, setting
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import link_views
 from slgaussian.predict.mvsplat.adapter import lift
@@ -29,8 +31,6 @@ MULTIPLE = 16
 NEAREST_DEPTH = 1.25
 """Depth of the 5th percentile of points in the training scenes, where the near plane is at 1 (Zhou
 et al., "Stereo Magnification", SIGGRAPH 2018, whose clips are RealEstate10K)."""
-
-PRECISIONS = ("float32", "bfloat16")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,19 @@ class MVSplat:
         If a setting is out of range, or the checkpoint does not fit.
     """
 
-    checkpoint: str | Path | None = None
+    checkpoint: Path | None = setting(
+        None, "Weights of mvsplat, such as re10k.ckpt.", content=file_digest
+    )
     near: float | None = None
     far: float | None = None
-    precision: str = "float32"
-    depth_candidates: int | Literal["auto"] = 128
+    precision: str = setting(
+        "float32", "Of mvsplat's layers: float32 or bfloat16.", choices=("float32", "bfloat16")
+    )
+    depth_candidates: int | Literal["auto"] = setting(
+        128,
+        "Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
+        low=2,
+    )
     device: str = "auto"
     config: Config = PUBLISHED
     network: Network = field(init=False, repr=False)
@@ -86,17 +94,13 @@ class MVSplat:
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
                 "says, and give its path, as in --mvsplat-checkpoint re10k.ckpt"
             )
-        if self.precision not in PRECISIONS:
-            raise InputError(
-                f"mvsplat precision: found {self.precision!r}, expected one of "
-                f"{', '.join(PRECISIONS)}{did_you_mean(self.precision, PRECISIONS)}"
-            )
         most = self.config.candidates
         if self.depth_candidates != "auto" and self.depth_candidates not in range(2, most + 1):
             raise InputError(
                 f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to {most} "
                 'or "auto"'
             )
+        check_settings(self, "mvsplat")
         for name, value in (("near", self.near), ("far", self.far)):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"mvsplat {name}: found {value}, expected a positive number")

@@ -18,7 +18,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.masks import load_proposer
-from slgaussian.parts.identity import described, places
+from slgaussian.parts.part import Part
 from slgaussian.predict import load_predictor
 
 DOCS = Path(__file__).parents[3] / "docs" / "reference" / "methods.md"
@@ -332,10 +332,10 @@ def test_every_row_works_with_another_encoder(room, tmp_path_factory):
     labels = np.stack([view.instances for view in sample.context])
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
-    settings = {"clip": {"model": str(model)}}
-    bank = remember(sample, gaussians, label_maps, "clip", "separated", 0, settings)
-    about = {"encoder": "clip", **described(settings)}
-    field = lift_field(sample, gaussians, label_maps, bank, "hard", about, places(settings["clip"]))
+    encoder = Part.of("encoder", "clip", {"model": str(model)})
+    bank = remember(sample, gaussians, label_maps, encoder, "separated", 0)
+    about = {"encoder": "clip", "clip": encoder.identity()}
+    field = lift_field(sample, gaussians, label_maps, bank, "hard", about, encoder.places())
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"))
     for name in ROWS:
         made = load_quick(name)(inputs)

@@ -1,0 +1,104 @@
+"""The whole method: a part of every kind, and what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from slgaussian.errors import InputError
+from slgaussian.parts.part import Part
+from slgaussian.parts.registry import KINDS
+
+PartSettings = Mapping[str, Mapping[str, Any]]
+"""Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
+
+
+@dataclass(frozen=True, init=False)
+class Method:
+    """How a field is built.
+
+    Parameters
+    ----------
+    predictor, proposer, tracker, encoder, codes, lifting : str or Part
+        The part of each kind, by its name or with its settings.
+    replicas : int
+        How many copies of each view vote on its labels (five in the paper, section 3.2).
+    seed : int
+        Of everything random: the planes that fill depth, and the ID codes. The same seed gives
+        the same bytes, whatever scene and views are called.
+    settings : mapping, optional
+        Settings of the parts that are given by name, each under its name:
+        ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
+
+    Raises
+    ------
+    InputError
+        If there is no such part or setting, or a file cannot be read.
+    """
+
+    predictor: Part
+    proposer: Part
+    tracker: Part
+    encoder: Part
+    codes: Part
+    lifting: Part
+    replicas: int
+    seed: int
+
+    def __init__(
+        self,
+        predictor: str | Part = KINDS["predictor"].default,
+        proposer: str | Part = KINDS["proposer"].default,
+        tracker: str | Part = KINDS["tracker"].default,
+        encoder: str | Part = KINDS["encoder"].default,
+        codes: str | Part = KINDS["codes"].default,
+        lifting: str | Part = KINDS["lifting"].default,
+        replicas: int = 5,
+        seed: int = 0,
+        settings: PartSettings | None = None,
+    ) -> None:
+        given = dict(
+            zip(KINDS, (predictor, proposer, tracker, encoder, codes, lifting), strict=True)
+        )
+        own = dict(settings or {})
+        names = [part for part in given.values() if isinstance(part, str)]
+        for name in own:
+            if name not in names:
+                takers = (part if isinstance(part, str) else part.name for part in given.values())
+                raise InputError(
+                    f"settings: found some of {name!r}, expected none but those of the predictor, "
+                    "proposer, tracker, encoder, codes and lifting, which are "
+                    f"{', '.join(map(repr, takers))}"
+                )
+        for kind, part in given.items():
+            made = part if isinstance(part, Part) else Part.of(kind, part, own.get(part))
+            object.__setattr__(self, kind, made)
+        object.__setattr__(self, "replicas", replicas)
+        object.__setattr__(self, "seed", seed)
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts, in the order in which they work."""
+        return tuple(getattr(self, kind) for kind in KINDS)
+
+    def identity(self) -> dict[str, Any]:
+        """What a field depends on besides the sample, as cache keys and artifacts hold it.
+
+        The name of each part, replicas and seed, and under a part's name its settings, files by
+        content; of a part without settings nothing.
+        """
+        named = {part.kind: part.name for part in self.parts}
+        tables = {part.name: part.identity() for part in self.parts if part.settings}
+        return {**named, "replicas": self.replicas, "seed": self.seed, **tables}
+
+    def check(self) -> None:
+        """Load every part once, so that what cannot work is said before the others have worked.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, or files do not fit.
+        """
+        for part in self.parts:
+            part.load()
