@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian import datasets
-from slgaussian.benchmark.annotations import read_truth
-from slgaussian.benchmark.evaluate import evaluate, truth_from_instances
+from slgaussian.benchmark.annotations import Truth, read_truth
+from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_from_instances
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.metrics import depth_errors
 from slgaussian.build import build_field
@@ -77,17 +77,16 @@ def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
         scene = datasets.load("nerfstudio", path=folder)
         sample = scene.sample(pair.context, pair.targets, size=SIZE)
         truth = read_truth(folder / "labels", pair.categories, sample.targets)
-        ious.append(_scores(sample, truth.masks, seed, truth.boxes)["iou"])
+        ious.append(_scores(sample, truth, seed)["iou"])
     return {"iou": float(np.mean(ious))}
 
 
-def _scores(sample: Sample, truth: Mapping, seed: int, boxes: Mapping | None = None) -> dict:
+def _scores(sample: Sample, truth: Truth, seed: int) -> dict:
     field = build_field(sample, Method(seed=seed))
     unused = np.zeros((1, 1, 1), np.int32)  # what is drawn of label maps
     maps = LabelMaps(unused, unused)
-    return evaluate(
-        field, sample, maps, truth, boxes=boxes, protocols=["slgaussian"], drawn=False
-    ).scene_metrics
+    settings = EvaluationSettings(protocols=["slgaussian"], drawn=False)
+    return evaluate(field, sample, maps, truth, settings).scene_metrics
 
 
 def main(seeds: int = 8, data: str | None = None) -> None:

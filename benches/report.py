@@ -48,7 +48,7 @@ def make(store: ArtifactStore, scenes: int, methods: int) -> tuple[dict, dict[st
     result, truth = room_result(store)
     inputs = {
         "truth": truth,
-        "blame": store.put("blame", load_spec("blame").schema.empty_table()),
+        "attribution": store.put("attribution", load_spec("attribution").schema.empty_table()),
     }
     entries = []
     names = ["slgaussian", *(f"method {k}" for k in range(1, methods))]
@@ -61,7 +61,12 @@ def make(store: ArtifactStore, scenes: int, methods: int) -> tuple[dict, dict[st
             inputs[key] = store.put("scene_result", result_to_arrays(copy))
             own[name] = key
         answer = own.pop("slgaussian")
-        given = {"scene": f"scene {k}", "answer": answer, "truth": "truth", "blame": "blame"}
+        given = {
+            "scene": f"scene {k}",
+            "answer": answer,
+            "truth": "truth",
+            "attribution": "attribution",
+        }
         entries.append({**given, "others": own})
     return {"scenes": entries, "manifest": {}, "failures": []}, inputs
 

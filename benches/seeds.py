@@ -27,8 +27,8 @@ from flows.labelled import labelled_scenes
 from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
-from slgaussian.benchmark.annotations import Truth, read_truth
-from slgaussian.benchmark.evaluate import evaluate, truth_from_instances
+from slgaussian.benchmark.annotations import read_truth
+from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_from_instances
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.build import label_views, lift_field, remember
 from slgaussian.errors import InputError
@@ -115,7 +115,7 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
     settings = Settings()
     sample = read(scene, settings)
     if scene.labels is None:
-        truth = Truth(truth_from_instances(sample), {})
+        truth = truth_from_instances(sample)
     else:
         truth = read_truth(scene.labels, scene.categories, sample.targets)
     predictor, proposer, tracker = settings.predictor, settings.proposer, settings.tracker
@@ -130,12 +130,9 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
             field,
             sample,
             labels,
-            truth.masks,
-            boxes=truth.boxes or None,
-            queries=scene.queries,
+            truth,
+            EvaluationSettings(queries=scene.queries, protocols=[settings.protocol], drawn=False),
             gaussians=gaussians,
-            protocols=[settings.protocol],
-            drawn=False,
         )
         found.append({key: float(value) for key, value in result.scene_metrics.items()})
     return found

@@ -185,7 +185,7 @@ def rooms(_: Path) -> Iterator[Case]:
         scene = datasets.load("procedural", seed=SEED + number, **ROOM)
         read = partial(read_views, scene.name, scene, ("view_00", "view_02"), ("view_01",))
         sample = read("auto")
-        yield Case("rooms", read, sample, truth_from_instances(sample))
+        yield Case("rooms", read, sample, truth_from_instances(sample).masks)
 
 
 CASES = {"office": office, "rooms": rooms}

@@ -12,7 +12,7 @@ from slgaussian.parts.identity import places
 from slgaussian.storage.store import ArtifactRef
 from tasks.shard import Chain, Step, given
 
-STAGE = "rivals"
+STAGE = "baselines"
 OURS = "slgaussian"
 
 

@@ -48,7 +48,16 @@ from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.ingest import file_hashes
 from tasks.shard import Chain, Failure, Step, given
 
-STAGES = ("ingest", "truth", "geometry", "masks", "supervision", "field", "benchmark", "blame")
+STAGES = (
+    "ingest",
+    "truth",
+    "geometry",
+    "masks",
+    "supervision",
+    "field",
+    "benchmark",
+    "attribution",
+)
 
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
@@ -164,7 +173,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
     asked = {"method": name, "dataset": scene.dataset, "rules": method.rules()}
     answered = {**known, "truth": "truth", "field": "field"}
     of_proposer = where.get(method.proposer, {}).items()
-    of_blame = {f"{method.proposer}.{key}": place for key, place in of_proposer}
+    of_attribution = {f"{method.proposer}.{key}": place for key, place in of_proposer}
     return [
         ingest,
         truth,
@@ -194,7 +203,7 @@ def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list
             where=where.get(method.lifting, {}),
         ),
         Step("benchmark", {**asked, **scene.asked}, answered, where=of_encoder),
-        Step("blame", asked, answered, where={**of_encoder, **of_blame}),
+        Step("attribution", asked, answered, where={**of_encoder, **of_attribution}),
     ]
 
 
@@ -226,8 +235,11 @@ def _write(
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
-    lost = [load_spec("blame").schema.empty_table(), *map(store.get, made.blames.values())]
-    write_table("blame", pa.concat_tables(lost), out)
+    lost = [
+        load_spec("attribution").schema.empty_table(),
+        *map(store.get, made.attributions.values()),
+    ]
+    write_table("attribution", pa.concat_tables(lost), out)
     files = {"manifest.json": _json(made.manifest)}
     if settings.pairs is not None:
         files["pairs.json"] = settings.pairs.read_bytes()
@@ -285,8 +297,8 @@ class _Made:
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
     ``others`` by method those of other methods, ``truths`` what they were scored against, and
-    ``blames`` what lost ours. ``seconds`` are those that all took by stage when they were made,
-    which for cached ones is long ago.
+    ``attributions`` what lost ours. ``seconds`` are those that all took by stage when they were
+    made, which for cached ones is long ago.
     """
 
     fields: dict[str, ArtifactRef]
@@ -294,7 +306,7 @@ class _Made:
     answers: dict[str, ArtifactRef]
     others: dict[str, dict[str, ArtifactRef]]
     truths: dict[str, ArtifactRef]
-    blames: dict[str, ArtifactRef]
+    attributions: dict[str, ArtifactRef]
     failures: list[Failure]
     seconds: dict[str, float]
     manifest: dict[str, Any]
@@ -369,7 +381,7 @@ def _gathered(
         {scene: outcome.refs[scene]["benchmark"] for scene in through},
         others,
         {scene: outcome.refs[scene]["truth"] for scene in through},
-        {scene: outcome.refs[scene]["blame"] for scene in through},
+        {scene: outcome.refs[scene]["attribution"] for scene in through},
         [*outcome.failures, *more.failures],
         seconds,
         manifest(settings, scenes, stages, outcome.refs, rows),
@@ -381,7 +393,11 @@ def _report_chain(made: _Made) -> Chain:
     entries = []
     for k, (scene, answer) in enumerate(made.answers.items()):
         names = {method: f"{k} {method}" for method in made.others[scene]}
-        own = {"answer": answer, "truth": made.truths[scene], "blame": made.blames[scene]}
+        own = {
+            "answer": answer,
+            "truth": made.truths[scene],
+            "attribution": made.attributions[scene],
+        }
         entry = {role: f"{k} {role}" for role in own}
         entries.append({"scene": scene, **entry, "others": names})
         inputs |= {entry[role]: ref for role, ref in own.items()}

@@ -93,12 +93,9 @@ def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
     return {"labels": label_maps.labels, "margin": label_maps.margin}
 
 
-def truth_to_arrays(
-    truth: Truth | Mapping[str, Mapping[str, np.ndarray]], sample: Sample
-) -> Arrays:
-    """Labelled truth, or plain masks by view and query, as spec ``truth``."""
-    by_view = truth.masks if isinstance(truth, Truth) else truth
-    has_boxes = isinstance(truth, Truth) and bool(truth.boxes)
+def truth_to_arrays(truth: Truth, sample: Sample) -> Arrays:
+    """Truth as spec ``truth``."""
+    by_view, has_boxes = truth.masks, bool(truth.boxes)
     keys = [(view, query) for view, masks in by_view.items() for query in masks]
     boxes = [truth.boxes[view][query] if has_boxes else np.zeros((0, 4)) for view, query in keys]
     size = sample.context[0].image.shape[:2]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.attribution import blame
+from slgaussian.benchmark.attribution import attribute_errors
 from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
@@ -19,12 +20,12 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import get_field, sample_from_arrays, truth_from_arrays
 from tasks.stage import CHANGED, StageCall
 
-STAGE = "blame"
+STAGE = "attribution"
 VERSION = 1
 
 
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``blame``. Settings: method, dataset, rules. Inputs: sample, truth, labels, field.
+    """Spec ``attribution``. Settings: method, dataset, rules. Inputs: sample, truth, labels, field.
 
     ``where[key]`` is the file of the encoder that the field's settings hold the digest of,
     ``where["proposer.key"]`` that of the proposer, by its name.
@@ -33,21 +34,19 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     of_encoder = {key: place for key, place in call.where.items() if "." not in key}
     field = get_field(store, call.inputs["field"], of_encoder)
     label_maps = LabelMaps(**store.get(call.inputs["labels"]))
-    truth = truth_from_arrays(store.get(call.inputs["truth"])).masks
+    truth = truth_from_arrays(store.get(call.inputs["truth"]))
     rows = []
-    if any(mask.any() for masks in truth.values() for mask in masks.values()):
-        rows = blame(
+    if any(mask.any() for masks in truth.masks.values() for mask in masks.values()):
+        rows = attribute_errors(
             field,
             sample,
             label_maps,
             _pieces(call, field, sample, label_maps),
             truth,
-            method=call.settings["method"],
-            dataset=call.settings["dataset"],
-            rules=Rules(**call.settings["rules"]),
+            EvaluationSettings(**{**call.settings, "rules": Rules(**call.settings["rules"])}),
         )
-    table = pa.Table.from_pylist(rows, schema=load_spec("blame").schema)
-    return store.put("blame", table, {"misses": sum(row["lost"] is not None for row in rows)})
+    table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
+    return store.put("attribution", table, {"misses": sum(row["lost"] is not None for row in rows)})
 
 
 def _pieces(

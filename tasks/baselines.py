@@ -6,7 +6,7 @@ import time
 
 from slgaussian.benchmark.baselines import load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.benchmark.evaluate import evaluate
+from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
 from slgaussian.masks import load_proposer
@@ -20,7 +20,7 @@ from tasks.artifacts import (
 )
 from tasks.stage import CHANGED, StageCall
 
-STAGE = "rivals"
+STAGE = "baselines"
 VERSION = 3
 
 
@@ -63,14 +63,15 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         method,
         sample,
         label_maps,
-        truth.masks,
-        boxes=truth.boxes or None,
-        queries=queries,
-        method=call.settings["method"],
-        dataset=call.settings["dataset"],
-        place=call.settings.get("place"),
-        rules=Rules(**call.settings["rules"]),
-        drawn=False,
+        truth,
+        EvaluationSettings(
+            method=call.settings["method"],
+            dataset=call.settings["dataset"],
+            place=call.settings.get("place"),
+            queries=queries,
+            rules=Rules(**call.settings["rules"]),
+            drawn=False,
+        ),
     )
     times = {"prepare": prepared, **result.times}
     return store.put("scene_result", result_to_arrays(result), {"times": times})

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.evaluate import SceneResult, evaluate
+from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
@@ -40,11 +40,10 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         field,
         sample,
         label_maps,
-        truth.masks,
-        boxes=truth.boxes or None,
+        truth,
+        EvaluationSettings(**settings),
         gaussians=field.gaussians,
         bank=field.bank,
-        **settings,
     )
     meta = {"times": result.times, "example": example(result, field)}
     return store.put("scene_result", result_to_arrays(result), meta)

@@ -25,16 +25,16 @@ VERSION = 5
 def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     """Spec ``report``. Settings: scenes, manifest, failures.
 
-    ``scenes`` is a list of ``scene``, ``answer``, ``truth``, ``blame`` and ``others``: the names of
-    inputs, of the result of our method, the truth, what lost its misses, and by method the results
-    of others. Images are read a scene at a time.
+    ``scenes`` is a list of ``scene``, ``answer``, ``truth``, ``attribution`` and ``others``: the
+    names of inputs, of the result of our method, the truth, what lost its misses, and by method the
+    results of others. Images are read a scene at a time.
 
     The report has no times in it: it is the same whenever and wherever it is made.
     """
     scenes = [_scene(store, call.inputs, entry) for entry in call.settings["scenes"]]
-    tables = [store.get(call.inputs[entry["blame"]]) for entry in call.settings["scenes"]]
-    blame = [row for table in tables for row in table.to_pylist()]
-    made = render_report(scenes, call.settings["manifest"], call.settings["failures"], blame)
+    tables = [store.get(call.inputs[entry["attribution"]]) for entry in call.settings["scenes"]]
+    attribution = [row for table in tables for row in table.to_pylist()]
+    made = render_report(scenes, call.settings["manifest"], call.settings["failures"], attribution)
     forms = {"html": made.html, "markdown": made.markdown}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
     return store.put("report", arrays)

@@ -168,7 +168,7 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
     _run("demo", make_settings(given, "demo"), verbose)
 
 
-def _rivals() -> list[str]:
+def _baselines() -> list[str]:
     """Of those whose names a shell takes as one word."""
     from slgaussian.benchmark.baselines import ROWS
 
@@ -183,7 +183,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             metavar="<name>",
-            autocompletion=_rivals,
+            autocompletion=_baselines,
             help="Another method to score as well, by name, or all; may be repeated.",
         ),
     ] = None,

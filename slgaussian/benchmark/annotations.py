@@ -17,8 +17,8 @@ A folder with ``classes.txt`` holds class masks instead (:mod:`slgaussian.benchm
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +48,8 @@ class Truth:
         follow from the masks.
     """
 
-    masks: dict[str, dict[str, np.ndarray]]
-    boxes: dict[str, dict[str, np.ndarray]]
+    masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    boxes: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     __repr__ = brief
 

@@ -13,9 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from slgaussian.benchmark import metrics, oracles
+from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
@@ -50,20 +51,14 @@ MOSTLY = 0.5
 BEYOND = "nothing mends it"
 """What lost a miss that stays one: the photographs do not show it, or the truth is rough."""
 
-LOST = (*dict.fromkeys(STAGES.values()), UNDECIDED, BEYOND)
-"""All verdicts, the end of the way first."""
 
-
-def blame(
+def attribute_errors(
     field: SemanticField,
     sample: Sample,
     label_maps: LabelMaps,
     pieces: np.ndarray,
-    truth: Mapping[str, Mapping[str, np.ndarray]],
-    *,
-    method: str = "slgaussian",
-    dataset: str = "scenes",
-    rules: Rules | None = None,
+    truth: Truth,
+    settings: EvaluationSettings | None = None,
 ) -> list[dict[str, Any]]:
     """Ask a field what the truth knows, and say what lost each miss.
 
@@ -78,26 +73,25 @@ def blame(
     pieces : int32 [V, H, W]
         What was proposed in each context view, before association; 0 none. Numbers of different
         views have nothing to do with each other.
-    truth : {target name: {query: bool [H, W]}}
+    truth : Truth
         Queries with an empty mask are left out.
-    method, dataset : str
-        Written into every row.
-    rules : Rules, optional
-        How texts become answers, if not in the default way. Masks are those of whole objects,
-        whatever its protocol.
+    settings : EvaluationSettings, optional
+        How rows are marked, and by which rules texts become answers: masks are those of whole
+        objects, whatever the protocol.
 
     Returns
     -------
     list of dict
-        A row a frame and query, with the columns of the data spec ``blame``.
+        A row a frame and query, with the columns of the data spec ``attribution``.
     """
-    rules = replace(rules or Rules(), protocol="slgaussian")
-    common = {"dataset": dataset, "scene": sample.scene, "method": method}
+    settings = settings or EvaluationSettings()
+    rules = replace(settings.rules, protocol="slgaussian")
+    common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
     scene = _Scene(field, sample, label_maps, pieces)
-    columns = load_spec("blame").columns
+    columns = load_spec("attribution").columns
     rows = []
     for target in sample.targets:
-        masks = {q: mask for q, mask in truth.get(target.name, {}).items() if mask.any()}
+        masks = {q: mask for q, mask in truth.masks.get(target.name, {}).items() if mask.any()}
         if not masks:
             continue
         frame = _Frame(scene, target, masks, rules)
@@ -107,35 +101,8 @@ def blame(
     return rows
 
 
-def losses(table: pa.Table) -> list[dict[str, Any]]:
-    """How many misses each stage lost, by data set.
-
-    Parameters
-    ----------
-    table : pa.Table
-        Of spec ``blame``.
-
-    Returns
-    -------
-    list of dict
-        A row a data set and verdict of :data:`LOST`, also where nothing was lost: ``dataset``,
-        ``lost``, ``misses``, ``share`` (of all misses of the data set) and ``samples`` (all that
-        was asked).
-    """
-    found = []
-    names, verdicts = (table.column(name).to_pylist() for name in ("dataset", "lost"))
-    for dataset in dict.fromkeys(names):
-        own = [lost for name, lost in zip(names, verdicts, strict=True) if name == dataset]
-        missed = sum(lost is not None for lost in own)
-        for lost in LOST:
-            count = own.count(lost)
-            row = {"dataset": dataset, "lost": lost, "misses": count}
-            found.append({**row, "share": count / max(missed, 1), "samples": len(own)})
-    return found
-
-
 def verdict(row: Mapping[str, Any]) -> str | None:
-    """What lost the query of a row of spec ``blame``; None if it was not lost."""
+    """What lost the query of a row of spec ``attribution``; None if it was not lost."""
     if _is_good(row["iou"], row["hit"]):
         return None
     for name, stage in STAGES.items():

@@ -6,14 +6,23 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from dataclasses import field as dataclass_field
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 from slgaussian.benchmark import metrics, pictures
+from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result
-from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, Scored, load_protocol
+from slgaussian.benchmark.protocols import (
+    PROTOCOLS,
+    Answer,
+    Frame,
+    Scored,
+    ScoringProtocol,
+    load_protocol,
+)
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.cameras.trajectories import between
 from slgaussian.errors import InputError
@@ -81,8 +90,52 @@ class SceneResult:
     __repr__ = brief
 
 
-def truth_from_instances(sample: Sample) -> dict[str, dict[str, np.ndarray]]:
-    """Masks bool [H, W] by target view and phrase, from the true instance ids.
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """What is asked of a method, and how its rows are marked.
+
+    Attributes
+    ----------
+    method : str
+        Name of what answers, written into every row.
+    dataset : str
+        What the scene belongs to: scores of different data sets are not averaged.
+    place : str, optional
+        What it shows, where the data say that several scenes show one place: they are no
+        independent samples.
+    queries : sequence of str
+        Asked without truth, midway between the first two context cameras.
+    rules : Rules
+        How texts become answers.
+    protocols : sequence of str
+        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`, each scored. Pictures and the
+        scene's metrics are those of the first. By default all, that of ``rules`` first.
+    drawn : bool
+        Whether pictures are made.
+    """
+
+    method: str = "slgaussian"
+    dataset: str = "scenes"
+    place: str | None = None
+    queries: Sequence[str] = ()
+    rules: Rules = dataclass_field(default_factory=Rules)
+    protocols: Sequence[str] = ()
+    drawn: bool = True
+
+    def load_protocols(self) -> list[ScoringProtocol]:
+        """The protocols, in their order.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        by_default = sorted(PROTOCOLS, key=lambda name: name != self.rules.protocol)
+        return [load_protocol(name) for name in self.protocols or by_default]
+
+
+def truth_from_instances(sample: Sample) -> Truth:
+    """Masks by target view and phrase, from the true instance ids.
 
     Instances with one phrase are united; an instance that the view does not show is left out.
     """
@@ -94,26 +147,19 @@ def truth_from_instances(sample: Sample) -> dict[str, dict[str, np.ndarray]]:
         for instance, phrase in sample.phrases.items():
             seen = view.instances == instance
             if seen.any():
-                masks[phrase] = masks.get(phrase, False) | seen
-    return truth
+                masks[phrase] = masks[phrase] | seen if phrase in masks else seen
+    return Truth(masks=truth)
 
 
 def evaluate(
     field: Answering,
     sample: Sample,
     label_maps: LabelMaps,
-    truth: Mapping[str, Mapping[str, np.ndarray]],
+    truth: Truth,
+    settings: EvaluationSettings | None = None,
     *,
-    boxes: Mapping[str, Mapping[str, np.ndarray]] | None = None,
-    queries: Sequence[str] = (),
-    method: str = "slgaussian",
-    dataset: str = "scenes",
-    place: str | None = None,
-    rules: Rules | None = None,
-    protocols: Sequence[str] | None = None,
     gaussians: Gaussians | None = None,
     bank: MemoryBank | None = None,
-    drawn: bool = True,
 ) -> SceneResult:
     """Ask a method everything the truth knows, in every target view, and score its answers.
 
@@ -127,30 +173,15 @@ def evaluate(
         Its targets carry the photographs to compare with.
     label_maps : LabelMaps
         Of the context views, for the pictures.
-    truth : {target name: {query: bool [H, W]}}
+    truth : Truth
         An empty mask means that the frame has no truth for the query: asked, reported, not scored.
-    boxes : {target name: {query: float [n, 4]}}, optional
-        Annotated boxes (x0, y0, x1, y1); without them, the bounding box of each mask.
-    queries : sequence of str
-        Asked without truth, midway between the first two context cameras.
-    method : str
-        Name of what answers, written into every row.
-    dataset : str
-        What the scene belongs to: scores of different data sets are not averaged.
-    place : str, optional
-        What it shows, where the data say that several scenes show one place: they are no
-        independent samples.
-    rules : Rules, optional
-        How texts become answers, if not in the default way.
-    protocols : sequence of str, optional
-        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`, each scored. Pictures and the
-        scene's metrics are those of the first. By default all, that of ``rules`` first.
+        Without boxes, those are the bounding boxes of the masks.
+    settings : EvaluationSettings, optional
+        What is asked beyond the truth, and how rows are marked.
     gaussians : Gaussians, optional
         Of the context views' pixels: their depths are scored and drawn.
     bank : MemoryBank, optional
         Its objects are drawn.
-    drawn : bool
-        Whether pictures are made.
 
     Returns
     -------
@@ -163,17 +194,15 @@ def evaluate(
         If a frame of ``truth`` is not a target, a mask does not have its size, a protocol is
         unknown, or an answer is no relevancy: of another size, NaN, or out of [0, 1].
     """
-    _check_truth(sample, truth)
-    rules = rules or Rules()
-    names = protocols or sorted(PROTOCOLS, key=lambda name: name != rules.protocol)
-    named = {"dataset": dataset, "scene": sample.scene, "method": method}
-    record = _Record(named, rules, names, drawn, place)
+    _check_truth(sample, truth.masks)
+    settings = settings or EvaluationSettings()
+    queries, drawn = settings.queries, settings.drawn
+    record = _Record(sample.scene, settings)
     for target in sample.targets:
         with record.stage("render"):
             view = field.render(target.camera)
-        masks = truth.get(target.name, {})
-        own = {} if boxes is None else boxes.get(target.name, {})
-        record.ask(view, target.name, target.image, masks, own)
+        masks, boxes = (known.get(target.name, {}) for known in (truth.masks, truth.boxes))
+        record.ask(view, target.name, target.image, masks, boxes)
         record.measure("psnr", metrics.psnr(view.rgb, target.image))
         record.measure("ssim", metrics.ssim(view.rgb, target.image))
         if view.depth.any():
@@ -212,19 +241,13 @@ def evaluate(
 class _Record:
     """What has been found out so far."""
 
-    def __init__(
-        self,
-        named: Mapping[str, str],
-        rules: Rules,
-        protocols: Sequence[str],
-        drawn: bool,
-        place: str | None,
-    ):
-        self._named, self.drawn = dict(named), drawn
+    def __init__(self, scene: str, settings: EvaluationSettings):
+        rules, self.drawn = settings.rules, settings.drawn
+        self._named = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
         self.rules = replace(rules, protocol="slgaussian")
         self.asked = asdict(self.rules)
-        self.protocols = [load_protocol(name) for name in protocols]
+        self.protocols = settings.load_protocols()
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
@@ -235,8 +258,8 @@ class _Record:
         self._measured: dict[str, list[float]] = {}
         self._constants: dict[str, float] = {}
         self._common = {
-            **named,
-            "place": place,
+            **self._named,
+            "place": settings.place,
             "temperature": rules.temperature,
             "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
             "absent": rules.absent,

@@ -60,7 +60,7 @@ STAND_INS = {
     "mask_iou": ("mask", "the true masks of the two photographs"),
     "geometry_iou": ("geometry", "their true depth"),
 }
-"""Columns of the spec ``blame``: what is true from there on, in a word and in a line."""
+"""Columns of the spec ``attribution``: what is true from there on, in a word and in a line."""
 
 TIMES_HERE = "<!-- how long it took -->"
 """Where :func:`with_times` puts what differs from run to run."""
@@ -105,7 +105,7 @@ def render_report(
     scenes: Sequence[Scene],
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
-    blame: Sequence[Row] = (),
+    attribution: Sequence[Row] = (),
 ) -> Report:
     """The report of a run: no network, no script, the same bytes from run to run.
 
@@ -117,8 +117,8 @@ def render_report(
         ``scene`` say which scene of which data set it is.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
-    blame : sequence of mapping
-        Rows of the spec ``blame``: what lost each miss of our method.
+    attribution : sequence of mapping
+        Rows of the spec ``attribution``: what lost each miss of our method.
     """
     by_method: dict[str, list[Row]] = {}
     for scene in scenes:
@@ -138,7 +138,7 @@ def render_report(
     best = [row for row in reversed(ranked) if key_of(row) not in shown_worst]
     best = showcase.few_a_scene(best, showcase.BEST)
     told = showcase.telling(own, others, showcase.ALL_METHODS)
-    lost_by = {key_of(row): row["lost"] or "" for row in blame}
+    lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     drawn = _Drawn(scenes, own, others, {*shown_worst, *map(key_of, best)}, told)
     common = {
         "ours": ours,
@@ -155,7 +155,7 @@ def render_report(
         "miss": showcase.MISS,
         "worst": [_card(row, lost_by) for row in worst],
         "best": [_card(row, lost_by) for row in best],
-        "blame": _blame_tables(blame),
+        "attribution": _attribution_tables(attribution),
         "stand_ins": STAND_INS,
         "tables": method_tables(scores, MAIN),
         "more": method_tables(scores, MORE),
@@ -376,11 +376,11 @@ Lost = list[tuple[str, int, dict[str, float | None]]]
 """By what lost queries: how many, and their mean IoU with each stage replaced."""
 
 
-def _blame_tables(blame: Sequence[Row]) -> list[tuple[str, Lost]]:
+def _attribution_tables(attribution: Sequence[Row]) -> list[tuple[str, Lost]]:
     """Of each data set, and of all queries in its last line."""
     tables = []
-    for dataset in dict.fromkeys(row["dataset"] for row in blame):
-        own = [row for row in blame if row["dataset"] == dataset]
+    for dataset in dict.fromkeys(row["dataset"] for row in attribution):
+        own = [row for row in attribution if row["dataset"] == dataset]
         groups: dict[str, list[Row]] = {}
         for row in own:
             groups.setdefault(row["lost"] or "no miss", []).append(row)

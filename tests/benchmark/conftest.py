@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
+from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.evaluate import (
+    EvaluationSettings,
+    SceneResult,
+    evaluate,
+    truth_from_instances,
+)
 from slgaussian.build import lift_field, remember
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
@@ -30,11 +36,14 @@ class Room:
         truth = {"view_01": masks | {"qqwx": some, "red sofa": np.zeros_like(some)}}
         return self.evaluate(truth, queries=("grey floor",))
 
-    def evaluate(self, truth: Mapping | None = None, **settings: Any) -> SceneResult:
+    def evaluate(
+        self, truth: Mapping | None = None, boxes: Mapping | None = None, **settings: Any
+    ) -> SceneResult:
         """Ask the field what its own truth knows, or another one."""
         parts = {"gaussians": self.field.gaussians, "bank": self.field.bank}
-        truth = self.truth if truth is None else truth
-        return evaluate(self.field, self.sample, self.label_maps, truth, **parts, **settings)
+        known = Truth(self.truth if truth is None else truth, boxes or {})
+        asked = EvaluationSettings(**settings)
+        return evaluate(self.field, self.sample, self.label_maps, known, asked, **parts)
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +56,7 @@ def room() -> Room:
     gaussians = load_predictor("planesweep")(sample)
     bank = remember(sample, gaussians, label_maps, "lexicon", "grid", seed=0)
     field = lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
-    return Room(sample, label_maps, field, truth_from_instances(sample))
+    return Room(sample, label_maps, field, truth_from_instances(sample).masks)
 
 
 @pytest.fixture(scope="session")

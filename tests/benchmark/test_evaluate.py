@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from slgaussian.benchmark import metrics
+from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import (
     ALONG_THE_WAY,
     NOT_UNDERSTOOD,
@@ -156,7 +157,7 @@ def test_a_rectified_pair_is_judged_in_pixels_of_disparity(room):
     camera = replace(a.camera, c2w=a.camera.c2w @ move)
     beside = replace(a, name="beside", camera=camera, image=255 - a.image)  # no mere copy
     pair = Sample("pair", (a, beside))
-    result = evaluate(room.field, pair, room.label_maps, {}, gaussians=room.field.gaussians)
+    result = evaluate(room.field, pair, room.label_maps, Truth(), gaussians=room.field.gaussians)
     depths = source_depths(room.field.gaussians, [view.camera for view in pair.context])
     expected = [
         metrics.depth_errors(depth, a.depth, a.camera.K[0, 0] * 0.3)["bad2"] for depth in depths
@@ -191,7 +192,7 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
     one, two = seen[seen > 0][:2]
     phrases = {int(one): "ball", int(two): "ball", 999: "ghost"}
     sample = Sample("s", room.sample.context, (target,), phrases)
-    truth = truth_from_instances(sample)
+    truth = truth_from_instances(sample).masks
     assert list(truth["view_01"]) == ["ball"]
     assert np.array_equal(truth["view_01"]["ball"], np.isin(target.instances, [one, two]))
 
@@ -199,12 +200,15 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
 def test_a_truth_that_does_not_fit_is_refused(room):
     mask = np.zeros((104, 144), bool)
     with pytest.raises(InputError, match="'view_00', which is not a target view"):
-        evaluate(room.field, room.sample, room.label_maps, {"view_00": {"ball": mask}})
+        evaluate(room.field, room.sample, room.label_maps, Truth({"view_00": {"ball": mask}}))
     with pytest.raises(InputError, match=r"'ball' in 'view_01' is bool \(52, 144\)"):
-        evaluate(room.field, room.sample, room.label_maps, {"view_01": {"ball": mask[::2]}})
+        evaluate(room.field, room.sample, room.label_maps, Truth({"view_01": {"ball": mask[::2]}}))
     with pytest.raises(InputError, match="is uint8"):
         evaluate(
-            room.field, room.sample, room.label_maps, {"view_01": {"ball": mask.astype(np.uint8)}}
+            room.field,
+            room.sample,
+            room.label_maps,
+            Truth({"view_01": {"ball": mask.astype(np.uint8)}}),
         )
 
 
@@ -284,7 +288,7 @@ def _parts(hit, relevancy):
 
 def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, result):
     counted = Counting(room.field)
-    found = evaluate(counted, room.sample, room.label_maps, room.truth)
+    found = evaluate(counted, room.sample, room.label_maps, Truth(room.truth))
     # One target, its first text asked alone to time it, and three views along the way.
     assert counted.asked == ["render", "query", "query", "segment", "render", "render", "render"]
     assert {"first_query", "further_query"} <= set(found.times)
@@ -306,7 +310,7 @@ def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, res
 def test_an_answer_that_is_no_relevancy_is_refused(room, relevancy, message):
     query = next(iter(room.truth["view_01"]))
     with pytest.raises(InputError, match=f"'view_01': '{query}': .*{message}"):
-        evaluate(Counting(room.field, relevancy), room.sample, room.label_maps, room.truth)
+        evaluate(Counting(room.field, relevancy), room.sample, room.label_maps, Truth(room.truth))
 
 
 def test_hard_truths_are_scored_without_nan(room):

@@ -62,9 +62,9 @@ def both(result, truth):
 
 @pytest.fixture
 def page_of(truth) -> Callable[..., Page]:
-    def made(results, failures=(), blame=()) -> Page:
+    def made(results, failures=(), attribution=()) -> Page:
         scenes = [scene_of(result, truth, name=result.scene) for result in results]
-        return Page(render_report(scenes, MANIFEST, failures, blame).html)
+        return Page(render_report(scenes, MANIFEST, failures, attribution).html)
 
     return made
 
@@ -200,11 +200,11 @@ def test_left_out_scenes_come_before_everything(result, page_of):
 
 def test_what_lost_a_query_is_said_beside_it(result, page_of):
     worst = min((r for r in leading(result) if r["iou"] is not None), key=lambda r: r["iou"])
-    ious = [name for name in load_spec("blame").columns if name.endswith("iou")]
+    ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]
     assert ious == list(report.STAND_INS)
     asked = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
     row = {**asked, **dict.fromkeys(ious, 0.25), "geometry_iou": None, "lost": "language"}
-    text = page_of([result], blame=[row]).text
+    text = page_of([result], attribution=[row]).text
     assert "lost by language" in text
     assert re.search(r"lost by .* language 1 0\.250 .* all 1 0\.250", text)
 

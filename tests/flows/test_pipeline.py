@@ -73,7 +73,7 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     assert len(masks) == len(made) > 0
     assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
     asked = {row["query"]: row for row in samples.to_pylist() if row["iou"] is not None}
-    lost = pq.read_table(folder / "out" / "blame.parquet").to_pylist()
+    lost = pq.read_table(folder / "out" / "attribution.parquet").to_pylist()
     assert {row["query"] for row in lost} == asked.keys()
     assert all(bool(row["lost"]) == (row["iou"] < 0.5 or not row["hit"]) for row in lost)
 

@@ -78,8 +78,8 @@ def test_views_of_two_sizes_are_refused_in_words(sample):
 
 
 def test_truth_with_and_without_boxes(sample, store):
-    masks = truth_from_instances(sample)
-    plain = truth_from_arrays(through(store, "truth", truth_to_arrays(masks, sample)))
+    masks = truth_from_instances(sample).masks
+    plain = truth_from_arrays(through(store, "truth", truth_to_arrays(Truth(masks), sample)))
     assert plain.boxes == {}
     assert {v: set(m) for v, m in plain.masks.items()} == {v: set(m) for v, m in masks.items()}
     for view, by_query in masks.items():
@@ -94,7 +94,7 @@ def test_truth_with_and_without_boxes(sample, store):
 
 
 def test_a_scene_without_truth(sample, store):
-    arrays = through(store, "truth", truth_to_arrays({}, sample))
+    arrays = through(store, "truth", truth_to_arrays(Truth(), sample))
     assert arrays["masks"].shape == (0, 32, 48)
     assert truth_from_arrays(arrays).masks == {}
 

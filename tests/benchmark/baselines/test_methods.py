@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from slgaussian.benchmark import metrics
+from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
 from slgaussian.benchmark.baselines import METHODS, PAPER_ABLATION, ROWS, Method, load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.baselines.pooled import pooled
-from slgaussian.benchmark.evaluate import evaluate
+from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.build import lift_field, remember
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
@@ -148,7 +149,8 @@ def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
 
 @pytest.mark.parametrize("name", ["lerf-like", "query-2d"])
 def test_methods_are_evaluated_as_the_field_is(name, answering, room):
-    result = evaluate(answering(name), room.sample, room.label_maps, room.truth, method=name)
+    asked = EvaluationSettings(method=name)
+    result = evaluate(answering(name), room.sample, room.label_maps, Truth(room.truth), asked)
     assert {row["method"] for row in result.rows} == {name}
     assert {row["query"] for row in result.rows} == set(room.truth["view_01"])
     leading = [row for row in result.rows if row["protocol"].startswith("slgaussian@")]

@@ -4,13 +4,14 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.benchmark import metrics, oracles
-from slgaussian.benchmark.attribution import BEYOND, LOST, STAGES, UNDECIDED, blame, losses, verdict
+from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.attribution import BEYOND, STAGES, UNDECIDED, attribute_errors, verdict
+from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.build import lift_field
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
@@ -41,12 +42,19 @@ def build(sample, gaussians, labels):
 
 
 def of(room, field, labels=None, pieces=None, truth=None, sample=None, **settings):
-    """The rows of blame, by query."""
+    """The rows of the attribution, by query."""
     labels = room.label_maps.labels if labels is None else labels
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     pieces = labels if pieces is None else pieces
     truth = room.truth if truth is None else truth
-    rows = blame(field, sample or room.sample, label_maps, pieces, truth, **settings)
+    rows = attribute_errors(
+        field,
+        sample or room.sample,
+        label_maps,
+        pieces,
+        Truth(truth),
+        EvaluationSettings(**settings),
+    )
     return {row["query"]: row for row in rows}
 
 
@@ -79,7 +87,7 @@ def test_nothing_is_lost_where_nothing_is_broken(room, exact):
     # The middle of the narrow table's mask is off it, however true all is.
     assert {row["lost"] for row in rows.values() if row["geometry_hit"]} == {None}
     assert sum(row["geometry_hit"] for row in rows.values()) >= len(rows) - 1
-    columns = load_spec("blame").columns
+    columns = load_spec("attribution").columns
     for row in rows.values():
         assert list(row) == list(columns)
         assert row["known"] == 1 and row["geometry_iou"] > 0.6
@@ -403,24 +411,3 @@ def test_verdicts_follow_the_order_of_the_stages():
         row[f"{name}_hit"] = True
     assert verdict(row | {"iou": 0.9, "hit": False}) == "threshold"
     assert verdict(row | {"iou": 0.5}) is None
-
-
-def test_losses_count_every_verdict_of_every_data_set():
-    spec = load_spec("blame")
-    values = {"string": "x", "float64": 0.0, "int64": 1, "bool": False}
-    plain = {name: values[column.type] for name, column in spec.columns.items()}
-    told = [
-        ("a", "language"),
-        ("a", "language"),
-        ("a", None),
-        ("a", "mask: in pieces"),
-        ("b", None),
-    ]
-    rows = [plain | {"dataset": dataset, "lost": lost} for dataset, lost in told]
-    found = losses(pa.Table.from_pylist(rows, schema=spec.schema))
-    assert [row["lost"] for row in found] == [*LOST, *LOST]
-    counts = {(row["dataset"], row["lost"]): row for row in found}
-    assert counts["a", "language"]["misses"] == 2 and counts["a", "language"]["samples"] == 4
-    assert counts["a", "language"]["share"] == pytest.approx(2 / 3)
-    assert sum(row["misses"] for row in found) == 3
-    assert counts["b", "geometry"]["share"] == 0
