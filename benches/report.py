@@ -19,9 +19,9 @@ from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_inst
 from slgaussian.labels import LabelMaps
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks import report
 from tasks.artifacts import result_to_arrays, truth_to_arrays
-from tasks.stage import StageCall
+from tasks.report import Scored, report
+from tasks.stage import Worksite
 
 SCENES, METHODS = 28, 15
 
@@ -31,10 +31,10 @@ def main() -> None:
     scenes, methods = given + (SCENES, METHODS)[len(given) :]
     with tempfile.TemporaryDirectory() as folder:
         store = ArtifactStore(folder)
-        settings, inputs = make(store, scenes, methods)
+        given = make(store, scenes, methods)
         before = peak()
         start = time.process_time()
-        ref = report.run(store, StageCall("tasks.report", settings, inputs))
+        ref = report.work(Worksite(store), given, {}, ())
         seconds = time.process_time() - start
         sizes = {name: array.size / 1e6 for name, array in store.get(ref).items()}
     print(machine())
@@ -43,32 +43,20 @@ def main() -> None:
     print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))
 
 
-def make(store: ArtifactStore, scenes: int, methods: int) -> tuple[dict, dict[str, ArtifactRef]]:
-    """Settings and inputs of the stage."""
+def make(store: ArtifactStore, scenes: int, methods: int) -> list[Scored]:
+    """What the report is of."""
     result, truth = room_result(store)
-    inputs = {
-        "truth": truth,
-        "attribution": store.put("attribution", load_spec("attribution").schema.empty_table()),
-    }
-    entries = []
+    lost = store.put("attribution", load_spec("attribution").schema.empty_table())
+    made = []
     names = ["slgaussian", *(f"method {k}" for k in range(1, methods))]
     rng = np.random.default_rng(0)
     for k in range(scenes):
         own = {}
         for name in names:
-            key = f"{k} {name}"
             copy = renamed(result, f"scene {k}", name, rng)
-            inputs[key] = store.put("scene_result", result_to_arrays(copy))
-            own[name] = key
-        answer = own.pop("slgaussian")
-        given = {
-            "scene": f"scene {k}",
-            "answer": answer,
-            "truth": "truth",
-            "attribution": "attribution",
-        }
-        entries.append({**given, "others": own})
-    return {"scenes": entries, "manifest": {}, "failures": []}, inputs
+            own[name] = store.put("scene_result", result_to_arrays(copy))
+        made.append(Scored(f"scene {k}", own.pop("slgaussian"), truth, lost, own))
+    return made
 
 
 def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef]:

@@ -1,15 +1,15 @@
 """A corpus of chunks made ready to learn from: its views and samples, and their lessons.
 
-One chunk is one chain of stages: the unit of work, of memory, of caching and of failure. Chunks are
+One chunk goes down one road: the unit of work, of memory, of caching and of failure. Chunks are
 known by content, so a second run reads those alone that are new.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,11 +17,18 @@ import pyarrow.parquet as pq
 from flows.corpus_settings import CorpusSettings
 from flows.pipeline import check_folder
 from flows.runners.progress import Progress
-from flows.runners.worker_pool import Crew, Outcome, failures_table, run_chains, run_flow
-from slgaussian.build import check_parts
+from flows.runners.shard import Failure, Job
+from flows.runners.worker_pool import (
+    Outcome,
+    WorkerPool,
+    failures_table,
+    job_flow,
+    work_through_all,
+)
 from slgaussian.datasets import re10k
+from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import described, places
+from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
     ArtifactRef,
@@ -30,8 +37,12 @@ from slgaussian.storage.store import (
     replacing,
     write_atomic,
 )
-from tasks.chunks import digest_of
-from tasks.shard import Chain, Failure, Step
+from tasks.chunks import Framing, known_chunk
+from tasks.lessons import lessons
+from tasks.pairs import pairs
+from tasks.predictions import predictions
+from tasks.stage import current
+from tasks.views import views
 
 INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")
@@ -60,7 +71,7 @@ def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False
     InputError
         If there is no chunk, or the store or the output folder cannot be written.
     """
-    return prepare(settings, store, INGEST, verbose)
+    return prepare(settings, store, INGEST, ingest_chunk, (), verbose)
 
 
 def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
@@ -71,53 +82,44 @@ def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = Fa
     InputError
         As :func:`ingest`, and if a part of the method is unknown.
     """
-    check_parts(**settings.part_names(), settings=settings.part_settings())
-    return prepare(settings, store, SUPERVISE, verbose)
+    method = settings.built_by
+    method.check()
+    framing = Framing(settings.size, settings.near, settings.far)
+    return prepare(settings, store, SUPERVISE, supervise_chunk, (framing, method), verbose)
 
 
-def steps(
-    settings: CorpusSettings, chunk: str, stages: Sequence[str], store: ArtifactStore
-) -> list[Step]:
-    """The steps of one chunk, each with just the settings that its result depends on."""
-    file = f"{settings.chunks.rstrip('/')}/{chunk}"
-    content, where = {"chunk": digest_of(store, file)}, {"chunk": file}
-    own = settings.part_settings()
-    of_parts = {**settings.model_dump(include={"predictor", "proposer", "tracker", "replicas"})}
-    of_parts |= described({part: own[part] for part in of_parts.values() if part in own})
+def ingest_chunk(file: str, bounds: Bounds) -> ArtifactRef:
+    """The road of a chunk that is ingested: its views, and samples of them."""
+    return pairs(views(known_chunk(current().store, file)), bounds)
 
-    def parts(*names: str) -> dict:
-        tables = [of_parts[name] for name in names if of_parts[name] in of_parts]
-        return {name: of_parts[name] for name in (*names, *tables)}
 
-    views = {"size": settings.size, "near": settings.near, "far": settings.far}
-    masks = {
-        part: place
-        for part in (settings.proposer, settings.tracker)
-        for place in places(own.get(part, {})).values()
-    }
-    made = [
-        Step("views", content, where=where),
-        Step("pairs", {"bounds": settings.bounds()}, {"views": "views"}),
-        Step(
-            "predictions",
-            {**content, **views, **parts("predictor"), "seed": settings.seed},
-            {"pairs": "pairs"},
-            {**places(own.get(settings.predictor, {})), **where},
-        ),
-        Step(
-            "lessons",
-            {**content, **views, **parts("proposer", "tracker", "replicas")},
-            {"pairs": "pairs", "predictions": "predictions"},
-            {**masks, **where},
-        ),
-    ]
-    return [step for step in made if step.stage in stages]
+def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method) -> None:
+    """The road of a chunk that is supervised: it goes on to lessons of the samples."""
+    chunk = known_chunk(current().store, file)
+    samples = pairs(views(chunk), bounds)
+    predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
+    masked = method.proposer, method.tracker, method.replicas
+    lessons(samples, predicted, chunk, framing, *masked)
+
+
+@job_flow("slgaussian-corpus")
+def prepare_chunks(pool: WorkerPool, jobs: Sequence[Job], progress: Progress) -> Outcome:
+    """Take all chunks down their road."""
+    return work_through_all(jobs, pool, progress)
 
 
 def prepare(
-    settings: CorpusSettings, store: ArtifactStore, stages: Sequence[str], verbose: bool = False
+    settings: CorpusSettings,
+    store: ArtifactStore,
+    stages: Sequence[str],
+    road: Callable[..., object],
+    more: tuple[Any, ...],
+    verbose: bool = False,
 ) -> Prepared:
-    """Run ``stages``, the first few of :data:`SUPERVISE`, on all chunks and write their tables."""
+    """Take all chunks down a road, which has these stages, and write their tables.
+
+    The road is called with the place of a chunk, the bounds of its samples, and ``more``.
+    """
     chunks = re10k.chunk_names(settings.chunks)
     if not chunks:
         raise InputError(
@@ -127,14 +129,12 @@ def prepare(
     check_folder(settings.out)
     progress = Progress(len(chunks), len(stages), verbose=verbose, unit="chunks")
 
-    def work(crew: Crew) -> Outcome:
-        chains = [
-            Chain(chunk, partial(steps, settings, chunk, stages), first="views") for chunk in chunks
-        ]
-        return run_chains(chains, crew, progress)
-
+    folder, bounds = settings.chunks.rstrip("/"), Bounds(**settings.bounds())
+    jobs = [
+        Job(chunk, road, (f"{folder}/{chunk}", bounds, *more), first="views") for chunk in chunks
+    ]
     with progress:
-        outcome = run_flow("slgaussian-corpus", work, store, settings.runner, settings.workers)
+        outcome = prepare_chunks(store, settings.runner, settings.workers, jobs, progress)
     try:
         prepared = _write(settings.out, store, outcome, stages)
     except OSError as error:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -20,6 +19,7 @@ from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.kernels import threads
 from slgaussian.parts.identity import DIGESTS
 from slgaussian.storage.store import ArtifactRef, sha256_of
+from tasks.stage import Stage
 
 PACKAGES = (
     "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",
@@ -31,7 +31,7 @@ PACKAGES = (
 def manifest(
     settings: Settings,
     scenes: Sequence[SceneSettings],
-    stages: Sequence[str],
+    stages: Sequence[Stage],
     refs: Mapping[str, Mapping[str, ArtifactRef]],
     others: Mapping[str, Row],
 ) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def manifest(
         "index": {}
         if settings.pairs is None
         else {"file": settings.pairs.name, "sha256": sha256_of(settings.pairs)},
-        "stages": {stage: import_module(f"tasks.{stage}").VERSION for stage in stages},
+        "stages": {stage.name: stage.version for stage in stages},
         "packages": {"python": platform.python_version(), **_packages()},
         "kernels": threads.kernels(),
         "data": {
@@ -77,7 +77,8 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
     """What a scene is, and what was read of it: files, and the digests of what they amount to."""
     # Sorted: what comes from a record of the store has lost its order.
     files, labels = (
-        dict(sorted(refs[stage].meta["settings"]["files"].items())) for stage in ("ingest", "truth")
+        dict(sorted(refs[stage].meta["settings"][of]["files"].items()))
+        for stage, of in (("ingest", "photographs"), ("truth", "labels"))
     )
     return {
         "dataset": scene.dataset,

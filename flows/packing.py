@@ -15,6 +15,7 @@ from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.scene import Scene
+from tasks.events import Failed, Finished, Started
 
 ROOMS = "procedural:"
 """How made-up rooms are asked for, with their first and last seed after it."""
@@ -71,14 +72,14 @@ def _clips(
 ) -> Iterator[re10k.Clip]:
     for name, load in scenes.items():
         start = time.perf_counter()
-        progress.started(name, "pack")
+        progress.hear(Started(name, "pack"))
         try:
             clip = re10k.clip_of(load())
         except InputError as error:
             packed.left_out.append(str(error))
-            progress.failed(name, "pack", str(error))
+            progress.hear(Failed(name, "pack", str(error)))
             continue
-        progress.finished(name, "pack", time.perf_counter() - start, cached=False)
+        progress.hear(Finished(name, "pack", time.perf_counter() - start, cached=False))
         packed.clips += 1
         yield clip
 

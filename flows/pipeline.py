@@ -9,20 +9,27 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from flows import baselines, kept
+from flows import kept
+from flows.jobs import baseline_job_name, baseline_jobs, chosen_baselines, scene_job
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
+from flows.road import STAGES
 from flows.room_scenes import room_scene, seeds
 from flows.runners.progress import Progress
-from flows.runners.worker_pool import Crew, Outcome, failures_table, run_chains, run_flow
-from flows.settings import Method, SceneSettings, Settings
-from slgaussian.benchmark.annotations import label_files
+from flows.runners.shard import Failure, Job
+from flows.runners.worker_pool import (
+    Outcome,
+    WorkerPool,
+    failures_table,
+    job_flow,
+    work_through_all,
+)
+from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.outputs import (
     clear_predictions,
@@ -32,32 +39,18 @@ from slgaussian.benchmark.outputs import (
 )
 from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import Times
-from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
-from slgaussian.parts.identity import places
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
     encode_table,
-    sha256_of,
     write_atomic,
 )
 from tasks.artifacts import predictions_of, result_from_arrays
-from tasks.ingest import file_hashes
-from tasks.shard import Chain, Failure, Step, given
-
-STAGES = (
-    "ingest",
-    "truth",
-    "geometry",
-    "masks",
-    "supervision",
-    "field",
-    "benchmark",
-    "attribution",
-)
+from tasks.baselines import baselines
+from tasks.report import Scored, report
 
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
@@ -86,17 +79,17 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         folder cannot be written.
     """
     scenes, said = scenes_of(settings)
-    parts = settings.part_names()
-    check_parts(**parts, settings=settings.part_settings())
+    method = settings.built_by
+    method.check()
     Rules(**settings.rules())
-    baselines.chosen(settings.against)
+    chosen_baselines(settings.against)
     store.check_writable()
     check_folder(settings.out)
     kept.check_places([scene.name for scene in scenes], settings.out)
     progress = Progress(len(scenes), len(STAGES), verbose=verbose)
-    for text in (f"with {', '.join(parts.values())}", *said):
+    for text in (f"with {', '.join(part.name for part in method.parts)}", *said):
         progress.line(text)
-    made = _pipeline(settings, scenes, store, progress)
+    made = score(store, settings.runner, settings.workers, settings, scenes, progress)
     try:
         results = _write(settings, store, made, progress.line)
     except OSError as error:
@@ -128,85 +121,6 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     return scenes, said
 
 
-def plan(method: Method, scene: SceneSettings, name: str = "slgaussian") -> list[Step]:
-    """The steps of one scene, each with just the settings that its result depends on."""
-    views = [*scene.context, *scene.targets]
-    where = {} if scene.path is None else {"path": str(scene.path)}
-    ingest = Step(
-        "ingest",
-        {
-            "scene": scene.name,
-            "format": scene.format,
-            "options": scene.options,
-            "context": scene.context,
-            "targets": scene.targets,
-            "size": scene.size or method.size,
-            "near": scene.near or method.near,
-            "far": scene.far or method.far,
-            "files": {}
-            if scene.path is None
-            else file_hashes(scene.format, scene.path, views, scene.options),
-        },
-        where=where,
-    )
-    labels = {} if scene.labels is None else {"labels": str(scene.labels)}
-    truth = Step(
-        "truth",
-        {
-            "categories": scene.categories,
-            "files": {} if scene.labels is None else _label_hashes(scene.labels, scene.targets),
-        },
-        {"sample": "ingest"},
-        where=labels,
-    )
-    parts, trusted = method.identity, method.trust_cameras
-    own = method.part_settings()
-    where = {part: places(table) for part, table in own.items()}
-    of_encoder = where.get(method.encoder, {})
-    of_masks = {
-        part: place
-        for part in (method.proposer, method.tracker)
-        for place in where.get(part, {}).values()
-    }
-    base = {"sample": "ingest", "gaussians": "geometry"}
-    known = {"sample": "ingest", "labels": "masks"}
-    asked = {"method": name, "dataset": scene.dataset, "rules": method.rules()}
-    answered = {**known, "truth": "truth", "field": "field"}
-    of_proposer = where.get(method.proposer, {}).items()
-    of_attribution = {f"{method.proposer}.{key}": place for key, place in of_proposer}
-    return [
-        ingest,
-        truth,
-        Step(
-            "geometry",
-            # What a check lets pass is the same with it and without.
-            {**_only(parts, "predictor", "seed"), **({"trust_cameras": True} if trusted else {})},
-            {"sample": "ingest"},
-            where=where.get(method.predictor, {}),
-        ),
-        Step(
-            "masks",
-            _only(parts, "proposer", "tracker", "replicas"),
-            base,
-            where=of_masks,
-        ),
-        Step(
-            "supervision",
-            _only(parts, "encoder", "codes", "seed"),
-            {**base, **known},
-            where=of_encoder,
-        ),
-        Step(
-            "field",
-            parts,
-            {**base, **known, "bank": "supervision"},
-            where=where.get(method.lifting, {}),
-        ),
-        Step("benchmark", {**asked, **scene.asked}, answered, where=of_encoder),
-        Step("attribution", asked, answered, where={**of_encoder, **of_attribution}),
-    ]
-
-
 def check_folder(out: Path) -> None:
     """Make the output folder; InputError now, not after the work, if it cannot be written."""
     try:
@@ -235,10 +149,7 @@ def _write(
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
-    lost = [
-        load_spec("attribution").schema.empty_table(),
-        *map(store.get, made.attributions.values()),
-    ]
+    lost = [load_spec("attribution").schema.empty_table(), *map(store.get, made.lost.values())]
     write_table("attribution", pa.concat_tables(lost), out)
     files = {"manifest.json": _json(made.manifest)}
     if settings.pairs is not None:
@@ -261,8 +172,7 @@ def _write(
         else:
             # That of an earlier run is not about these scenes.
             (out / name).unlink(missing_ok=True)
-    of_encoder = places(settings.part_settings().get(settings.encoder, {}))
-    kept.write_fields(store, made.fields, of_encoder, out, tell)
+    kept.write_fields(store, made.fields, settings.built_by.encoder.places(), out, tell)
     return results
 
 
@@ -296,9 +206,9 @@ class _Made:
     """What the flow made.
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
-    ``others`` by method those of other methods, ``truths`` what they were scored against, and
-    ``attributions`` what lost ours. ``seconds`` are those that all took by stage when they were
-    made, which for cached ones is long ago.
+    ``others`` by method those of baselines, ``truths`` what they were scored against, and ``lost``
+    what lost ours. ``seconds`` are those that all took by stage when they were made,
+    which for cached ones is long ago.
     """
 
     fields: dict[str, ArtifactRef]
@@ -306,7 +216,7 @@ class _Made:
     answers: dict[str, ArtifactRef]
     others: dict[str, dict[str, ArtifactRef]]
     truths: dict[str, ArtifactRef]
-    attributions: dict[str, ArtifactRef]
+    lost: dict[str, ArtifactRef]
     failures: list[Failure]
     seconds: dict[str, float]
     manifest: dict[str, Any]
@@ -320,56 +230,52 @@ class _Made:
                 yield scene, other
 
 
-def _pipeline(
-    settings: Settings, scenes: Sequence[SceneSettings], store: ArtifactStore, progress: Progress
+@job_flow("slgaussian")
+def score(
+    pool: WorkerPool, settings: Settings, scenes: Sequence[SceneSettings], progress: Progress
 ) -> _Made:
-    def work(crew: Crew) -> _Made:
-        chains = [Chain(scene.name, partial(_planned, settings, scene)) for scene in scenes]
-        with progress:
-            outcome = run_chains(chains, crew, progress)
-        others = baselines.chains(settings, scenes, outcome.refs)
-        more = Outcome()
-        if others:
-            with Progress(len(others), 1, progress.verbose, unit="answers") as course:
-                more = run_chains(others, crew, course)
-            course.summary()
-        made = _gathered(settings, scenes, outcome, more)
-        if made.answers:
-            with Progress(1, 1, progress.verbose, unit="reports") as course:
-                page = run_chains([_report_chain(made)], crew, course)
-            made.failures += page.failures
-            made.report = page.refs.get("all scenes", {}).get("report")
-        return made
-
-    return run_flow("slgaussian", work, store, settings.runner, settings.workers)
-
-
-def _planned(settings: Settings, scene: SceneSettings, store: ArtifactStore) -> list[Step]:
-    return plan(settings, scene, settings.method)
+    """Take all scenes down their road, have the baselines asked the same, and make the report."""
+    method = settings.built_by
+    with progress:
+        jobs = [scene_job(settings, method, scene) for scene in scenes]
+        outcome = work_through_all(jobs, pool, progress)
+    others = baseline_jobs(settings, method, scenes, outcome.refs)
+    more = Outcome()
+    if others:
+        with Progress(len(others), 1, progress.verbose, unit="answers") as course:
+            more = work_through_all(others, pool, course)
+        course.summary()
+    made = _gathered(settings, scenes, outcome, more)
+    if made.answers:
+        with Progress(1, 1, progress.verbose, unit="reports") as course:
+            page = work_through_all([_report_job(made)], pool, course)
+        made.failures += page.failures
+        made.report = page.refs.get("all scenes", {}).get("report")
+    return made
 
 
 def _gathered(
     settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome
 ) -> _Made:
     through = [scene.name for scene in scenes if scene.name in outcome.refs]
-    rows = baselines.chosen(settings.against)
+    rows = chosen_baselines(settings.against)
     others = {
         scene: {
-            method: more.refs[chain][baselines.STAGE]
+            method: more.refs[job][baselines.name]
             for method in rows
-            if (chain := baselines.chain_name(scene, method)) in more.refs
+            if (job := baseline_job_name(scene, method)) in more.refs
         }
         for scene in through
     }
     seconds = {
-        stage: sum(refs[stage].meta["seconds"] for refs in outcome.refs.values())
+        stage.name: sum(refs[stage.name].meta["seconds"] for refs in outcome.refs.values())
         for stage in STAGES
     }
-    stages = [*STAGES, "report"]
+    stages = [*STAGES, report]
     if rows:
         own = (ref.meta["seconds"] for by_method in others.values() for ref in by_method.values())
-        seconds[baselines.STAGE] = sum(own)
-        stages.append(baselines.STAGE)
+        seconds[baselines.name] = sum(own)
+        stages.append(baselines)
     begun = outcome.begun | outcome.refs
     fields = {
         scene.name: begun[scene.name]["field"]
@@ -388,40 +294,10 @@ def _gathered(
     )
 
 
-def _report_chain(made: _Made) -> Chain:
-    inputs: dict[str, ArtifactRef] = {}
-    entries = []
-    for k, (scene, answer) in enumerate(made.answers.items()):
-        names = {method: f"{k} {method}" for method in made.others[scene]}
-        own = {
-            "answer": answer,
-            "truth": made.truths[scene],
-            "attribution": made.attributions[scene],
-        }
-        entry = {role: f"{k} {role}" for role in own}
-        entries.append({"scene": scene, **entry, "others": names})
-        inputs |= {entry[role]: ref for role, ref in own.items()}
-        inputs |= {names[method]: ref for method, ref in made.others[scene].items()}
-    step = Step(
-        "report",
-        {
-            "scenes": entries,
-            "manifest": made.manifest,
-            "failures": [asdict(failure) for failure in made.failures],
-        },
-        {name: name for name in inputs},
-    )
-    return Chain("all scenes", partial(given, [step]), inputs, first="report")
-
-
-def _label_hashes(folder: Path, targets: Sequence[str]) -> dict[str, str]:
-    files = [file for target in targets for file in label_files(folder, target)]
-    return {
-        file.relative_to(folder).as_posix(): sha256_of(file) for file in files if file.is_file()
-    }
-
-
-def _only(settings: dict[str, Any], *names: str) -> dict[str, Any]:
-    """The named settings, and the tables of those parts that they name."""
-    tables = [settings[name] for name in names if settings[name] in settings]
-    return {name: settings[name] for name in (*names, *tables)}
+def _report_job(made: _Made) -> Job:
+    scenes = [
+        Scored(scene, answer, made.truths[scene], made.lost[scene], made.others[scene])
+        for scene, answer in made.answers.items()
+    ]
+    failures = [asdict(failure) for failure in made.failures]
+    return Job("all scenes", report, (scenes, made.manifest, failures), first="report")

@@ -24,10 +24,10 @@ from pydantic import ValidationError
 from flows.corpus_settings import read_corpus
 from flows.runners.child import import_path
 from flows.runners.commands import perform
+from flows.runners.shard import Failure
 from flows.settings import read_toml
 from flows.training_settings import from_anywhere, read_retraining
 from slgaussian.errors import InputError, SLGaussianError
-from tasks.shard import Failure
 
 NAME = "slgaussian-retrain"
 

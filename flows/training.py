@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ import pyarrow as pa
 from flows.pipeline import check_folder
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
-from flows.runners.worker_pool import Outcome, run_chains, run_flow
+from flows.runners.shard import Job
+from flows.runners.worker_pool import Outcome, WorkerPool, job_flow, work_through_all
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
@@ -24,7 +24,9 @@ from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import TrainingSettings
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
-from tasks.shard import Chain, Step, given
+from tasks.judge import judge
+from tasks.train import train as train_stage
+from tasks.training_report import training_report
 
 FILES = {
     "weights": "branch.safetensors",
@@ -167,7 +169,9 @@ def train_on(
     What was done before comes from the store; what was interrupted goes on.
     """
     architecture = Architecture() if start is None else load_branch(start).architecture
-    began = {} if start is None else {"start": _stored(start, store)}
+    began = None
+    if start is not None:
+        began = store.put("weights", {"safetensors": np.fromfile(start, np.uint8)})
     settings = TrainingSettings(
         architecture=architecture,
         steps=options.steps,
@@ -177,9 +181,19 @@ def train_on(
         seed=seed,
         every=EVERY,
     )
-    refs = {name: store.put("lessons", table) for name, table in vars(lessons).items()} | began
-    steps = _steps(settings, bool(began), lessons.counts(), home_of(store).parent / "checkpoints")
-    outcome = _run(steps, refs, store, verbose)
+    manifest = {
+        **lessons.counts(),
+        "start": "weights" if began else "seeded",
+        "settings": asdict(settings),
+        "versions": {"slgaussian": __version__, "torch": version("torch")},
+    }
+    learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
+    checkpoints = home_of(store).parent / "checkpoints"
+    job = Job("branch", train_branch, (learnt, held_out, began, settings, manifest, checkpoints))
+    progress = _Course(1, len(STAGES), verbose=verbose)
+    with progress:
+        outcome = train_flow(store, "threads", 1, job, progress)
+    progress.summary()
     for failure in outcome.failures:
         raise InputError(failure.reason)
     made = outcome.refs["branch"]
@@ -192,48 +206,32 @@ def train_on(
     )
 
 
-def _stored(weights: Path, store: ArtifactStore) -> ArtifactRef:
-    return store.put("weights", {"safetensors": np.fromfile(weights, np.uint8)})
+STAGES = (train_stage, judge, training_report)
 
 
-def _steps(
-    settings: TrainingSettings, began: bool, counts: Mapping[str, int], checkpoints: Path
-) -> list[Step]:
-    asked = {"codes": settings.codes, "seed": settings.seed}
-    judged = {"lessons": "held_out", "branch": "train", **({"before": "start"} if began else {})}
-    manifest = {
-        **counts,
-        "start": "weights" if began else "seeded",
-        "settings": asdict(settings),
-        "versions": {"slgaussian": __version__, "torch": version("torch")},
-    }
-    return [
-        Step(
-            "train",
-            asdict(settings),
-            {"lessons": "learnt", **({"start": "start"} if began else {})},
-            {"checkpoints": str(checkpoints)},
-        ),
-        Step("judge", asked, judged),
-        Step("training_report", {**asked, "manifest": manifest}, {**judged, "judgements": "judge"}),
-    ]
+def train_branch(
+    learnt: ArtifactRef,
+    held_out: ArtifactRef,
+    start: ArtifactRef | None,
+    settings: TrainingSettings,
+    manifest: Mapping[str, Any],
+    checkpoints: Path,
+) -> None:
+    """The road of a training: learn, be judged on what was held out, and report."""
+    asked = settings.codes, settings.seed
+    branch = train_stage(learnt, start, settings, checkpoints)
+    judgements = judge(held_out, branch, start, *asked)
+    training_report(judgements, held_out, branch, *asked, manifest)
 
 
-def _run(
-    steps: list[Step], refs: dict[str, ArtifactRef], store: ArtifactStore, verbose: bool
-) -> Outcome:
-    progress = _Course(1, len(steps), verbose=verbose)
-    chain = Chain("branch", partial(given, steps), refs, first="train")
-    with progress:
-        outcome = run_flow(
-            "slgaussian-train", lambda crew: run_chains([chain], crew, progress), store
-        )
-    progress.summary()
-    return outcome
+@job_flow("slgaussian-train")
+def train_flow(pool: WorkerPool, job: Job, progress: Progress) -> Outcome:
+    """Take one training down its road."""
+    return work_through_all([job], pool, progress)
 
 
 class _Course(Progress):
-    """Of one chain, whose failure is raised in the end."""
+    """The progress of a single job, whose failure is raised in the end."""
 
     def say_failed(self, told: str, trace: str) -> None:
         """Say only what the reason leaves out."""

@@ -1,32 +1,25 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from slgaussian.cameras.check import check_cameras, check_pairs
 from slgaussian.cameras.quality import Quality, measure
-from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
-from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.named import Named, true_names
 from slgaussian.language.room import find_room
-from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.parts.method import Method, PartSettings
+from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
-from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
-from slgaussian.semantic import load_lifting
 
 
 def build_field(
@@ -61,51 +54,13 @@ def build_field(
     gaussians = predict(sample, method.predictor, method.seed, trust_cameras=trust_cameras)
     label_maps = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
     bank = remember(sample, gaussians, label_maps, method.encoder, method.codes, method.seed)
-    about = {"scene": sample.scene, **method.identity()}
-    where = method.encoder.places()
-    return lift_field(sample, gaussians, label_maps, bank, method.lifting, about, where)
-
-
-def check_parts(
-    predictor: str,
-    proposer: str,
-    tracker: str,
-    encoder: str,
-    codes: str,
-    lifting: str,
-    settings: PartSettings,
-) -> None:
-    """Load every part once, so that what cannot work is said before the others have worked.
-
-    Raises
-    ------
-    InputError
-        If no part has one of these names, settings are of another part than these, or files do
-        not fit.
-    """
-    takers = predictor, proposer, tracker, encoder, codes, lifting
-    for name in settings:
-        if name not in takers:
-            raise InputError(
-                f"settings: found some of {name!r}, expected none but those of the predictor, "
-                "proposer, tracker, encoder, codes and lifting, which are "
-                f"{', '.join(map(repr, takers))}"
-            )
-    loads = (
-        load_predictor, load_proposer, load_tracker, load_encoder, load_codes, load_lifting
-    )  # fmt: skip
-    for name, load in zip(takers, loads, strict=True):
-        try:
-            load(name, **settings.get(name, {}))
-        except TypeError as error:
-            raise InputError(f"settings of {name!r}: {error}") from None
+    return lift_field(sample, gaussians, label_maps, bank, method)
 
 
 def predict(
     sample: Sample,
-    predictor: Part | str,
+    predictor: Part,
     seed: int,
-    settings: PartSettings | None = None,
     trust_cameras: bool = False,
 ) -> Gaussians:
     """Gaussians from the context views (paper, section 3.1), once their cameras are believed.
@@ -118,7 +73,7 @@ def predict(
     """
     if not trust_cameras:
         check_cameras(sample)
-    gaussians = _loaded(load_predictor, predictor, settings)(sample, seed)
+    gaussians = predictor.load()(sample, seed)
     opaque = _opaque(sample)
     if opaque is None:
         return gaussians
@@ -135,17 +90,16 @@ def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
 def label_views(
     sample: Sample,
     gaussians: Gaussians,
-    proposer: Part | str,
-    tracker: Part | str,
+    proposer: Part,
+    tracker: Part,
     replicas: int,
-    settings: PartSettings | None = None,
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     maps = associate(
         sample.context,
-        _loaded(load_proposer, proposer, settings),
-        _loaded(load_tracker, tracker, settings),
+        proposer.load(),
+        tracker.load(),
         replicas,
         depths,
     )
@@ -157,19 +111,17 @@ def remember(
     sample: Sample,
     gaussians: Gaussians,
     label_maps: LabelMaps,
-    encoder: Part | str,
-    codes: Part | str,
+    encoder: Part,
+    codes: Part,
     seed: int,
-    settings: PartSettings | None = None,
 ) -> MemoryBank:
     """Draw an ID code for every object and encode what each view shows of it (section 3.2).
 
     Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them.
     With the encoder ``named`` objects get the vectors of their true names instead, and groups none.
     """
-    strategy = _loaded(load_codes, codes, settings)
-    drawn = strategy(label_maps, rng_for(seed, sample.content, "codes"))
-    loaded = _loaded(load_encoder, encoder, settings)
+    drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
+    loaded = encoder.load()
     names = true_names(sample, label_maps) if isinstance(loaded, Named) else None
     cameras = [view.camera for view in sample.context]
     depths = source_depths(gaussians, cameras)
@@ -184,21 +136,17 @@ def lift_field(
     gaussians: Gaussians,
     label_maps: LabelMaps,
     bank: MemoryBank,
-    lifting: Part | str,
-    settings: Mapping[str, Any],
-    where: Mapping[str, str] | None = None,
-    own: Mapping[str, Any] | None = None,
+    method: Method,
 ) -> SemanticField:
     """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
 
-    ``where`` says where the encoder's files are; see :class:`slgaussian.field.SemanticField`.
-    ``own`` are settings of the lifting, and ``settings`` what the field says of itself.
+    It says of itself which method made it, and how good the views were.
     """
     cameras = {view.name: view.camera for view in sample.context}
-    name = lifting if isinstance(lifting, str) else lifting.name
-    lifted = _loaded(load_lifting, lifting, {name: own or {}})(gaussians, label_maps, bank)
-    said = {**settings, "quality": quality_of(sample, gaussians).as_json()}
-    return SemanticField(lifted, bank, cameras, said, where or {})
+    lifted = method.lifting.load()(gaussians, label_maps, bank)
+    quality = quality_of(sample, gaussians).as_json()
+    said = {"scene": sample.scene, **method.identity(), "quality": quality}
+    return SemanticField(lifted, bank, cameras, said, method.encoder.places())
 
 
 def _opaque(sample: Sample) -> np.ndarray | None:
@@ -208,10 +156,3 @@ def _opaque(sample: Sample) -> np.ndarray | None:
         return None
     full = np.ones(sample.context[0].image.shape[:2], bool)
     return np.stack([full if mask is None else mask for mask in masks])
-
-
-def _loaded(load: Callable, part: Part | str, settings: PartSettings | None) -> Any:
-    """A part ready to work, given as such, or by its name with its settings by place."""
-    if isinstance(part, Part):
-        return part.load()
-    return load(part, **(settings or {}).get(part, {}))

@@ -93,6 +93,11 @@ def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
     return {"labels": label_maps.labels, "margin": label_maps.margin}
 
 
+def labels_from_arrays(arrays: Arrays) -> LabelMaps:
+    """Inverse of :func:`labels_to_arrays`."""
+    return LabelMaps(**arrays)
+
+
 def truth_to_arrays(truth: Truth, sample: Sample) -> Arrays:
     """Truth as spec ``truth``."""
     by_view, has_boxes = truth.masks, bool(truth.boxes)

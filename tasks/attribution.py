@@ -2,66 +2,43 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.attribution import attribute_errors
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings
-from slgaussian.field import SemanticField
-from slgaussian.labels import LabelMaps
-from slgaussian.language.query import Rules
-from slgaussian.masks import TRACKERS, load_proposer
-from slgaussian.parts.identity import placed
-from slgaussian.parts.registry import resolve
-from slgaussian.scene import Sample
+from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.artifacts import get_field, sample_from_arrays, truth_from_arrays
-from tasks.stage import CHANGED, StageCall
-
-STAGE = "attribution"
-VERSION = 1
+from slgaussian.storage.store import ArtifactRef
+from tasks.artifacts import get_field, labels_from_arrays, sample_from_arrays, truth_from_arrays
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``attribution``. Settings: method, dataset, rules. Inputs: sample, truth, labels, field.
+@stage("attribution", version=1)
+def attribution(
+    site: Worksite,
+    sample: ArtifactRef,
+    truth: ArtifactRef,
+    labels: ArtifactRef,
+    field: ArtifactRef,
+    method: Method,
+    settings: EvaluationSettings,
+) -> ArtifactRef:
+    """Which stage lost each miss: spec ``attribution``.
 
-    ``where[key]`` is the file of the encoder that the field's settings hold the digest of,
-    ``where["proposer.key"]`` that of the proposer, by its name.
+    ``method`` is what made the field; what each view showed before association is proposed once
+    more.
     """
-    sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    of_encoder = {key: place for key, place in call.where.items() if "." not in key}
-    field = get_field(store, call.inputs["field"], of_encoder)
-    label_maps = LabelMaps(**store.get(call.inputs["labels"]))
-    truth = truth_from_arrays(store.get(call.inputs["truth"]))
+    known = site.read(truth, truth_from_arrays)
     rows = []
-    if any(mask.any() for masks in truth.masks.values() for mask in masks.values()):
-        rows = attribute_errors(
-            field,
-            sample,
-            label_maps,
-            _pieces(call, field, sample, label_maps),
-            truth,
-            EvaluationSettings(**{**call.settings, "rules": Rules(**call.settings["rules"])}),
-        )
+    if any(mask.any() for masks in known.masks.values() for mask in masks.values()):
+        shown = site.read(sample, sample_from_arrays)
+        found = site.read(labels, labels_from_arrays)
+        asked = get_field(site.store, field, method.encoder.places())
+        pieces = found.labels
+        if not method.tracker.implementation.final:
+            pieces = Inputs(shown, asked, found, method.proposer.load()).own_labels.labels
+        rows = attribute_errors(asked, shown, found, pieces, known, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
-    return store.put("attribution", table, {"misses": sum(row["lost"] is not None for row in rows)})
-
-
-def _pieces(
-    call: StageCall, field: SemanticField, sample: Sample, label_maps: LabelMaps
-) -> np.ndarray:
-    """What each view showed before association, int32 [V, H, W]: proposed once more."""
-    made_by = field.settings
-    if resolve("mask tracker", TRACKERS, made_by["tracker"]).final:
-        return label_maps.labels
-    name = made_by["proposer"]
-    prefix = f"{name}."
-    where = {
-        key.removeprefix(prefix): place
-        for key, place in call.where.items()
-        if key.startswith(prefix)
-    }
-    proposer = load_proposer(name, **placed(made_by.get(name, {}), where, CHANGED))
-    return Inputs(sample, field, label_maps, proposer).own_labels.labels
+    misses = sum(row["lost"] is not None for row in rows)
+    return site.store.put("attribution", table, {"misses": misses})

@@ -10,43 +10,45 @@ import numpy as np
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
-from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.parts.part import Part
+from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
     get_field,
+    labels_from_arrays,
     result_to_arrays,
     sample_from_arrays,
     truth_from_arrays,
 )
-from tasks.stage import StageCall
-
-STAGE = "benchmark"
-VERSION = 6
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``scene_result``. Settings: method, dataset, queries, rules; place, if the data have it.
+@stage("benchmark", version=6)
+def benchmark(
+    site: Worksite,
+    sample: ArtifactRef,
+    truth: ArtifactRef,
+    labels: ArtifactRef,
+    field: ArtifactRef,
+    encoder: Part,
+    settings: EvaluationSettings,
+) -> ArtifactRef:
+    """What the field of a scene answers, with scores: spec ``scene_result``.
 
-    Inputs: sample, truth, labels, field. ``where[key]`` is the file of the encoder that the field's
-    settings hold the digest of.
+    ``encoder`` is that of the field, and says where its files are.
     """
-    sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    field = get_field(store, call.inputs["field"], call.where)
-    label_maps = LabelMaps(**store.get(call.inputs["labels"]))
-    truth = truth_from_arrays(store.get(call.inputs["truth"]))
-    settings = {**call.settings, "rules": Rules(**call.settings["rules"])}
+    asked = get_field(site.store, field, encoder.places())
     result = evaluate(
-        field,
-        sample,
-        label_maps,
-        truth,
-        EvaluationSettings(**settings),
-        gaussians=field.gaussians,
-        bank=field.bank,
+        asked,
+        site.read(sample, sample_from_arrays),
+        site.read(labels, labels_from_arrays),
+        site.read(truth, truth_from_arrays),
+        settings,
+        gaussians=asked.gaussians,
+        bank=asked.bank,
     )
-    meta = {"times": result.times, "example": example(result, field)}
-    return store.put("scene_result", result_to_arrays(result), meta)
+    meta = {"times": result.times, "example": example(result, asked)}
+    return site.store.put("scene_result", result_to_arrays(result), meta)
 
 
 def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:

@@ -6,15 +6,17 @@ import hashlib
 import json
 import os
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import fsspec
 
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError, SpecError
+from slgaussian.parts.identity import CHANGED, KnownFile
 from slgaussian.storage.remote import explained, troubles
 from slgaussian.storage.store import ArtifactStore
-from tasks.stage import CHANGED, StageCall
+from tasks.stage import Worksite
 
 SETTLED = 2.0
 """Seconds after which a file's time stamp tells that it was changed: clocks of file systems tick
@@ -67,24 +69,49 @@ def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:
     return found if isinstance(found, dict) and "sha256" in found else {}
 
 
-def read_chunk(store: ArtifactStore, call: StageCall) -> dict[str, re10k.Clip]:
-    """The clips of the chunk at ``where["chunk"]`` by key.
+def known_chunk(store: ArtifactStore, file: str) -> KnownFile:
+    """A chunk, known by what is in it; InputError as :func:`digest_of`."""
+    return KnownFile(file, digest_of(store, file))
+
+
+def read_chunk(site: Worksite, chunk: KnownFile) -> dict[str, re10k.Clip]:
+    """The clips of a chunk by key, read once however many stages ask for them.
 
     Raises
     ------
     InputError
-        If it cannot be read, two clips have one key, or it is no longer the one that
-        ``settings["chunk"]`` is the digest of.
+        If it cannot be read, two clips have one key, or it is no longer as it was known.
     """
-    file = call.where["chunk"]
-    clips: dict[str, re10k.Clip] = {}
-    for clip in re10k.read_chunk(file):
-        if clip.key in clips:
-            raise InputError(f"{file}: two clips have the key {clip.key!r}; give them their own")
-        clips[clip.key] = clip
-    if digest_of(store, file) != call.settings["chunk"]:
-        raise InputError(f"{file}: {CHANGED}")
-    return clips
+
+    def read() -> dict[str, re10k.Clip]:
+        clips: dict[str, re10k.Clip] = {}
+        for clip in re10k.read_chunk(chunk.place):
+            if clip.key in clips:
+                raise InputError(
+                    f"{chunk.place}: two clips have the key {clip.key!r}; give them their own"
+                )
+            clips[clip.key] = clip
+        if digest_of(site.store, chunk.place) != chunk.digest:
+            raise InputError(f"{chunk.place}: {CHANGED}")
+        return clips
+
+    return site.once(chunk, read)
+
+
+@dataclass(frozen=True)
+class Framing:
+    """How the views of a chunk are brought to one size, and their range of depth.
+
+    Attributes
+    ----------
+    size : (height, width)
+    near, far : float, optional
+        Depth range along z in scene units; found from the views where it is None.
+    """
+
+    size: tuple[int, int]
+    near: float | None = None
+    far: float | None = None
 
 
 def left_out(scene: str, error: InputError) -> dict[str, str]:

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from slgaussian.build import predict
-from slgaussian.parts.identity import placed
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.parts.part import Part
+from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays
-from tasks.stage import CHANGED, StageCall
-
-STAGE = "geometry"
-VERSION = 3
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``gaussians``. Settings: predictor, seed, under its name its own. Inputs: sample.
-
-    Also ``trust_cameras``, which may be left out.
-    ``where["checkpoint"]`` is the file that the predictor's settings hold the SHA-256 of.
-    """
-    sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    name = call.settings["predictor"]
-    own = placed(call.settings.get(name, {}), call.where, CHANGED)
-    trust = call.settings.get("trust_cameras", False)
-    gaussians = predict(sample, name, call.settings["seed"], {name: own}, trust)
+@stage("geometry", version=3)
+def geometry(
+    site: Worksite, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
+) -> ArtifactRef:
+    """What the predictor makes of the context views: spec ``gaussians``."""
+    shown = site.read(sample, sample_from_arrays)
+    gaussians = predict(shown, predictor, seed, trust_cameras)
     gaussians.check()
-    return store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})
+    return site.store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +14,83 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.scene import Sample
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, sha256_of
+from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_to_arrays
-from tasks.stage import StageCall
-
-STAGE = "ingest"
-VERSION = 3
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``sample``. Settings: scene, format, options, context, targets, size, near, far, files.
+@dataclass(frozen=True)
+class Photographs:
+    """Which views of a scene make a sample, and where its files are.
 
-    ``where["path"]`` is the data folder of a format that reads files; ``files`` holds what
-    :func:`file_hashes` says of them.
+    Attributes
+    ----------
+    scene : str
+        What the sample is called.
+    format : str
+        As :func:`slgaussian.datasets.load` has it.
+    path : Path, optional
+        The data of a format that reads files; known by what is in them.
+    options : mapping
+        Those of the format.
+    context, targets : tuple of str
+        Names of views.
+    size, near, far
+        As :meth:`slgaussian.scene.Scene.sample` takes them.
     """
-    settings = call.settings
-    paths = [call.where["path"]] if "path" in call.where else []
-    scene = datasets.load(settings["format"], *paths, **settings["options"])
-    size = settings["size"]
-    sample = scene.sample(
-        settings["context"],
-        settings["targets"],
-        size if isinstance(size, str) else tuple(size),
-        settings["near"],
-        settings["far"],
-    )
-    sample = replace(sample, scene=settings["scene"])
-    _check_held_out(sample)
-    return store.put("sample", sample_to_arrays(sample))
+
+    scene: str
+    format: str
+    path: Path | None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    context: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    size: tuple[int, int] | str = "auto"
+    near: float | None = None
+    far: float | None = None
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of every file that the views are read from, by its path below ``path``.
+
+        What is missing or unreadable is left out: reading the scene says so better.
+        """
+        if self.path is None:
+            return {}
+        folder = self.path if self.path.is_dir() else self.path.parent
+        views = [*self.context, *self.targets]
+        try:
+            files = datasets.files(self.format, self.path, views, **self.options)
+        except InputError:
+            return {}
+        return {
+            os.path.relpath(file, folder): _digest(
+                file, file.stat().st_mtime_ns, file.stat().st_size
+            )
+            for file in files
+            if file.is_file()
+        }
+
+    def identity(self) -> dict[str, Any]:
+        """What the sample depends on: not where the files are, but what is in them."""
+        return {name: value for name, value in vars(self).items() if name != "path"} | {
+            "files": self.files
+        }
+
+    def read(self) -> Sample:
+        """The sample; InputError if it cannot be read, or a target is not held out."""
+        paths = [] if self.path is None else [self.path]
+        scene = datasets.load(self.format, *paths, **self.options)
+        sample = scene.sample(self.context, self.targets, self.size, self.near, self.far)
+        sample = replace(sample, scene=self.scene)
+        _check_held_out(sample)
+        return sample
+
+
+@stage("ingest", version=3)
+def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
+    """The sample of a scene: spec ``sample``."""
+    return site.store.put("sample", sample_to_arrays(photographs.read()))
 
 
 def _check_held_out(sample: Sample) -> None:
@@ -54,25 +103,6 @@ def _check_held_out(sample: Sample) -> None:
                     f"scene {sample.scene!r}: the target {target.name!r} {same} the context view "
                     f"{view.name!r}; a target must be held out"
                 )
-
-
-def file_hashes(
-    format: str, path: str | Path, views: Sequence[str], options: Mapping[str, Any]
-) -> dict[str, str]:
-    """SHA-256 of every file that the given views are read from, by its path below ``path``.
-
-    What is missing or unreadable is left out: reading the scene says so better.
-    """
-    folder = Path(path) if Path(path).is_dir() else Path(path).parent
-    try:
-        files = datasets.files(format, path, views, **options)
-    except InputError:
-        return {}
-    return {
-        os.path.relpath(file, folder): _digest(file, file.stat().st_mtime_ns, file.stat().st_size)
-        for file in files
-        if file.is_file()
-    }
 
 
 @lru_cache(maxsize=1024)

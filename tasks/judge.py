@@ -19,39 +19,45 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.learning import StoredLessons, branch_from_arrays
-from tasks.stage import StageCall, tell
-
-STAGE = "judge"
-VERSION = 2
+from tasks.stage import Worksite, stage
 
 LABELS = ("as found", "corrupted")
 """What liftings are shown."""
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``judgements``. Settings: codes, seed. Inputs: lessons, branch, and before if any."""
-    lessons = StoredLessons(store, store.get(call.inputs["lessons"]))
-    lifts = liftings(store, call)
-    asked = {"codes": call.settings["codes"], "seed": call.settings["seed"]}
+@stage("judge", version=2)
+def judge(
+    site: Worksite,
+    lessons: ArtifactRef,
+    branch: ArtifactRef,
+    before: ArtifactRef | None,
+    codes: str,
+    seed: int,
+) -> ArtifactRef:
+    """Scores of the branch, of the weights ``before`` it and of controls: spec ``judgements``."""
+    store = site.store
+    shown = StoredLessons(store, store.get(lessons))
+    lifts = liftings(store, branch, before)
     rows: list[dict[str, Any]] = []
-    for index, (clip, lesson) in enumerate(zip(lessons.clips, lessons, strict=True)):
-        tell(f"lesson {index + 1} of {len(lessons)}")
+    for index, (clip, lesson) in enumerate(zip(shown.clips, shown, strict=True)):
+        site.tell(f"lesson {index + 1} of {len(shown)}")
         for kind in LABELS:
-            shown = labels_of(lesson, kind, call.settings["seed"])
-            for name, iou in label_iou(lesson, lifts, shown, **asked).items():
+            labels = labels_of(lesson, kind, seed)
+            for name, iou in label_iou(lesson, lifts, labels, codes, seed).items():
                 known = None if math.isnan(iou) else iou
                 row = {"sample": lesson.sample, "clip": clip, "labels": kind, "lifting": name}
                 rows.append({**row, "iou": known})
     table = pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
-    return store.put("judgements", table, {"lessons": len(lessons)})
+    return store.put("judgements", table, {"lessons": len(shown)})
 
 
-def liftings(store: ArtifactStore, call: StageCall) -> dict[str, Lifting]:
-    """The branch of a call and, if it began from other weights, those; and the controls."""
+def liftings(
+    store: ArtifactStore, branch: ArtifactRef, before: ArtifactRef | None
+) -> dict[str, Lifting]:
+    """A branch and, if it began from other weights, those; and the controls."""
+    refs = {"before": before, "branch": branch}
     trained = {
-        name: branch_from_arrays(store.get(call.inputs[name]))
-        for name in ("before", "branch")
-        if name in call.inputs
+        name: branch_from_arrays(store.get(ref)) for name, ref in refs.items() if ref is not None
     }
     untrained = Branch(trained["branch"].architecture)
     learnt = {name: BranchLifting(branch) for name, branch in trained.items()}

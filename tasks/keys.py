@@ -6,32 +6,36 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from slgaussian.errors import InputError
+from slgaussian.parts.identity import KnownFile
+from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 
 
-def cache_key(
-    stage: str, version: int, settings: Mapping[str, Any], inputs: Mapping[str, ArtifactRef]
-) -> str:
+def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
     """The key ``<stage>/v<version>/<sha256>`` of one piece of work.
 
-    Two keys are equal if and only if stage, version, settings and the digests of the inputs are:
-    the order of keys, the process and the place of the store play no part.
+    Two keys are equal if and only if stage, version and the content of the arguments are: the order
+    of keys, the process and the places of files and of the store play no part.
 
     Raises
     ------
     InputError
-        If a setting has no canonical form (see :func:`canonical`).
+        If an argument has no canonical form (see :func:`canonical`).
     """
-    content = {"settings": canonical(settings, "settings"), "inputs": canonical(inputs, "inputs")}
+    content = {name: canonical(value, name) for name, value in arguments.items()}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"{stage}/v{version}/{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 def canonical(value: Any, name: str = "value") -> Any:
     """``value`` as plain JSON data; refs become their spec and digest, tuples become lists.
+
+    A dataclass is its fields. What comes from outside, as files and the parts of the method, says
+    itself what it is known by: it has a method ``identity`` that returns such data.
 
     Raises
     ------
@@ -46,6 +50,15 @@ def canonical(value: Any, name: str = "value") -> Any:
         return value
     if isinstance(value, ArtifactRef):
         return {"spec": value.spec, "digest": value.digest}
+    if isinstance(value, KnownFile):
+        return value.digest
+    if isinstance(value, Part):
+        return {value.name: canonical(value.identity(), name)}
+    if hasattr(value, "identity"):
+        return canonical(value.identity(), name)
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {field.name: getattr(value, field.name) for field in fields(value)}
+        return canonical(own, name)
     if isinstance(value, (list, tuple)):
         return [canonical(item, f"{name}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):

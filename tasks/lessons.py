@@ -16,21 +16,18 @@ import torch
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
+from slgaussian.parts.identity import KnownFile
+from slgaussian.parts.part import Part
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks import masks
-from tasks.chunks import left_out, read_chunk
+from slgaussian.storage.store import ArtifactRef
+from tasks.chunks import Framing, left_out, read_chunk
+from tasks.masks import masks
 from tasks.predictions import read_sample
-from tasks.stage import StageCall
-
-STAGE = "lessons"
-VERSION = 1000 * masks.VERSION + 1
-"""Raised with that of the stage that labels the views of a single scene."""
+from tasks.stage import Worksite, stage
 
 SHEET_ROWS = 24
 """Most samples on a contact sheet."""
@@ -39,36 +36,43 @@ SHEET_SIDE = 144
 """Pixels of a picture on it."""
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``lessons``. Inputs: pairs, predictions.
+# Its version is raised with that of the stage that labels the views of a single scene.
+@stage("lessons", version=1000 * masks.version + 1)
+def lessons(
+    site: Worksite,
+    pairs: ArtifactRef,
+    predictions: ArtifactRef,
+    chunk: KnownFile,
+    framing: Framing,
+    proposer: Part,
+    tracker: Part,
+    replicas: int,
+) -> ArtifactRef:
+    """Lessons of the samples of a chunk: spec ``lessons``.
 
-    Settings: chunk (its SHA-256), size, near, far, proposer, tracker, replicas, and under the name
-    of a part its own. ``where["chunk"]`` is the chunk, ``where[part]`` the model or folder that the
-    part's settings hold the digest of. ``meta`` has the contact sheet's place in the store (spec
-    ``sheet``), seconds by part, and under ``left_out`` the samples that could not be done.
+    ``meta`` has the contact sheet's place in the store (spec ``sheet``), seconds by part, and under
+    ``left_out`` the samples that could not be done.
     """
-    watch = _Watch()
+    watch, store = _Watch(), site.store
     with watch("read"):
-        clips = read_chunk(store, call)
-        samples = {row["sample"]: row for row in store.get(call.inputs["pairs"]).to_pylist()}
-    own = masks.own_settings(call)
-    name, tracker = call.settings["proposer"], call.settings["tracker"]
-    proposer = load_proposer(name, **own[name])
+        clips = read_chunk(site, chunk)
+        samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
+    propose = proposer.load()
     rows, bad, tiles = [], [], []
-    for made in store.get(call.inputs["predictions"]).to_pylist():
+    for made in store.get(predictions).to_pylist():
         row = samples[made["sample"]]
         with watch("read"):
             ref = ArtifactRef("gaussians", made["uri"], made["digest"])
             gaussians = Gaussians.from_arrays(store.get(ref))
         try:
             with watch("read"):
-                sample = read_sample(clips[row["clip"]], row, call.settings, targets=True)
+                sample = read_sample(clips[row["clip"]], row, framing, targets=True)
             with watch("depth"):
                 depths = _depths(sample, gaussians)
             with watch("masks"):
                 views = (*sample.context, *sample.targets)
-                fresh = load_tracker(tracker, **own[tracker])
-                found = associate(views, proposer, fresh, call.settings["replicas"], depths)
+                fresh = tracker.load()
+                found = associate(views, propose, fresh, replicas, depths)
         except InputError as error:
             bad.append(left_out(made["sample"], error))
             continue

@@ -12,31 +12,28 @@ from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds, Views, choose
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
-from tasks.stage import StageCall
+from tasks.stage import Worksite, stage
 from tasks.views import ROW
 
-STAGE = "pairs"
-VERSION = 1
 
-
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``pairs``. Settings: bounds. Inputs: views.
+@stage("pairs", version=1)
+def pairs(site: Worksite, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
+    """Samples of the clips of a chunk: spec ``pairs``.
 
     The photographs are not read again. A clip that has no sample is named in ``meta["left_out"]``.
     """
-    bounds = Bounds(**call.settings["bounds"])
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    views = store.get(call.inputs["views"]).to_pylist()
-    for clip, own in groupby(views, key=lambda row: row["clip"]):
+    known = site.store.get(views).to_pylist()
+    for clip, own in groupby(known, key=lambda row: row["clip"]):
         try:
             rows += _samples(clip, list(own), bounds)
         except InputError as error:
             bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
     table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
-    return store.put("pairs", table, {"samples": len(rows), "left_out": bad})
+    return site.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
 
 
 def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:

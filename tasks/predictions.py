@@ -10,36 +10,36 @@ import pyarrow as pa
 
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import placed
-from slgaussian.predict import load_predictor
+from slgaussian.parts.identity import KnownFile
+from slgaussian.parts.part import Part
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks import geometry
-from tasks.chunks import left_out, read_chunk
-from tasks.stage import CHANGED, StageCall
-
-STAGE = "predictions"
-VERSION = 1000 * geometry.VERSION + 1
-"""Raised with that of the stage that does the same for a single scene."""
+from slgaussian.storage.store import ArtifactRef
+from tasks.chunks import Framing, left_out, read_chunk
+from tasks.geometry import geometry
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``predictions``. Inputs: pairs.
+# Its version is raised with that of the stage that does the same for a single scene.
+@stage("predictions", version=1000 * geometry.version + 1)
+def predictions(
+    site: Worksite,
+    pairs: ArtifactRef,
+    chunk: KnownFile,
+    framing: Framing,
+    predictor: Part,
+    seed: int,
+) -> ArtifactRef:
+    """Gaussians of the samples of a chunk: spec ``predictions``.
 
-    Settings: chunk (its SHA-256), size, near, far, seed, predictor, and under its name its own.
-    ``where["chunk"]`` is the chunk, ``where["checkpoint"]`` the file that the predictor's settings
-    hold the SHA-256 of. A sample that cannot be done is named in ``meta["left_out"]``.
+    A sample that cannot be done is named in ``meta["left_out"]``.
     """
-    clips = read_chunk(store, call)
-    name = call.settings["predictor"]
-    places = {key: place for key, place in call.where.items() if key != "chunk"}
-    predict = load_predictor(name, **placed(call.settings.get(name, {}), places, CHANGED))
+    store, clips, predict = site.store, read_chunk(site, chunk), predictor.load()
     rows, bad = [], []
-    for row in store.get(call.inputs["pairs"]).to_pylist():
+    for row in store.get(pairs).to_pylist():
         try:
-            sample = read_sample(clips[row["clip"]], row, call.settings, targets=False)
-            gaussians = predict(sample, call.settings["seed"])
+            sample = read_sample(clips[row["clip"]], row, framing, targets=False)
+            gaussians = predict(sample, seed)
             gaussians.check()
         except InputError as error:
             bad.append(left_out(row["sample"], error))
@@ -53,10 +53,8 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
     return store.put("predictions", table, meta)
 
 
-def read_sample(
-    clip: Clip, row: Mapping[str, Any], settings: Mapping[str, Any], targets: bool
-) -> Sample:
-    """The sample that a row of spec ``pairs`` describes, at the size of the settings.
+def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: bool) -> Sample:
+    """The sample that a row of spec ``pairs`` describes, framed.
 
     Its targets, which take as long to decode, only if wanted.
 
@@ -65,8 +63,9 @@ def read_sample(
     InputError
         If a view cannot be decoded, or the views do not make a sample.
     """
-    height, width = settings["size"]
-    known = {name: settings[name] for name in ("near", "far") if settings.get(name) is not None}
+    height, width = framing.size
+    depth_range = {"near": framing.near, "far": framing.far}
+    known = {name: depth for name, depth in depth_range.items() if depth is not None}
 
     def views(role: str) -> tuple[View, ...]:
         names = [name for name in row if name.startswith(role)]

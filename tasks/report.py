@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from slgaussian.benchmark.report import Scene, render_report
-from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,
     pictures_of,
@@ -16,45 +17,54 @@ from tasks.artifacts import (
     result_from_arrays,
     truth_from_arrays,
 )
-from tasks.stage import StageCall
-
-STAGE = "report"
-VERSION = 5
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``report``. Settings: scenes, manifest, failures.
+@dataclass(frozen=True)
+class Scored:
+    """What was made of one scene: our answers, its truth, what lost our misses, and by method the
+    answers of baselines."""
 
-    ``scenes`` is a list of ``scene``, ``answer``, ``truth``, ``attribution`` and ``others``: the
-    names of inputs, of the result of our method, the truth, what lost its misses, and by method the
-    results of others. Images are read a scene at a time.
+    scene: str
+    answer: ArtifactRef
+    truth: ArtifactRef
+    attribution: ArtifactRef
+    others: Mapping[str, ArtifactRef]
 
-    The report has no times in it: it is the same whenever and wherever it is made.
+
+@stage("report", version=5)
+def report(
+    site: Worksite,
+    scenes: Sequence[Scored],
+    manifest: Mapping[str, Any],
+    failures: Sequence[Mapping[str, str]],
+) -> ArtifactRef:
+    """The page of a run: spec ``report``. Images are read a scene at a time.
+
+    It has no times in it: it is the same whenever and wherever it is made.
     """
-    scenes = [_scene(store, call.inputs, entry) for entry in call.settings["scenes"]]
-    tables = [store.get(call.inputs[entry["attribution"]]) for entry in call.settings["scenes"]]
-    attribution = [row for table in tables for row in table.to_pylist()]
-    made = render_report(scenes, call.settings["manifest"], call.settings["failures"], attribution)
+    shown = [_scene(site.store, scored) for scored in scenes]
+    tables = [site.store.get(scored.attribution) for scored in scenes]
+    lost = [row for table in tables for row in table.to_pylist()]
+    made = render_report(shown, manifest, failures, lost)
     forms = {"html": made.html, "markdown": made.markdown}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
-    return store.put("report", arrays)
+    return site.store.put("report", arrays)
 
 
-def _scene(
-    store: ArtifactStore, inputs: Mapping[str, ArtifactRef], entry: Mapping[str, Any]
-) -> Scene:
-    def read(name: str) -> Arrays:
-        return store.get(inputs[name])
+def _scene(store: ArtifactStore, scored: Scored) -> Scene:
+    refs = [scored.answer, *scored.others.values()]
+    own, *others = (result_from_arrays(store.get(ref), {}, with_images=False) for ref in refs)
 
-    names = [entry["answer"], *entry["others"].values()]
-    own, *others = (result_from_arrays(read(name), {}, with_images=False) for name in names)
+    def masks(method: str) -> Decoded:
+        return Decoded(predictions_of(store.get(scored.others.get(method, scored.answer))))
 
     return Scene(
-        name=entry["scene"],
+        name=scored.scene,
         dataset=own.dataset,
         rows=[row for each in (own, *others) for row in each.rows],
         metrics=own.scene_metrics,
-        pictures=lambda: Decoded(pictures_of(read(entry["answer"]))),
-        truth=lambda: truth_from_arrays(read(entry["truth"])).masks,
-        masks=lambda method: Decoded(predictions_of(read(entry["others"].get(method, names[0])))),
+        pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
+        truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
+        masks=masks,
     )

@@ -1,109 +1,194 @@
-"""Do the work of any stage, if no run on any machine with this store has done it before.
+"""A stage: a Prefect task whose result is looked up in the store by what it depends on.
 
-Results are not left to Prefect: its records name the code that reads them back, pickle among it, so
-who may write to the store could have any code run; and it reads all of a result three times to use
-it once.
+Results are not left to Prefect. A record of Prefect's names the code that reads it back, pickle
+among it, whatever serialiser the task has: who may write to the store could have any code run. So
+the records are ours (:mod:`slgaussian.storage.records`), and a stage that is found in them ends in
+a state that Prefect's page shows as ``Cached``.
 """
 
 from __future__ import annotations
 
+import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
 
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
+from prefect.states import Completed, State
 
 from slgaussian.kernels import compiling, threads
 from slgaussian.storage.records import Records
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
-from tasks.keys import cache_key
+from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, DamagedError
+from tasks.events import Finished, Listener, Repeated, Said, Started
+from tasks.keys import cache_key, canonical
 
-CHANGED = "was changed after the run had begun; start the run again"
-"""What is said of a file whose content is no longer that of the settings."""
-
-_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
+Made = TypeVar("Made")
 
 
-@dataclass(frozen=True)
-class StageCall:
-    """One piece of work: a stage, its settings and the refs it reads.
+@dataclass
+class Worksite:
+    """Where the stages of one scene are worked on, and what has been made of it so far.
 
-    ``module`` is the import path of the stage module. ``where`` holds the places of files from
-    outside, whose contents are hashed into the settings. It, ``scene`` and ``workers`` say where
-    and how, never what, so they are not part of the key.
+    Attributes
+    ----------
+    store : ArtifactStore
+    scene : str
+        What the scene is called, in Prefect's page and in events.
+    workers : int
+        How many scenes are worked on at the same time on this machine.
+    listener : callable
+        Hears every :class:`Event`.
+    made : {stage: ArtifactRef}
+        What the stages of this scene made, or had made before.
+    stage, key : str
+        The stage that is being worked on, and its cache key.
     """
 
-    module: str
-    settings: Mapping[str, Any]
-    inputs: Mapping[str, ArtifactRef] = field(default_factory=dict)
-    where: Mapping[str, str] = field(default_factory=dict)
+    store: ArtifactStore
     scene: str = ""
     workers: int = 1
+    listener: Listener = lambda event: None
+    made: dict[str, ArtifactRef] = field(default_factory=dict)
+    stage: str = ""
+    key: str = ""
+    _known: dict[Hashable, Any] = field(default_factory=dict)
 
-    @cached_property
-    def key(self) -> str:
-        """The cache key; raises InputError if there is none."""
-        stage = import_module(self.module)
-        return cache_key(stage.STAGE, stage.VERSION, self.settings, self.inputs)
+    def read(self, ref: ArtifactRef, made_of: Callable[[Arrays], Made]) -> Made:
+        """What ``made_of`` makes of a stored artifact; see :meth:`once`."""
+        return self.once((ref.digest, made_of), lambda: made_of(self.store.get(ref)))
+
+    def once(self, what: Hashable, make: Callable[[], Made]) -> Made:
+        """What ``make`` makes: once for each ``what``, however many stages of the scene ask for it.
+
+        It is shared between them, so none may change it.
+        """
+        if what not in self._known:
+            self._known[what] = make()
+        return self._known[what]
+
+    def tell(self, text: str) -> None:
+        """Say how far the stage that is being worked on has come."""
+        self.listener(Said(self.scene, self.stage, text))
+
+
+_site: ContextVar[Worksite] = ContextVar("site")
+
+
+def current() -> Worksite:
+    """Where the road that is being taken is worked on."""
+    return _site.get()
 
 
 @contextmanager
-def listening(listener: Callable[[str], None]) -> Iterator[None]:
-    """Have ``listener`` get what stages that run within :func:`tell`."""
-    token = _listener.set(listener)
+def at(site: Worksite) -> Iterator[None]:
+    """Have the stages that are called within the block be worked on there."""
+    token = _site.set(site)
     try:
         yield
     finally:
-        _listener.reset(token)
+        _site.reset(token)
 
 
-def tell(text: str) -> None:
-    """Say how far a long stage is, to whoever watches the run."""
-    listener = _listener.get()
-    if listener is not None:
-        listener(text)
+class Stage:
+    """A function from small arguments to one artifact, as a Prefect task; made by :func:`stage`.
 
-
-def run_stage(store: ArtifactStore, call: StageCall) -> tuple[ArtifactRef, bool]:
-    """What ``call`` makes, and whether it was found in the store and not made now.
-
-    What is made is a task of Prefect's, which so knows of each stage of each scene.
-    ``meta["seconds"]`` says how long it took, and ``meta["settings"]`` what made the artifact, with
-    models and other files by their digests. A damaged artifact that it should have read is removed
-    from the store, so that it is made again.
+    It is called with all parameters of the function but the first, which is the
+    :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
+    method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
+    made, whose ``meta`` says what settings made it and how many ``seconds`` that took.
     """
-    records = Records(store)
-    found = records.find(call.key)
-    if found is not None:
-        return found, True
-    threads.share(call.workers)
-    compiling.watch()
-    stage = import_module(call.module)
 
-    def work() -> ArtifactRef:
+    def __init__(
+        self, work: Callable[..., ArtifactRef], name: str, version: int, unkeyed: Collection[str]
+    ) -> None:
+        self.work, self.name, self.version, self.unkeyed = work, name, version, unkeyed
+        self.__doc__ = work.__doc__
+        self.signature = inspect.signature(work)
+        self.task = Task(
+            self._found_or_made,
+            name=name,
+            task_run_name=lambda: _site.get().scene or name,
+            cache_policy=NO_CACHE,
+            persist_result=False,
+        )
+
+    def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
+        """What the function makes of these arguments, now or in an earlier run.
+
+        Raises
+        ------
+        InputError
+            If an argument has no canonical form, and as the function.
+        DamagedError
+            If a stored artifact that it reads is damaged or gone; what is left of it is removed.
+        """
+        site = _site.get()
+        before = site.made.get(self.name)
+        site.stage = self.name
+        if before is None:
+            site.listener(Started(site.scene, self.name))
+        bound = self.signature.bind(site, *args, **kwargs)
+        bound.apply_defaults()
+        _, *given = bound.arguments.items()
         start = time.perf_counter()
-        with compiling.told_to(tell):
-            ref = stage.run(store, call)
-        seconds = time.perf_counter() - start
-        return replace(ref, meta={**ref.meta, "settings": dict(call.settings), "seconds": seconds})
+        cached = isinstance(self.task(dict(given)), State)
+        if before is not None and not cached:
+            site.listener(Repeated(site.scene, self.name))
+        if before is None or not cached:
+            seconds = time.perf_counter() - start
+            site.listener(Finished(site.scene, self.name, seconds, cached))
+        return site.made[self.name]
 
-    task = Task(
-        work,
-        name=stage.STAGE,
-        task_run_name=call.scene or None,
-        cache_policy=NO_CACHE,
-        persist_result=False,
-    )
-    try:
-        ref = task()
-    except DamagedError as error:
-        store.remove([error.uri])
-        raise
-    records.keep(call.key, ref)
-    return ref, False
+    def key(self, arguments: Mapping[str, Any]) -> str:
+        """The cache key of a call with these arguments; raises InputError if there is none."""
+        counted = {name: value for name, value in arguments.items() if name not in self.unkeyed}
+        return cache_key(self.name, self.version, counted)
+
+    def _found_or_made(self, arguments: dict[str, Any]) -> State | None:
+        site = _site.get()
+        site.key = self.key(arguments)
+        records = Records(site.store)
+        found = records.find(site.key)
+        if found is not None:
+            site.made[self.name] = found
+            return Completed(name="Cached", message="found in the store")
+        threads.share(site.workers)
+        compiling.watch()
+        start = time.perf_counter()
+        try:
+            with compiling.told_to(site.tell):
+                ref = self.work(site, **arguments)
+        except DamagedError as error:
+            # Then the stage that made it makes it again.
+            site.store.remove([error.uri])
+            raise
+        settings = {
+            name: canonical(value, name)
+            for name, value in arguments.items()
+            if name not in self.unkeyed and not isinstance(value, ArtifactRef)
+        }
+        seconds = time.perf_counter() - start
+        ref = replace(ref, meta={**ref.meta, "settings": settings, "seconds": seconds})
+        records.keep(site.key, ref)
+        site.made[self.name] = ref
+        return None
+
+
+def stage(
+    name: str, version: int, unkeyed: Collection[str] = ()
+) -> Callable[[Callable[..., ArtifactRef]], Stage]:
+    """Make a function a :class:`Stage`.
+
+    Parameters
+    ----------
+    name : str
+    version : int
+        Raised by hand whenever the same arguments would give another result.
+    unkeyed : collection of str
+        The parameters that say where or how, and never what.
+    """
+    return lambda work: Stage(work, name, version, unkeyed)

@@ -2,57 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.training_report import Example, render_training_report
+from slgaussian.semantic import Lifting
 from slgaussian.semantic.judge import novel_labels
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef
 from tasks.judge import labels_of, liftings
 from tasks.learning import StoredLessons
-from tasks.stage import StageCall
-
-STAGE = "training_report"
-VERSION = 2
+from tasks.stage import Worksite, stage
 
 SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``report``. Inputs: judgements, lessons (held out), branch, and before if there is one.
+@stage("training_report", version=2)
+def training_report(
+    site: Worksite,
+    judgements: ArtifactRef,
+    lessons: ArtifactRef,
+    branch: ArtifactRef,
+    codes: str,
+    seed: int,
+    manifest: Mapping[str, Any],
+) -> ArtifactRef:
+    """The page of a training: spec ``report``.
 
-    Settings: codes, seed (those of the judgements), manifest.
+    ``lessons`` are those held out, and ``codes`` and ``seed`` those of the judgements.
     """
-    judgements = store.get(call.inputs["judgements"])
-    course = call.inputs["branch"].meta["metrics"]
+    store = site.store
+    rows = store.get(judgements)
+    held_out = StoredLessons(store, store.get(lessons))
     page = render_training_report(
-        store.get(ArtifactRef("metrics", **course)),
-        judgements,
-        _examples(store, call, judgements),
-        call.settings["manifest"],
+        store.get(ArtifactRef("metrics", **branch.meta["metrics"])),
+        rows,
+        _examples(held_out, liftings(store, branch, None), rows, codes, seed),
+        manifest,
     )
     return store.put("report", {"html": np.frombuffer(page.encode(), np.uint8)})
 
 
-def _examples(store: ArtifactStore, call: StageCall, judgements: pa.Table) -> list[Example]:
+def _examples(
+    lessons: StoredLessons,
+    lifts: Mapping[str, Lifting],
+    judgements: pa.Table,
+    codes: str,
+    seed: int,
+) -> list[Example]:
     """The lessons of the greatest, middle and least gain over no branch."""
     ious: dict[str, dict[str, float]] = {}
     for row in judgements.to_pylist():
         own = ious.setdefault(row["sample"], {})
         if row["labels"] == SHOWN and row["iou"] is not None:
             own[row["lifting"]] = row["iou"]
-    lessons = StoredLessons(store, store.get(call.inputs["lessons"]))
     places = {sample: index for index, sample in enumerate(ious)}
     known = [sample for sample, own in ious.items() if own]
     known.sort(key=lambda sample: (ious[sample]["hard"] - ious[sample]["branch"], sample))
     chosen = dict.fromkeys(known[i] for i in (0, len(known) // 2, -1)) if known else {}
-    lifts = {n: lift for n, lift in liftings(store, call).items() if n in ("hard", "branch")}
-    seed, made = call.settings["seed"], []
+    lifts = {name: lift for name, lift in lifts.items() if name in ("hard", "branch")}
+    made = []
     for sample in chosen:
         lesson = lessons[places[sample]]
         shown = labels_of(lesson, SHOWN, seed)
-        found = novel_labels(lesson, lifts, shown, call.settings["codes"], seed)
+        found = novel_labels(lesson, lifts, shown, codes, seed)
         middle = len(lesson.targets) // 2
         made.append(
             Example(

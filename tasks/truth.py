@@ -2,24 +2,48 @@
 
 from __future__ import annotations
 
-from slgaussian.benchmark.annotations import read_truth
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from slgaussian.benchmark.annotations import label_files, read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
-from tasks.stage import StageCall
-
-STAGE = "truth"
-VERSION = 2
+from tasks.stage import Worksite, stage
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``truth``. Settings: categories, files (hashes of the label files). Inputs: sample.
+@dataclass(frozen=True)
+class Labels:
+    """The label files of some targets, and which categories are read of them.
 
-    ``where["labels"]`` is the folder of labels; without it truth comes from instance ids.
+    ``folder`` is None where truth comes from instance ids.
     """
-    sample = sample_from_arrays(store.get(call.inputs["sample"]))
-    if "labels" in call.where:
-        truth = read_truth(call.where["labels"], call.settings["categories"], sample.targets)
+
+    folder: Path | None
+    targets: tuple[str, ...]
+    categories: tuple[str, ...]
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of every label file, by its path below the folder."""
+        if self.folder is None:
+            return {}
+        files = [file for target in self.targets for file in label_files(self.folder, target)]
+        return {f.relative_to(self.folder).as_posix(): sha256_of(f) for f in files if f.is_file()}
+
+    def identity(self) -> dict[str, Any]:
+        """What truth depends on: not where the files are, but what is in them."""
+        return {"categories": self.categories, "files": self.files}
+
+
+@stage("truth", version=2)
+def truth(site: Worksite, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
+    """What should be found in the targets: spec ``truth``."""
+    shown = site.read(sample, sample_from_arrays)
+    if labels.folder is None:
+        found = truth_from_instances(shown)
     else:
-        truth = truth_from_instances(sample)
-    return store.put("truth", truth_to_arrays(truth, sample))
+        found = read_truth(labels.folder, labels.categories, shown.targets)
+    return site.store.put("truth", truth_to_arrays(found, shown))

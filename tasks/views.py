@@ -11,28 +11,27 @@ import pyarrow as pa
 from slgaussian.datasets import re10k
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError
+from slgaussian.parts.identity import KnownFile
 from slgaussian.predict.distance import typical_depths
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out, read_chunk
-from tasks.stage import StageCall
-
-STAGE = "views"
-VERSION = 1
+from tasks.stage import Worksite, stage
 
 ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
 """Columns of the table that hold a camera, as a row of a chunk has it without its two zeros."""
 
 
-def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
-    """Spec ``views``. Settings: chunk (its SHA-256). ``where["chunk"]`` is its file.
+@stage("views", version=1)
+def views(site: Worksite, chunk: KnownFile) -> ArtifactRef:
+    """What is known of all views of a chunk: spec ``views``.
 
     A frame that cannot be decoded, or whose pose is none, is left out by itself and named in
     ``meta["left_out"]``, as is a clip without any.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    clips = read_chunk(store, call)
+    clips = read_chunk(site, chunk)
     for clip in clips.values():
         found, failed = _views(clip)
         if not found:
@@ -41,7 +40,9 @@ def run(store: ArtifactStore, call: StageCall) -> ArtifactRef:
         rows += found
         bad += failed
     table = pa.Table.from_pylist(rows, schema=load_spec("views").schema)
-    return store.put("views", table, {"clips": len(clips), "views": len(rows), "left_out": bad})
+    return site.store.put(
+        "views", table, {"clips": len(clips), "views": len(rows), "left_out": bad}
+    )
 
 
 def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:

@@ -204,6 +204,8 @@ def _versions() -> dict[str, int]:
     from pkgutil import iter_modules
 
     import tasks
+    from tasks.stage import Stage
 
     modules = [import_module(f"tasks.{module.name}") for module in iter_modules(tasks.__path__)]
-    return {module.STAGE: module.VERSION for module in modules if hasattr(module, "STAGE")}
+    found = (one for module in modules for one in vars(module).values() if isinstance(one, Stage))
+    return {stage.name: stage.version for stage in found}

@@ -82,7 +82,7 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
     os.environ["PREFECT_API_URL"] = server.url
     try:
         server.start()
-        from tasks.shard import NO_EVENTS, send_no_events
+        from flows.runners.shard import NO_EVENTS, send_no_events
 
         # Nobody watches this server.
         send_no_events()

@@ -14,6 +14,7 @@ from flows.runners.display import Display
 from flows.runners.journal import log
 from flows.runners.memory import memory_in_use
 from flows.runners.metrics import Metrics
+from tasks.events import Event, Failed, Finished, Repeated, Said, Started
 
 REMIND = 30.0
 """Seconds between lines with the metrics: in the log, and where there is no terminal to keep a
@@ -79,7 +80,22 @@ class Progress:
             self.display.clear()
         self._log_metrics()
 
-    def started(self, scene: str, stage: str) -> None:
+    def hear(self, event: Event) -> None:
+        """Tell of something that happened to a scene."""
+        scene, stage = event.scene, event.stage
+        match event:
+            case Started():
+                self._started(scene, stage)
+            case Said(text=text):
+                self._said(scene, stage, text)
+            case Finished(seconds=seconds, cached=cached):
+                self._finished(scene, stage, seconds, cached)
+            case Repeated():
+                self._repeated(scene, stage)
+            case Failed(reason=reason, trace=trace):
+                self._failed(scene, stage, reason, trace)
+
+    def _started(self, scene: str, stage: str) -> None:
         """A stage of a scene begins."""
         log(logging.DEBUG, "started", f"{scene}  {stage}", scene=scene, stage=stage)
         with self.lock:
@@ -87,14 +103,14 @@ class Progress:
             self.detail = ""
         self._status()
 
-    def said(self, scene: str, stage: str, text: str) -> None:
+    def _said(self, scene: str, stage: str, text: str) -> None:
         """A stage that is being worked on is so far."""
         log(logging.DEBUG, "said", f"{scene}  {stage}  {text}", scene=scene, stage=stage)
         with self.lock:
             self.detail = f", {text}" if text else ""
         self._status()
 
-    def finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
+    def _finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
         """A stage of a scene is done, or was found done."""
         told = f"{scene}  {stage}  {'cached' if cached else f'{seconds:.1f} s'}"
         facts = {"scene": scene, "stage": stage, "seconds": round(seconds, 3), "cached": cached}
@@ -114,14 +130,14 @@ class Progress:
                 self._went_through(scene)
         self._status()
 
-    def went_back(self, scene: str, stage: str, stages: int, reason: str) -> None:
-        """The last stages of a scene that were done are done again."""
-        told = f"{scene}  goes {stages} stages back: {reason}"
-        log(logging.WARNING, "went_back", told, scene=scene, stage=stage, stages=stages)
+    def _repeated(self, scene: str, stage: str) -> None:
+        """A stage of a scene that was done has been done again; it is counted once."""
+        told = f"{scene}  {stage}  again: its artifact was damaged"
+        log(logging.WARNING, "repeated", told, scene=scene, stage=stage)
         with self.lock:
-            self.active.pop(scene, None)
-            del self.under_way[scene][-stages:]
-            self.steps -= stages
+            mine = self.under_way[scene]
+            mine.remove(next(one for one in mine if one[0] == stage))
+            self.steps -= 1
             self.display.line(told)
 
     def dropped(self, scene: str) -> None:
@@ -138,8 +154,8 @@ class Progress:
                 self.steps -= done
                 self.total += self.stages - done
 
-    def failed(self, scene: str, stage: str, reason: str, trace: str = "") -> None:
-        """A scene is taken out; ``trace`` is the traceback of an error that is a defect."""
+    def _failed(self, scene: str, stage: str, reason: str, trace: str) -> None:
+        """A scene is taken out."""
         told = f"{scene}  left out at {stage}: {reason}"
         more = {"traceback": trace} if trace else {}
         log(logging.ERROR, "failed", told, scene=scene, stage=stage, reason=reason, **more)

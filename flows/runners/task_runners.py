@@ -25,10 +25,10 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTa
 
 from flows.runners.cluster import last_line, local_cluster
 from flows.runners.server import LOOPBACK
+from flows.runners.shard import NO_EVENTS, send_no_events
 from slgaussian.errors import InputError
 from slgaussian.parts.extras import install_line
 from slgaussian.storage.store import ArtifactStore
-from tasks.shard import NO_EVENTS, send_no_events
 
 CONNECT = 5.0
 """Seconds to wait for a cluster that is said to run."""

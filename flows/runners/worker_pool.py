@@ -1,4 +1,4 @@
-"""Run many scenes, each a chain of stages, as one Prefect flow that a bad scene cannot stop."""
+"""Take many scenes down their roads, as one Prefect flow that a bad scene cannot stop."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import pyarrow as pa
 from httpx import HTTPError
-from prefect import flow
+from prefect import Flow
 from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
 from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
@@ -24,37 +24,38 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 from flows.runners.cluster import last_line
 from flows.runners.journal import log
 from flows.runners.progress import Progress
+from flows.runners.shard import (
+    NO_EVENTS,
+    Failure,
+    Job,
+    Order,
+    Shard,
+    StoppedError,
+    answer_roll_call,
+    named,
+    watching,
+)
 from flows.runners.task_runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.storage.remote import masked
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.shard import (
-    NO_EVENTS,
-    Chain,
-    Event,
-    Failure,
-    Shard,
-    StoppedError,
-    roll_call,
-    shard_task,
-    watching,
-)
+from tasks.events import Event, Failed
 
 Made = TypeVar("Made")
 
 MOST = 500
-"""Most chains of a shard; where all are done already they take a second or so."""
+"""Most jobs of a shard; where all are done already they take a second or so."""
 
 LONG = 20.0
-"""Seconds after which a worker begins no other chain of its shard: what a worker that dies has not
+"""Seconds after which a worker begins no other job of its shard: what a worker that dies has not
 told of is little, and the end of the run is shared out well."""
 
 PATIENCE = 120.0
 """Seconds that the workers of a cluster may take to begin."""
 
 DEATHS = 4
-"""So often a chain may be in a shard whose worker dies before it is left out."""
+"""So often a job may be in a shard whose worker dies before it is left out."""
 
 
 @dataclass
@@ -69,7 +70,7 @@ class Outcome:
     begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
 
 
-class Crew:
+class WorkerPool:
     """The workers of a flow, and what they tell, in one queue.
 
     A pool of processes is of no use once one of them has died: then another is started.
@@ -79,11 +80,11 @@ class Crew:
         self.store, self.workers = store, workers
         self.runner = FlowRunContext.get().task_runner
         self.news: queue.SimpleQueue[Event | PrefectFuture] = queue.SimpleQueue()
-        self.running: dict[PrefectFuture, tuple[TaskRunner, list[Chain]]] = {}
+        self.running: dict[PrefectFuture, tuple[TaskRunner, list[Job]]] = {}
         self.stop = threading.Event()
         self.stack = ExitStack()
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> WorkerPool:
         self.token = watching.set(self._heard)
         return self
 
@@ -98,9 +99,9 @@ class Crew:
         """Wait for a worker that can do the work; InputError if one cannot, or there is none."""
         probe = f".probe-{uuid.uuid4().hex}"
         self.store.write(probe, b"")
-        task = roll_call(self.store.root, probe, os.environ["PREFECT_API_URL"])
+        asked = {"root": self.store.root, "probe": probe, "server": os.environ["PREFECT_API_URL"]}
         try:
-            self.runner.submit(task, {}).result(timeout=PATIENCE)
+            self.runner.submit(answer_roll_call, asked).result(timeout=PATIENCE)
         except TimeoutError as error:
             raise InputError(
                 f"runner: no worker of {runner} took on any work within {PATIENCE:.0f} s; start "
@@ -120,12 +121,12 @@ class Crew:
         """How many shards are under way."""
         return len(self.running)
 
-    def submit(self, shard: list[Chain]) -> None:
+    def submit(self, shard: list[Job]) -> None:
         """Have a worker take this shard on."""
-        task = shard_task(self.store.root, shard, self.workers, LONG)
+        order = Order(self.store.root, shard, self.workers, LONG)
         try:
             with without_interrupts():
-                future = self.runner.submit(task, {})
+                future = self.runner.submit(named(order), {"order": order})
         except Exception as error:  # each runner has its own
             said = one_line(f"{type(error).__name__}: {error}")
             raise SLGaussianError(
@@ -135,7 +136,7 @@ class Crew:
         self.running[future] = self.runner, shard
         future.add_done_callback(self.news.put)
 
-    def next(self) -> list[Event | tuple[list[Chain], Shard | str]]:
+    def next(self) -> list[Event | tuple[list[Job], Shard | str]]:
         """What happened next: events, and a shard with what was made of it or how it was lost."""
         news = self.news.get()
         if isinstance(news, Event):
@@ -154,59 +155,77 @@ class Crew:
         self.news.put(event)
 
 
-def run_flow(
-    name: str,
-    work: Callable[[Crew], Made],
-    store: ArtifactStore,
-    runner: str = "threads",
-    workers: int = 1,
-) -> Made:
-    """Do ``work``, which is given a crew, as a Prefect flow of this name.
+class _Here:
+    """What stays in this process: the arguments of a flow, and what it made.
 
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
-
-    Parameters
-    ----------
-    name : str
-    work : callable
-    store : ArtifactStore
-        The one that the crew uses.
-    runner : str
-        Who the crew is, as :data:`flows.settings.Runner` has it.
-    workers : int
-        How many they are.
-
-    Raises
-    ------
-    InputError
-        As :func:`flows.runners.task_runners.started`.
-    SLGaussianError
-        If the Prefect server fails during the run.
+    Prefect sends the flow along with every shard, though workers never call it, and with it what it
+    was called with: here every scene of the run, and who is told of it.
     """
-    here = _Here(work)
 
-    @flow(name=name, persist_result=False, validate_parameters=False)
-    def run() -> None:
-        with Crew(store, workers) as crew:
-            if "://" in runner:
-                crew.call(runner)
-            here.made.append(here.work(crew))
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
+        self.made: list[Any] = []
 
-    with started(runner, workers, store) as task_runner, _heard_by_nobody():
-        try:
-            run.with_options(task_runner=task_runner)()
-        except HTTPError as error:  # as when it was killed, or its disk is full
-            url, home = masked(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
-            failed = f"the Prefect server at {url} failed ({error})"
-            if not here.made:
-                raise SLGaussianError(
-                    f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; "
-                    f"one of our own may need room on the disk of {home}; what was made is in the "
-                    "store, and the same command goes on"
-                ) from error
-            said = f"{failed} when all was done; it may show this run as running for ever"
-            log(logging.WARNING, "server_failed", said)
-    return here.made[0]
+    def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
+        return _Here, ()
+
+
+class JobFlow(Generic[Made]):
+    """A Prefect flow over a :class:`WorkerPool`; made by :func:`job_flow`."""
+
+    def __init__(self, work: Callable[..., Made], name: str) -> None:
+        def run(here: _Here) -> None:
+            store, runner, workers, *given = here.arguments
+            with WorkerPool(store, workers) as pool:
+                if "://" in runner:
+                    pool.call(runner)
+                here.made.append(work(pool, *given))
+
+        self.__doc__ = work.__doc__
+        self.flow = Flow(run, name=name, persist_result=False, validate_parameters=False)
+
+    def __call__(self, store: ArtifactStore, runner: str, workers: int, *given: Any) -> Made:
+        """Run it with a pool of ``workers`` and the further arguments ``given``.
+
+        Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+
+        Parameters
+        ----------
+        store : ArtifactStore
+            The one that the workers use.
+        runner : str
+            Who they are, as :data:`flows.settings.Runner` has it.
+        workers : int
+            How many they are.
+
+        Raises
+        ------
+        InputError
+            As :func:`flows.runners.task_runners.started`.
+        SLGaussianError
+            If the Prefect server fails during the run.
+        """
+        here = _Here(store, runner, workers, *given)
+        with started(runner, workers, store) as task_runner, _heard_by_nobody():
+            try:
+                self.flow.with_options(task_runner=task_runner)(here)
+            except HTTPError as error:  # as when it was killed, or its disk is full
+                url, home = masked(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+                failed = f"the Prefect server at {url} failed ({error})"
+                if not here.made:
+                    raise SLGaussianError(
+                        f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is "
+                        f"needed; one of our own may need room on the disk of {home}; what was "
+                        "made is in the store, and the same command goes on"
+                    ) from error
+                said = f"{failed} when all was done; it may show this run as running for ever"
+                log(logging.WARNING, "server_failed", said)
+        return here.made[0]
+
+
+def job_flow(name: str) -> Callable[[Callable[..., Made]], JobFlow[Made]]:
+    """Make a function a Prefect flow of this name; its first argument is the pool that works."""
+    return lambda work: JobFlow(work, name)
 
 
 @contextmanager
@@ -217,62 +236,46 @@ def _heard_by_nobody() -> Iterator[None]:
         yield
 
 
-class _Here:
-    """Work that stays in this process, and what it made.
-
-    Prefect sends the flow along with every shard, though workers never call it, and with it all
-    that its function refers to: here every scene of the run, and who is told of it.
-    """
-
-    def __init__(self, work: Callable[[Crew], Any] | None = None) -> None:
-        self.work = work
-        self.made: list[Any] = []
-
-    def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
-        return _Here, ()
-
-
-def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outcome:
-    """Have a crew run the chains.
+def work_through_all(jobs: Iterable[Job], pool: WorkerPool, progress: Progress) -> Outcome:
+    """Have a pool do all the jobs.
 
     As many shards as it has workers are under way at a time, each with one scene in memory. An
-    error takes only its own chain out. When a worker dies, the chains of its shard are tried again,
+    error takes only its own scene out. When a worker dies, the jobs of its shard are tried again,
     each by itself; those that were lost twice with no other beside them, so that it is known which
     one is to blame.
     """
-    waiting, outcome = deque(chains), Outcome()
-    alone: deque[Chain] = deque()
+    waiting, outcome = deque(jobs), Outcome()
+    alone: deque[Job] = deque()
     deaths: Counter[str] = Counter()
 
-    def share() -> list[Chain]:
-        size = min(MOST, len(waiting) // (2 * crew.workers))
+    def next_shard() -> list[Job]:
+        size = min(MOST, len(waiting) // (2 * pool.workers))
         shard = [waiting.popleft()]
         # What was lost before is tried by itself.
         while len(shard) < size and not deaths[shard[0].scene] + deaths[waiting[0].scene]:
             shard.append(waiting.popleft())
         return shard
 
-    def lost(chain: Chain, why: str) -> None:
-        deaths[chain.scene] += 1
-        if deaths[chain.scene] == DEATHS:
+    def lost(job: Job, why: str) -> None:
+        deaths[job.scene] += 1
+        if deaths[job.scene] == DEATHS:
             reason = (
                 f"its worker died {DEATHS} times, the last with nothing beside it ({why}); it may "
                 "need more memory than there is: try it with --workers 1"
             )
-            failure = Failure(chain.scene, chain.first, "WorkerDied", reason)
-            outcome.failures.append(failure)
-            progress.failed(chain.scene, chain.first, reason)
+            outcome.failures.append(Failure(job.scene, job.first, "WorkerDied", reason))
+            progress.hear(Failed(job.scene, job.first, reason))
         else:
-            (waiting if deaths[chain.scene] == 1 else alone).append(chain)
+            (waiting if deaths[job.scene] == 1 else alone).append(job)
 
-    while waiting or alone or crew.busy:
-        while waiting and crew.busy < crew.workers:
-            crew.submit(share())
-        if alone and not crew.busy:
-            crew.submit([alone.popleft()])
-        for happened in crew.next():
+    while waiting or alone or pool.busy:
+        while waiting and pool.busy < pool.workers:
+            pool.submit(next_shard())
+        if alone and not pool.busy:
+            pool.submit([alone.popleft()])
+        for happened in pool.next():
             if isinstance(happened, Event):
-                getattr(progress, happened.kind)(happened.scene, happened.stage, *happened.facts)
+                progress.hear(happened)
                 continue
             shard, made = happened
             if isinstance(made, Shard):
@@ -281,10 +284,10 @@ def run_chains(chains: Iterable[Chain], crew: Crew, progress: Progress) -> Outco
                 outcome.begun |= made.begun
                 waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
             else:
-                progress.died(made, [chain.scene for chain in shard])
-                for chain in shard:
-                    progress.dropped(chain.scene)
-                    lost(chain, made)
+                progress.died(made, [job.scene for job in shard])
+                for job in shard:
+                    progress.dropped(job.scene)
+                    lost(job, made)
     outcome.failures.sort(key=lambda failure: failure.scene)
     return outcome
 

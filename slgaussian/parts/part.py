@@ -88,6 +88,11 @@ class Part:
                 own[key] = KnownFile("" if place is None else str(place), digest)
         return Part(kind, name, own)
 
+    @property
+    def implementation(self) -> Any:
+        """The class or function that the name stands for."""
+        return find_part(self.kind, self.name)
+
     def identity(self) -> dict[str, Any]:
         """The settings as artifacts and cache keys hold them: plain, files by content."""
         return {
@@ -99,6 +104,15 @@ class Part:
         """Where its files are, by the name of the setting."""
         return {key: known.place for key, known in self.files.items() if known.place}
 
+    def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
+        """The settings, files by place; InputError as :meth:`load`."""
+        declared = settings_of(self.implementation)
+        files = {
+            key: known.checked(key, declared[key].content, otherwise)
+            for key, known in self.files.items()
+        }
+        return {**self.settings, **files}
+
     def load(self, otherwise: str = CHANGED) -> Any:
         """The part, ready to work.
 
@@ -108,13 +122,8 @@ class Part:
             If a file is no longer the one that is known, of which ``otherwise`` is said; or as the
             part.
         """
-        part = find_part(self.kind, self.name)
-        declared = settings_of(part)
-        given = dict(self.settings)
-        for key, known in self.files.items():
-            given[key] = known.checked(key, declared[key].content, otherwise)
         try:
-            made = part(**given)
+            made = self.implementation(**self.values(otherwise))
         except TypeError as error:
             raise InputError(f"settings of {self.name!r}: {error}") from None
         check_settings(made, self.name)

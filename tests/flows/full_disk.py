@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tiny_run import run_tiny, three_plans
+from tiny_run import run_tiny, three_scenes
 
 from slgaussian.storage.store import ArtifactStore
 
@@ -25,7 +25,7 @@ for pages_left in (0, 12, None):
         except OSError as error:
             assert error.errno == errno.ENOSPC
             file.truncate(file.tell() - 4096 * pages_left)
-    outcome = run_tiny(store, three_plans(disk.parent / "log"), 1)
+    outcome = run_tiny(store, three_scenes(disk.parent / "log"), 1)
     told.append(
         {
             "refs": {s: {k: r.digest for k, r in made.items()} for s, made in outcome.refs.items()},

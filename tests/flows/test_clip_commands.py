@@ -9,8 +9,10 @@ import command
 import numpy as np
 import pytest
 from command import room_sample, run, said, save_photographs
+from roads import calls_of, keyed
 
 from flows import pipeline
+from flows.jobs import scene_job
 from flows.settings import ClipTable, LexiconTable, NamedTable, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -18,11 +20,14 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.clip import Clip
 from slgaussian.parts.method import Method
+from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
-from tasks import geometry, masks, supervision
 from tasks.artifacts import sample_to_arrays
-from tasks.stage import StageCall
+from tasks.geometry import geometry
+from tasks.masks import masks
+from tasks.stage import Worksite
+from tasks.supervision import supervision
 from tests.language.small_bert import save_bert
 from tests.language.small_clip import save_clip
 
@@ -187,35 +192,39 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
         assert not file.is_file() or str(model).encode() not in file.read_bytes()
 
 
-def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path):
+def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, monkeypatch):
     settings = settings_for(model, tmp_path)
     scene = settings.scenes[0]
-    steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
     own["precision"] = "float32"
-    assert steps["supervision"].settings["clip"] == own == steps["field"].settings["clip"]
+    assert keyed(steps["supervision"])["encoder"] == {"clip": own}
+    assert keyed(steps["field"])["method"]["clip"] == own
     for stage in ("supervision", "benchmark"):
-        assert steps[stage].where == {"model": str(model.resolve())}
-    assert "clip" not in {**steps["geometry"].settings, **steps["masks"].settings}
-    plain = {step.stage: step for step in pipeline.plan(Settings(), scene)}
-    assert plain["supervision"].where == plain["benchmark"].where == {}
-    assert "clip" not in plain["field"].settings
+        assert steps[stage]["encoder"].places() == {"model": str(model.resolve())}
+    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    assert keyed(plain["geometry"])["predictor"] == keyed(steps["geometry"])["predictor"]
+    assert plain["supervision"]["encoder"].places() == {}
+    assert "clip" not in keyed(plain["field"])["method"]
 
 
 def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
-    made = StageCall("tasks.geometry", {"predictor": "planesweep", "seed": 0}, inputs)
-    inputs = {**inputs, "gaussians": geometry.run(store, made)}
-    named = {"proposer": "regions", "tracker": "flow", "replicas": 1}
-    inputs["labels"] = masks.run(store, StageCall("tasks.masks", named, inputs))
-    own = {"encoder": "clip", "codes": "grid", "seed": 0, "clip": {"model": model_digest(model)}}
-    call = StageCall("tasks.supervision", own, inputs, {"model": str(model)})
-    assert supervision.run(store, call).meta["objects"] >= 1
+    site, method = Worksite(store), Method(tracker="flow", codes="grid")
+    sample = store.put("sample", sample_to_arrays(room_sample()))
+    base = geometry.work(site, sample, method.predictor, 0)
+    ids = masks.work(site, sample, base, method.proposer, method.tracker, 1)
+    own = {"encoder": "clip", "clip": {"model": model_digest(model)}}
+
+    def remembered(place):
+        encoder = Part.stored("encoder", own, {"model": str(place)})
+        return supervision.work(site, sample, base, ids, encoder, method.codes, 0)
+
+    assert remembered(model).meta["objects"] >= 1
     other = shutil.copytree(model, tmp_path / "other")
     (other / "merges.txt").write_text((other / "merges.txt").read_text("utf-8") + "x y\n", "utf-8")
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        supervision.run(store, replace(call, where={"model": str(other)}))
+        remembered(other)
 
 
 def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):

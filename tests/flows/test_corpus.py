@@ -20,6 +20,7 @@ from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
+from slgaussian.parts.part import Part
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
@@ -61,7 +62,7 @@ def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
 @pytest.fixture
 def reads(monkeypatch):
     """Counts what is done to chunks: ``hashed`` and ``opened``; and what is ``predicted``."""
-    from tasks import chunks, predictions
+    from tasks import chunks
 
     counts = dict.fromkeys(("hashed", "opened", "predicted"), 0)
 
@@ -76,10 +77,13 @@ def reads(monkeypatch):
         chunks.hashlib, "file_digest", counted("hashed", chunks.hashlib.file_digest)
     )
     monkeypatch.setattr(re10k, "read_chunk", counted("opened", re10k.read_chunk))
-    load = predictions.load_predictor
-    monkeypatch.setattr(
-        predictions, "load_predictor", lambda *a, **k: counted("predicted", load(*a, **k))
-    )
+    load = Part.load
+
+    def loaded(part, *args):
+        made = load(part, *args)
+        return counted("predicted", made) if part.kind == "predictor" else made
+
+    monkeypatch.setattr(Part, "load", loaded)
 
     def take():
         taken = dict(counts)

@@ -15,6 +15,7 @@ from flows.runners.display import Display, cut, wrapped
 from flows.runners.memory import memory_in_use
 from flows.runners.metrics import Metrics, duration, size
 from flows.runners.progress import Progress
+from tasks.events import Failed, Finished, Started
 
 words = st.text(st.sampled_from("ab室é"), max_size=12)
 texts = st.text(st.sampled_from("ab 室é\x1b\n"), max_size=12)
@@ -89,8 +90,8 @@ def test_what_is_cut_fits_and_obeys_nothing(text, width):
 def test_a_stream_that_is_no_terminal_gets_lines_only(monkeypatch):
     seen = io.StringIO()
     told = Progress(2, 1, stream=seen)
-    told.started("a", "masks")
-    told.finished("a", "masks", 1.0, cached=False)
+    told.hear(Started("a", "masks"))
+    told.hear(Finished("a", "masks", 1.0, cached=False))
     told.display.clear()
     assert seen.getvalue() == "a  masks 1.0 s\n"
     monkeypatch.setenv("TERM", "dumb")
@@ -102,10 +103,10 @@ def test_progress_keeps_one_table_of_a_run(monkeypatch):
     seen = Terminal()
     with Progress(3, 2, stream=seen) as told:
         for scene, stage in itertools.product("ab", ("ingest", "masks")):
-            told.started(scene, stage)
-            told.finished(scene, stage, 2.0, cached=scene == "a")
-        told.failed("c", "ingest", "too dark")
-        told.started("d", "ingest")
+            told.hear(Started(scene, stage))
+            told.hear(Finished(scene, stage, 2.0, cached=scene == "a"))
+        told.hear(Failed("c", "ingest", "too dark"))
+        told.hear(Started("d", "ingest"))
         assert seen.rows[:3] == [
             "a  2 stages cached", "b  ingest 2.0 s · masks 2.0 s",
             "c  left out at ingest: too dark"
@@ -120,9 +121,9 @@ def test_what_is_dropped_is_counted_once():
     told = Progress(2, 2, stream=io.StringIO())
     for _ in range(2):
         for stage in ("ingest", "masks"):
-            told.finished("a", stage, 1.0, cached=False)
-        told.finished("b", "ingest", 1.0, cached=False)
-        told.failed("b", "masks", "its worker died")
+            told.hear(Finished("a", stage, 1.0, cached=False))
+        told.hear(Finished("b", "ingest", 1.0, cached=False))
+        told.hear(Failed("b", "masks", "its worker died"))
         found = told.metrics()
         assert (found.done, found.failed, found.steps, found.stages) == (1, 1, 3, 3)
         told.dropped("a")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from process_family import PROC, below
 from tiny_program import HERE, lines_of, start, wait_until, with_database
-from tiny_run import run_tiny, three_plans
+from tiny_run import run_tiny, three_scenes
 
 from slgaussian.storage.store import ArtifactStore
 
@@ -25,13 +25,13 @@ NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 def whole(server, tmp_path_factory):
     """The refs of a run that nobody disturbed."""
     folder = tmp_path_factory.mktemp("whole")
-    return run_tiny(ArtifactStore(folder / "store"), three_plans(folder / "log")).refs
+    return run_tiny(ArtifactStore(folder / "store"), three_scenes(folder / "log")).refs
 
 
 def check_nothing_is_left_to_do(store: Path, log: Path, whole: dict) -> None:
     assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
     before = log.read_text()
-    assert run_tiny(ArtifactStore(store), three_plans(log)).refs == whole
+    assert run_tiny(ArtifactStore(store), three_scenes(log)).refs == whole
     assert log.read_text() == before
 
 

@@ -10,6 +10,7 @@ import pytest
 from flows.runners.journal import BEFORE, FILE, journal, log
 from flows.runners.progress import Progress
 from slgaussian.errors import InputError
+from tasks.events import Failed, Finished, Repeated, Started
 
 
 def lines_of(file) -> list[dict]:
@@ -20,14 +21,14 @@ def run_one(verbose: bool = False) -> Progress:
     """Two scenes of two stages, of which one is left out."""
     with Progress(2, 2, stream=io.StringIO(), verbose=verbose) as told:
         for stage, cached in (("ingest", True), ("masks", False)):
-            told.started("küche\n", stage)
-            told.finished("küche\n", stage, 0.5, cached)
+            told.hear(Started("küche\n", stage))
+            told.hear(Finished("küche\n", stage, 0.5, cached))
         told.died("killed", ["hall"])
         told.dropped("hall")
-        told.started("hall", "ingest")
-        told.finished("hall", "ingest", 0.25, False)
-        told.went_back("hall", "masks", 1, "a file is gone")
-        told.failed("hall", "masks", "a defect", "Traceback: of it")
+        told.hear(Started("hall", "ingest"))
+        told.hear(Finished("hall", "ingest", 0.25, False))
+        told.hear(Repeated("hall", "ingest"))
+        told.hear(Failed("hall", "masks", "a defect", "Traceback: of it"))
     return told
 
 
@@ -37,7 +38,7 @@ def test_every_event_has_its_line(tmp_path):
     first, *events, last = lines_of(tmp_path / FILE)
     assert first["event"] == "run" and first["command"] == "run" and first["workers"] == 2
     assert [event["event"] for event in events] == [
-        "began", "finished", "done", "worker_died", "dropped", "finished", "went_back", "failed",
+        "began", "finished", "done", "worker_died", "dropped", "finished", "repeated", "failed",
         "metrics",
     ]  # fmt: skip
     assert (last["event"], last["how"]) == ("ended", "finished")

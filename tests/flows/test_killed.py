@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from process_family import LOOPBACK, PROC, below, listening, living
 from tiny_program import lines_of, start, wait_until, with_database
-from tiny_run import run_tiny, three_plans
+from tiny_run import run_tiny, three_scenes
 
 from slgaussian.storage.store import ArtifactStore
 
@@ -69,12 +69,12 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, 
         assert lines_of(messages) == ["scene_0", "stopped"]
 
     before = log.read_text().splitlines()
-    outcome = run_tiny(ArtifactStore(store), three_plans(log))
+    outcome = run_tiny(ArtifactStore(store), three_scenes(log))
     after = log.read_text().splitlines()[len(before) :]
     assert sorted(outcome.refs) == ["scene_0", "scene_1", "scene_2"]
     assert not any(line.startswith("scene_0") for line in after)
     assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
-    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_plans(tmp_path / "other log"))
+    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
     assert whole.refs == outcome.refs
 
 
@@ -89,9 +89,9 @@ def test_a_cluster_of_our_own_is_quiet_and_makes_the_same(tmp_path, home, server
     stages = ["make", "halve", "add", "all"]
     assert lines_of(messages) == ["scene_0", "scene_1", "scene_2", *stages]
     assert left_in(home) == []
-    again = run_tiny(ArtifactStore(store), three_plans(log))
+    again = run_tiny(ArtifactStore(store), three_scenes(log))
     assert len(log.read_text().splitlines()) == 9
-    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_plans(tmp_path / "other log"))
+    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
     assert whole.refs == again.refs
 
 

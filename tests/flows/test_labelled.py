@@ -12,7 +12,7 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows import baselines, pipeline
+from flows.jobs import baseline_jobs, scene_job
 from flows.labelled import labelled_scenes
 from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, make_settings
@@ -22,9 +22,10 @@ from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
-from tasks import ingest, truth
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
-from tasks.stage import StageCall
+from tasks.ingest import Photographs, ingest
+from tasks.stage import Worksite
+from tasks.truth import truth
 
 SIZE = (240, 160)
 FRAMES = [f"frame_{i:05d}.jpg" for i in range(1, 10)]
@@ -190,17 +191,14 @@ class TestScored:
         assert "left out by the index" in notes[0]
         scene = scenes[1]
         settings = make_settings({"size": (80, 120)}, "test")
-        steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+        photographs, labels, *_ = scene_job(settings, settings.built_by, scene).arguments
         store = ArtifactStore(str(tmp_path / "store"))
-        taken = steps["ingest"]
-        call = StageCall("tasks.ingest", taken.settings, where=taken.where)
-        made = ingest.run(store, call)
+        site = Worksite(store)
+        made = ingest.work(site, photographs)
         sample = sample_from_arrays(store.get(made))
         assert [view.name for view in sample.targets] == [FRAMES[4]]
         assert sample.context[0].image.shape == (80, 120, 3)
-        asked = steps["truth"]
-        call = StageCall("tasks.truth", asked.settings, {"sample": made}, asked.where)
-        found = truth_from_arrays(store.get(truth.run(store, call)))
+        found = truth_from_arrays(store.get(truth.work(site, made, labels)))
         mask = found.masks[FRAMES[4]]["sheep"]
         assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
         assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
@@ -210,15 +208,14 @@ class TestScored:
         assert [scene.options["scene"] for scene in scenes] == ["ramen", "teatime"]
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
-            refs = {scene.name: {}}
-            chains = baselines.chains(settings, [scene], refs)
-            others = [step for chain in chains for step in chain.plan(None)]
-            (own,) = (s for s in pipeline.plan(settings, scene) if s.stage == "benchmark")
+            method = settings.built_by
+            others = baseline_jobs(settings, method, [scene], {scene.name: {}})
+            _, *_, own = scene_job(settings, method, scene).arguments
+            asked = [own, *(job.arguments[2] for job in others)]
             place = scene.options.get("scene")
-            assert [step.settings.get("place") for step in (own, *others)] == [place] * 3
+            assert [scoring.place for scoring in asked] == [place] * 3
             # Each row is asked by its own rules, and its samples say so.
-            absent = [step.settings["rules"]["absent"] for step in (own, *others)]
-            assert absent == ["skip", "skip", "zero"]
+            assert [scoring.rules.absent for scoring in asked] == ["skip", "skip", "zero"]
 
     def test_another_format_than_that_of_the_index_is_refused(self, lerf, monkeypatch):
         with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):
@@ -266,9 +263,9 @@ class TestHeldOut:
         scene = SceneSettings(
             name="hall", format="colmap", path=folder, context=context, targets=targets
         )
-        step = pipeline.plan(make_settings({}, "test"), scene)[0]
-        call = StageCall("tasks.ingest", step.settings, where=step.where)
-        return ingest.run(ArtifactStore(str(tmp_path / "store")), call)
+        settings = make_settings({}, "test")
+        photographs, *_ = scene_job(settings, settings.built_by, scene).arguments
+        return ingest.work(Worksite(ArtifactStore(str(tmp_path / "store"))), photographs)
 
     def test_a_target_that_is_a_context_view_is_refused_however_it_is_called(self, lerf, tmp_path):
         folder = lerf / "ramen"
@@ -287,7 +284,8 @@ class TestFileHashes:
         folder = lerf / "ramen"
 
         def hashes():
-            return ingest.file_hashes("lerf_ovs", lerf, ["frame_00002", "4"], {"scene": "ramen"})
+            options, views = {"scene": "ramen"}, ("frame_00002", "4")
+            return Photographs("ramen", "lerf_ovs", lerf, options, views).files
 
         before = hashes()
         assert set(before) == {
@@ -300,4 +298,4 @@ class TestFileHashes:
 
     def test_of_what_cannot_be_read_are_left_out(self, tmp_path):
         for name in (*datasets.FILES, "procedural", "stereo"):
-            assert ingest.file_hashes(name, tmp_path, ["a"], {}) == {}
+            assert Photographs("a", name, tmp_path, {}, ("a",)).files == {}

@@ -2,27 +2,29 @@
 
 import hashlib
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from command import ROOM, run, save_photographs
+from roads import calls_of, keyed
 
 from benches.recipe import recipe_weights
 from flows import pipeline
+from flows.jobs import scene_job
 from flows.settings import MVSplatTable, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply
+from slgaussian.parts.part import Part
 from slgaussian.predict.mvsplat.predictor import MVSplat
 from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
-from tasks import geometry
 from tasks.artifacts import sample_to_arrays
-from tasks.stage import StageCall
+from tasks.geometry import geometry
+from tasks.stage import Worksite
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -212,20 +214,25 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
         assert not file.is_file() or str(checkpoint.parent).encode() not in file.read_bytes()
 
 
-def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(tmp_path, checkpoint, digest):
+def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(
+    tmp_path, checkpoint, digest, monkeypatch
+):
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
     kept = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
-    plain, waiting = (pipeline.plan(s, scene) for s in (Settings(), read_toml(kept, {})))
+
+    def calls(settings):
+        return calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+
+    plain, waiting = (calls(settings) for settings in (Settings(), read_toml(kept, {})))
     assert plain == waiting
-    steps = {step.stage: step for step in pipeline.plan(settings_for(checkpoint, tmp_path), scene)}
-    (geometry,) = (step for step in plain if step.stage == "geometry")
-    other = {"predictor": "planesweep", "seed": 0, "planesweep": {"depth_candidates": 144}}
-    assert (geometry.settings, geometry.where) == (other, {})
+    steps = calls(settings_for(checkpoint, tmp_path))
+    assert keyed(plain["geometry"])["predictor"] == {"planesweep": {"depth_candidates": 144}}
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
-    assert steps["geometry"].settings == {"predictor": "mvsplat", "seed": 0, "mvsplat": own}
-    assert steps["geometry"].where == {"checkpoint": str(checkpoint)}
-    assert steps["field"].settings["mvsplat"] == own
-    assert "mvsplat" not in {**steps["masks"].settings, **steps["supervision"].settings}
+    assert keyed(steps["geometry"])["predictor"] == {"mvsplat": own}
+    assert steps["geometry"]["predictor"].places() == {"checkpoint": str(checkpoint)}
+    assert keyed(steps["field"])["method"]["mvsplat"] == own
+    for stage in ("masks", "supervision"):
+        assert keyed(steps[stage]) == keyed(plain[stage])
 
 
 def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint, digest):
@@ -233,14 +240,14 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
     sample = store.put("sample", sample_to_arrays(room.sample(["view_00", "view_02"], near=0.8)))
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
-    call = StageCall(
-        "tasks.geometry",
-        {"predictor": "mvsplat", "seed": 0, "mvsplat": own},
-        {"sample": sample},
-        {"checkpoint": str(checkpoint)},
-    )
-    assert geometry.run(store, call).meta == {"gaussians": 2 * 64 * 64}
-    other = tmp_path / "recipe.ckpt"
+    site, identity = Worksite(store), {"predictor": "mvsplat", "mvsplat": own}
+
+    def made(place):
+        predictor = Part.stored("predictor", identity, {"checkpoint": str(place)})
+        return geometry.work(site, sample, predictor, 0)
+
+    assert made(checkpoint).meta == {"gaussians": 2 * 64 * 64}
+    other = tmp_path / "other.ckpt"
     other.write_bytes(checkpoint.read_bytes()[:-1])
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        geometry.run(store, replace(call, where={"checkpoint": str(other)}))
+        made(other)

@@ -19,6 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
 from slgaussian.storage.store import ArtifactStore
+from tasks.events import Failed, Finished, Started
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -266,8 +267,8 @@ def test_progress_tells_rate_and_time_left(monkeypatch):
     told = progress.Progress(2, 2, stream=seen)
     for scene in ("a", "b"):
         for stage in ("ingest", "masks"):
-            told.started(scene, stage)
-            told.finished(scene, stage, 0.5, cached=scene == "b")
+            told.hear(Started(scene, stage))
+            told.hear(Finished(scene, stage, 0.5, cached=scene == "b"))
     told.summary()
     text = seen.getvalue()
     assert "2/4 stages" in text
@@ -283,10 +284,10 @@ def test_time_left_is_that_of_stages_like_those_still_to_come():
     told = progress.Progress(10, 2, stream=io.StringIO())
     for scene in "abcde":
         for stage in ("ingest", "masks"):
-            told.started(scene, stage)
-            told.finished(scene, stage, 4.0, cached=stage == "ingest")
-    told.failed("f", "ingest", "too dark")
-    told.started("g", "ingest")
+            told.hear(Started(scene, stage))
+            told.hear(Finished(scene, stage, 4.0, cached=stage == "ingest"))
+    told.hear(Failed("f", "ingest", "too dark"))
+    told.hear(Started("g", "ingest"))
     found = told.metrics(now=told.start + 100)
     # 4 more scenes, of which only the masks are work, at the pace of the 5 so far.
     assert found.left == pytest.approx(100 * 4 / 5)
@@ -300,9 +301,9 @@ def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
     seen = io.StringIO()
     told = Progress(2, 1, verbose=True, stream=seen)
     for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
-        told.started(scene, "ingest")
-        told.finished(scene, "ingest", 0.5, cached=False)
-        told.failed(scene, "masks", reason, trace)
+        told.hear(Started(scene, "ingest"))
+        told.hear(Finished(scene, "ingest", 0.5, cached=False))
+        told.hear(Failed(scene, "masks", reason, trace))
     lines = seen.getvalue().splitlines()
     assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
     assert lines[4:] == ["ZeroDivisionError: a"]

@@ -10,15 +10,15 @@ from urllib.parse import urlsplit
 
 import pytest
 from tiny_clusters import dask_cluster, free_port, ray_cluster
-from tiny_run import chain_plan, run_tiny
+from tiny_run import run_tiny, tiny
 
 from flows.runners import task_runners, worker_pool
 from flows.runners.progress import Progress
+from flows.runners.shard import NO_EVENTS, answer_roll_call
 from flows.runners.worker_pool import failures_table
 from flows.settings import make_settings
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.storage.store import ArtifactStore
-from tasks.shard import NO_EVENTS, roll_call
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -69,11 +69,11 @@ def refs_of(store: ArtifactStore) -> dict[str, dict]:
 def plans_of(folder: Path, **where: str) -> dict:
     log = folder / "log"
     return {
-        "a": chain_plan(6, 1, log),
-        "bad": chain_plan(-1, 1, log),
-        "mortal": chain_plan(20, 1, log, **where),
-        "defect": chain_plan(666, 1, log),
-        "b": chain_plan(30, 2, log),
+        "a": tiny(6, 1, log),
+        "bad": tiny(-1, 1, log),
+        "mortal": tiny(20, 1, log, **where),
+        "defect": tiny(666, 1, log),
+        "b": tiny(30, 2, log),
     }
 
 
@@ -124,7 +124,7 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
 def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_path, monkeypatch):
     monkeypatch.setattr(worker_pool, "DEATHS", 2)  # a new worker takes seconds to begin
     store, log = ArtifactStore(tmp_path / "store"), tmp_path / "log"
-    plans = {"killer": chain_plan(6, 1, log, deadly="halve"), "good": chain_plan(8, 1, log)}
+    plans = {"killer": tiny(6, 1, log, deadly="halve"), "good": tiny(8, 1, log)}
     told = Progress(2, 3, stream=io.StringIO())
     outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=told)
     assert sorted(outcome.refs) == ["good"]
@@ -140,7 +140,7 @@ def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_pa
 @needs["dask"]
 def test_work_that_cannot_be_sent_is_told(tmp_path):
     """As when the cluster of a run has gone."""
-    plans = {"a": chain_plan(6, 1, tmp_path / "log", lock=threading.Lock())}
+    plans = {"a": tiny(6, 1, tmp_path / "log", lock=threading.Lock())}
     with pytest.raises(SLGaussianError, match=r"takes on no more work .*serialize.* goes on"):
         run_tiny(ArtifactStore(tmp_path / "store"), plans, 1, runner="dask")
 
@@ -199,8 +199,8 @@ def test_a_worker_that_cannot_work_says_why(server, tmp_path):
     """What it is asked before it is given work."""
     store = ArtifactStore(tmp_path)
     store.write("probe", b"")
-    roll_call(store.root, "probe", server.url).fn()
+    answer_roll_call.fn(store.root, "probe", server.url)
     with pytest.raises(InputError, match="another store at"):
-        roll_call(store.root, "another", server.url).fn()
+        answer_roll_call.fn(store.root, "another", server.url)
     with pytest.raises(InputError, match=r"does not reach the server at http://127.*refused"):
-        roll_call(store.root, "probe", f"http://127.0.0.1:{free_port()}/api").fn()
+        answer_roll_call.fn(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")

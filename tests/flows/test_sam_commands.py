@@ -2,13 +2,14 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command import ROOM, room_sample, run
+from roads import calls_of, keyed
 
 from flows import pipeline
+from flows.jobs import scene_job
 from flows.settings import Sam2Table, SamTable, Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -16,11 +17,13 @@ from slgaussian.field import SemanticField
 from slgaussian.masks.sam import Sam
 from slgaussian.masks.sam2 import Sam2
 from slgaussian.parts.method import Method
+from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
-from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
-from tasks.stage import StageCall
+from tasks.geometry import geometry
+from tasks.masks import masks
+from tasks.stage import Worksite
 from tests.masks.small_models import save_sam, save_sam2
 
 OWN = {"preset": "langsplat", "points": 3}
@@ -66,7 +69,7 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
         for file in (Path(store.path) / "keys" / "masks").rglob("*")
         if file.is_file()
     ]
-    assert [r["meta"]["settings"]["sam"]["model"] for r in records] == [digest]
+    assert [r["meta"]["settings"]["proposer"]["sam"]["model"] for r in records] == [digest]
 
     # The same model in another place: nothing is computed. Another setting: the masks are.
     moved = shutil.copytree(folders["sam"], tmp_path / "moved")
@@ -79,33 +82,37 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
         assert not file.is_file() or str(folders["sam"]).encode() not in file.read_bytes()
 
 
-def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path):
+def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path, monkeypatch):
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
     settings = settings_for(folders["sam2"], tmp_path, "sam2")
-    steps = {step.stage: step for step in pipeline.plan(settings, scene)}
+    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
-    assert steps["masks"].settings["sam2"] == own == steps["field"].settings["sam2"]
-    assert steps["masks"].where == {"sam2": str(folders["sam2"])}
-    assert "sam2" not in {**steps["geometry"].settings, **steps["supervision"].settings}
-    plain = {step.stage: step for step in pipeline.plan(Settings(), scene)}
-    assert plain["masks"].where == {} and "sam2" not in plain["masks"].settings
-    assert plain["geometry"] == steps["geometry"]
+    assert keyed(steps["masks"])["proposer"] == {"sam2": own}
+    assert keyed(steps["field"])["method"]["sam2"] == own
+    assert steps["masks"]["proposer"].places() == {"model": str(folders["sam2"])}
+    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    assert keyed(plain["masks"])["proposer"] == {"regions": {}}
+    assert keyed(plain["supervision"]) == keyed(steps["supervision"])
+    assert plain["geometry"]["predictor"] == steps["geometry"]["predictor"]
 
 
 def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
-    made = StageCall("tasks.geometry", {"predictor": "planesweep", "seed": 0}, inputs)
-    inputs = {**inputs, "gaussians": geometry.run(store, made)}
-    own = {"model": model_digest(folders["sam"]), **OWN}
-    settings = {"proposer": "sam", "tracker": "flow", "replicas": 1, "sam": own}
-    call = StageCall("tasks.masks", settings, inputs, {"sam": str(folders["sam"])})
-    assert masks.run(store, call).meta["objects"] >= 1
+    site, method = Worksite(store), Method(tracker="flow")
+    sample = store.put("sample", sample_to_arrays(room_sample()))
+    base = geometry.work(site, sample, method.predictor, 0)
+    own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
+
+    def labelled(place):
+        proposer = Part.stored("proposer", own, {"model": str(place)})
+        return masks.work(site, sample, base, proposer, method.tracker, 1)
+
+    assert labelled(folders["sam"]).meta["objects"] >= 1
     other = shutil.copytree(folders["sam"], tmp_path / "other")
     config = json.loads((other / "config.json").read_text())
     (other / "config.json").write_text(json.dumps({**config, "note": 1}))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        masks.run(store, replace(call, where={"sam": str(other)}))
+        labelled(other)
 
 
 @pytest.mark.parametrize(

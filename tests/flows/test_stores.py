@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run, said
-from tiny_run import chain_plan, run_tiny
+from tiny_run import run_tiny, tiny
 
 from flows.settings import make_settings
 from slgaussian.errors import InputError
@@ -31,7 +31,7 @@ def store(bucket):
 def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[str]:
     """What a run had to compute."""
     log.write_text("")
-    outcome = run_tiny(store, {"a": chain_plan(value, more, log)})
+    outcome = run_tiny(store, {"a": tiny(value, more, log)})
     assert outcome.failures == []
     return sorted(log.read_text().splitlines())
 
@@ -39,7 +39,7 @@ def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[
 @pytest.mark.usefixtures("server")
 def test_what_one_machine_made_another_finds(bucket, tmp_path):
     """Two programs with nothing in common but the bucket and the account."""
-    plans = {f"scene_{i}": chain_plan(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
+    plans = {f"scene_{i}": tiny(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
     run_tiny(ArtifactStore(f"{bucket}/slg"), plans)
     assert len((tmp_path / "a").read_text().splitlines()) == 9
     home = tmp_path / "home"
@@ -71,7 +71,7 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
 def test_what_is_lost_or_damaged_is_made_again_and_nothing_else(store, tmp_path, monkeypatch):
     assert ran(store, tmp_path / "log") == ALL
     assert ran(store, tmp_path / "log") == []
-    outcome = run_tiny(store, {"a": chain_plan(6, 1, tmp_path / "log")})
+    outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
     uri = outcome.refs["a"]["halve"].uri
     whole = store.read(uri)
     store.remove([uri])
@@ -153,10 +153,10 @@ def quarters() -> np.ndarray:
 
 
 def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypatch, capsys):
-    from tasks import geometry
+    from tasks.geometry import geometry
 
     store = ArtifactStore(tmp_path / "store")
-    for value, version in ((1, geometry.VERSION), (2, geometry.VERSION + 1)):
+    for value, version in ((1, geometry.version), (2, geometry.version + 1)):
         made = store.put("weights", {"safetensors": quarters().view("u1").ravel() + value})
         Records(store).keep(f"geometry/v{version}/{value:064x}", made)
     words = ("store", "gc", "--store", store.root, "--age", "0", "--yes")
@@ -165,7 +165,7 @@ def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypa
     assert run(monkeypatch, *words, "--superseded") == 0
     told = capsys.readouterr().out
     assert "removed: 1 artifacts that nothing refers to, 1 records that are superseded" in told
-    assert Records(store).find(f"geometry/v{geometry.VERSION}/{1:064x}") is not None
+    assert Records(store).find(f"geometry/v{geometry.version}/{1:064x}") is not None
 
 
 def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch, capsys):

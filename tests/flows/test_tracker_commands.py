@@ -1,22 +1,23 @@
 """Trackers with settings of their own, by command and by flow."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from command import ROOM, room_sample, run, said
+from roads import calls_of, keyed
 
-from flows import pipeline
+from flows.jobs import scene_job
 from flows.settings import PrecomputedTable, Sam2VideoTable, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import Precomputed, folder_digest
 from slgaussian.masks.sam2_video import Sam2Video
 from slgaussian.parts.method import Method
+from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactStore
-from tasks import geometry, masks
 from tasks.artifacts import sample_to_arrays
-from tasks.stage import StageCall
+from tasks.geometry import geometry
+from tasks.masks import masks
+from tasks.stage import Worksite
 
 
 @pytest.fixture
@@ -38,28 +39,29 @@ def test_a_field_has_the_given_objects_and_says_so(ids):
     assert field.settings["precomputed"] == {"folder": folder_digest(ids)}
 
 
-def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_path):
+def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_path, monkeypatch):
     values = {"scenes": [ROOM], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
     settings = make_settings(values, "test")
-    steps = {step.stage: step for step in pipeline.plan(settings, settings.scenes[0])}
+    method = settings.built_by
+    steps = calls_of(scene_job(settings, method, settings.scenes[0]), monkeypatch)
     own = {"folder": folder_digest(ids)}
-    assert steps["masks"].settings["precomputed"] == own == steps["field"].settings["precomputed"]
-    assert steps["masks"].where == {"precomputed": str(ids)}
-    assert "precomputed" not in steps["geometry"].settings
+    assert keyed(steps["masks"])["tracker"] == {"precomputed": own}
+    assert keyed(steps["field"])["method"]["precomputed"] == own
+    assert steps["masks"]["tracker"].places() == {"folder": str(ids)}
 
     store = ArtifactStore(tmp_path / "store")
-    inputs = {"sample": store.put("sample", sample_to_arrays(room_sample()))}
-    made = StageCall("tasks.geometry", {"predictor": "planesweep", "seed": 0}, inputs)
-    inputs = {**inputs, "gaussians": geometry.run(store, made)}
-    chosen = {"proposer": "regions", "tracker": "precomputed", "replicas": 5, "precomputed": own}
-    call = StageCall("tasks.masks", chosen, inputs, {"precomputed": str(ids)})
-    labels = store.get(masks.run(store, call))["labels"]
+    site = Worksite(store)
+    sample = store.put("sample", sample_to_arrays(room_sample()))
+    base = geometry.work(site, sample, method.predictor, 0)
+    made = masks.work(site, sample, base, method.proposer, method.tracker, 5)
+    labels = store.get(made)["labels"]
     np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        masks.run(store, call)
-    chosen["precomputed"] = {"folder": folder_digest(ids)}
-    assert masks.run(store, replace(call, settings=chosen)).meta["objects"] > 0
+        masks.work(site, sample, base, method.proposer, method.tracker, 5)
+    again = Part.of("tracker", "precomputed", {"folder": ids})
+    made = masks.work(site, sample, base, method.proposer, again, 5)
+    assert made.meta["objects"] > 0
 
 
 def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):

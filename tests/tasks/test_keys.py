@@ -22,7 +22,7 @@ values = st.recursive(
 
 
 def key(settings=None, inputs=None, stage="masks", version=1):
-    return cache_key(stage, version, settings or {}, inputs or {})
+    return cache_key(stage, version, {"settings": settings or {}, "inputs": inputs or {}})
 
 
 def test_the_form_of_a_key():

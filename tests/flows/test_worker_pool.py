@@ -2,11 +2,11 @@ import io
 from pathlib import Path
 
 import pytest
-from tiny_run import chain_plan, run_tiny
+from tiny_run import run_tiny, tiny
 
+from flows.runners.progress import Progress
 from flows.runners.worker_pool import failures_table
 from slgaussian.storage.store import ArtifactStore, table_digest
-from tasks.shard import Step
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -24,11 +24,11 @@ class Runs:
 
     def __call__(self, a=6, b=20, more=1):
         self.log.write_text("")
-        plans = {
-            "a": chain_plan(a, more, self.log),
-            "b": chain_plan(b, more, self.log),
+        scenes = {
+            "a": tiny(a, more, self.log),
+            "b": tiny(b, more, self.log),
         }
-        outcome = run_tiny(self.store, plans)
+        outcome = run_tiny(self.store, scenes)
         assert outcome.failures == []
         return outcome, sorted(self.log.read_text().splitlines())
 
@@ -86,10 +86,10 @@ def test_only_a_lost_or_damaged_artifact_is_made_again(runs, store, damage):
 
 
 def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
-    import tiny_stages.add
+    import tiny_stages
 
     runs()
-    monkeypatch.setattr(tiny_stages.add, "VERSION", 2)
+    monkeypatch.setattr(tiny_stages.add, "version", 2)
     assert runs()[1] == ["a add", "b add"]
 
 
@@ -115,15 +115,15 @@ def test_a_store_in_memory_caches_too(tmp_path):
 
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     log = tmp_path / "log"
-    plans = {
-        "good": chain_plan(4, 1, log),
-        "bad": chain_plan(-1, 1, log),
-        "defect": chain_plan(666, 1, log),
-        "unkeyable": [Step("make", {"value": {1, 2}}, package="tiny_stages")],
-        "fine": chain_plan(6, 1, log),
+    scenes = {
+        "good": tiny(4, 1, log),
+        "bad": tiny(-1, 1, log),
+        "defect": tiny(666, 1, log),
+        "unkeyable": ({1, 2}, 1, {}),
+        "fine": tiny(6, 1, log),
     }
     seen = io.StringIO()
-    outcome = run_tiny(store, plans, stream=seen)
+    outcome = run_tiny(store, scenes, stream=seen)
     assert sorted(outcome.refs) == ["fine", "good"]
     rows = {row["scene"]: row for row in failures_table(outcome.failures).to_pylist()}
     assert rows["bad"] == {
@@ -133,7 +133,7 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
         "reason": "value -1: expected a positive number",
     }
     assert rows["defect"]["reason"] == "unexpected ZeroDivisionError: a defect"
-    assert "set {1, 2} cannot be part of a cache key" in rows["unkeyable"]["reason"]
+    assert "value: set {1, 2} cannot be part of a cache key" in rows["unkeyable"]["reason"]
     assert "bad  left out at make: value -1" in seen.getvalue()
     assert "Traceback" not in seen.getvalue()
     kept = store.put("failures", failures_table(outcome.failures))
@@ -143,13 +143,73 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
 def test_a_failed_stage_is_tried_again_next_time(store, tmp_path):
     log = tmp_path / "log"
     for _ in range(2):
-        run_tiny(store, {"bad": chain_plan(-1, 1, log)})
+        run_tiny(store, {"bad": tiny(-1, 1, log)})
     assert log.read_text().splitlines() == ["bad make", "bad make"]
 
 
 def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):
     log = tmp_path / "log"
-    plans = {f"{i}": chain_plan(2 * i + 2, 1, log) for i in range(5)}
-    run_tiny(store, plans, workers=1)
+    scenes = {f"{i}": tiny(2 * i + 2, 1, log) for i in range(5)}
+    run_tiny(store, scenes, workers=1)
     order = [line.split()[0] for line in log.read_text().splitlines()]
     assert order == sorted(order)
+
+
+def test_prefect_is_told_which_stages_were_found_in_the_store(runs, monkeypatch):
+    import tiny_stages
+
+    states = []
+    stages = (tiny_stages.make, tiny_stages.halve, tiny_stages.add)
+    for stage in stages:
+        hook = lambda task, run, state: states.append((task.name, run.name, state.name))  # noqa: E731
+        monkeypatch.setattr(stage.task, "on_completion_hooks", [hook])
+    runs()
+    assert sorted(states) == sorted(
+        (name, scene, "Completed") for scene in "ab" for name in ("make", "halve", "add")
+    )
+    states.clear()
+    runs(more=2)
+    assert sorted(states) == sorted(
+        (name, scene, state)
+        for scene in "ab"
+        for name, state in (("make", "Cached"), ("halve", "Cached"), ("add", "Completed"))
+    )
+
+
+def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted_once(
+    store, tmp_path, monkeypatch
+):
+    import tiny_stages
+
+    log, halved = tmp_path / "log", tiny_stages.halve.work
+    spoilt = []
+
+    def spoil(site, made, where):
+        if not spoilt:
+            spoilt.append(made.uri)
+            (Path(store.path) / made.uri).write_bytes(b"spoilt")
+        return halved(site, made, where)
+
+    monkeypatch.setattr(tiny_stages.halve, "work", spoil)
+    told = Progress(1, 3, stream=io.StringIO())
+    outcome = run_tiny(store, {"a": tiny(6, 1, log)}, progress=told)
+    assert outcome.failures == [] and list(outcome.refs["a"]) == ["make", "halve", "add"]
+    assert log.read_text().split("\n")[:-1] == ["a make", "a halve", "a make", "a halve", "a add"]
+    assert told.metrics().steps == told.metrics().stages == 3
+    assert "a  make  again: its artifact was damaged" in told.display.stream.getvalue()
+    assert store.get(outcome.refs["a"]["make"])["labels"].max() == 6
+
+
+def test_what_is_damaged_again_and_again_fails_the_scene(store, tmp_path, monkeypatch):
+    import tiny_stages
+
+    halved = tiny_stages.halve.work
+
+    def spoil(site, made, where):
+        (Path(store.path) / made.uri).write_bytes(b"spoilt")
+        return halved(site, made, where)
+
+    monkeypatch.setattr(tiny_stages.halve, "work", spoil)
+    outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
+    (failure,) = outcome.failures
+    assert (failure.stage, failure.kind) == ("halve", "DamagedError")

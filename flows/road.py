@@ -1,0 +1,63 @@
+"""The road of a scene, from photographs to scores: each line a stage, in the order that they run.
+
+A stage is a Prefect task whose result is looked up in the store first (:mod:`tasks.stage`).
+:func:`slgaussian.build.build_field` takes the same road with arrays in memory and without a store,
+from a sample to a field. Who walks it, and on how many scenes at a time, stands in
+:mod:`flows.runners`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.parts.method import Method
+from slgaussian.storage.store import ArtifactRef
+from tasks.attribution import attribution
+from tasks.baselines import baselines
+from tasks.benchmark import benchmark
+from tasks.field import field
+from tasks.geometry import geometry
+from tasks.ingest import Photographs, ingest
+from tasks.masks import masks
+from tasks.supervision import supervision
+from tasks.truth import Labels, truth
+
+STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
+"""The stages of :func:`score_scene`, in their order."""
+
+
+def score_scene(
+    photographs: Photographs,
+    labels: Labels,
+    method: Method,
+    trust_cameras: bool,
+    settings: EvaluationSettings,
+) -> None:
+    """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
+    sample = ingest(photographs)
+    known = truth(sample, labels)
+    base = geometry(sample, method.predictor, method.seed, trust_cameras)
+    ids = masks(sample, base, method.proposer, method.tracker, method.replicas)
+    bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed)
+    built = field(sample, base, ids, bank, method)
+    benchmark(sample, known, ids, built, method.encoder, settings)
+    # What is asked without truth can be no miss.
+    attribution(sample, known, ids, built, method, replace(settings, queries=()))
+
+
+def score_baseline(
+    refs: Mapping[str, ArtifactRef],
+    method: Method,
+    settings: EvaluationSettings,
+    name: str,
+    own: Mapping[str, Any],
+) -> None:
+    """Ask the baseline of a name, with settings of its own, what the field of a scene was asked.
+
+    ``refs`` are what the stages of :func:`score_scene` made of the scene.
+    """
+    made = refs["ingest"], refs["truth"], refs["masks"], refs["field"]
+    baselines(*made, method, settings, name, own)
