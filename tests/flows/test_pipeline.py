@@ -12,14 +12,18 @@ import pytest
 from command import run, said
 
 from flows import pipeline
+from flows.jobs import scene_job
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
+from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactStore
+from tasks.benchmark import benchmark
 from tasks.events import Failed, Finished, Started
+from tasks.ingest import ingest
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -158,7 +162,7 @@ def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
 
     settings = settings_for(tmp_path, missing, against=[], share=0.5)
     with monkeypatch.context() as broken:
-        broken.setattr("tasks.benchmark.run", break_down)
+        broken.setattr(benchmark, "work", break_down)
         finished = pipeline.run(settings, store)
     assert [(f.scene, f.stage) for f in finished.failures] == [
         ("lost", "ingest"),
@@ -245,7 +249,8 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
     def key_of(folder: Path) -> str:
         scene = {"name": "s", "path": folder, "context": ["a.png", "b.png"]}
         settings = make_settings({"scenes": [scene]}, "test")
-        return pipeline.plan(settings, settings.scenes[0])[0].call({}, "s", 1).key
+        photographs, *_ = scene_job(settings, Method(), settings.scenes[0]).arguments
+        return ingest.key({"photographs": photographs})
 
     key = key_of(data)
     moved = tmp_path / "moved"
