@@ -29,8 +29,9 @@ from slgaussian.benchmark.annotations import read_labels
 from slgaussian.build import label_views
 from slgaussian.kernels import threads
 from slgaussian.language import load_codes
+from slgaussian.language.codes import Separated
 from slgaussian.language.nearest import nearest_code
-from slgaussian.language.separated import Separated, misread, neighbours
+from slgaussian.language.separated import misread, neighbours
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera

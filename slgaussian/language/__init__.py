@@ -20,7 +20,7 @@ ENCODERS = {
 }
 CODES = {
     "grid": "slgaussian.language.codes:Grid",
-    "separated": "slgaussian.language.separated:Separated",
+    "separated": "slgaussian.language.codes:Separated",
     "exact": "slgaussian.language.codes:Exact",
 }
 

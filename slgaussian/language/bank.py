@@ -11,7 +11,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
-from slgaussian.language.nearest import MOST_DIMENSIONS
+from slgaussian.language.codes import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.room import Surroundings
 from slgaussian.scene import View

@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import torch
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
-from slgaussian.language.crops import check_regions, region_crop
-from slgaussian.language.open_clip import load_open_clip
-from slgaussian.language.room import Surroundings
 from slgaussian.parts.pretrained import (
     OPEN_CLIP_CONFIG,
     PREPROCESSOR,
@@ -34,8 +30,19 @@ from slgaussian.parts.pretrained import (
 )
 from slgaussian.parts.settings import check_settings, setting
 
+if TYPE_CHECKING:
+    import torch
+
+    from slgaussian.language.room import Surroundings
+
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 """Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
+
+
+def _converted(found: ModelFiles) -> Any:
+    from slgaussian.language.open_clip import load_open_clip
+
+    return load_open_clip(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +80,7 @@ class Clip:
     """
 
     FAMILY: ClassVar[Family] = Family(
-        "clip", "CLIPModel", ("clip",), "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", load_open_clip
+        "clip", "CLIPModel", ("clip",), "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", _converted
     )
     name: ClassVar[str] = "clip"
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
@@ -137,6 +144,8 @@ class Clip:
         InputError
             If image and masks do not match, or a mask is empty.
         """
+        from slgaussian.language.crops import check_regions
+
         check_regions(self.name, image, masks)
         vectors = [
             self._pictures(image, masks[start : start + self.batch])
@@ -175,9 +184,12 @@ class Clip:
     def _width(self) -> int:
         return self.network.config.projection_dim
 
-    @torch.inference_mode()
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Unit vectors of at most ``batch`` regions."""
+        import torch
+
+        from slgaussian.language.crops import region_crop
+
         side = self.network.config.vision_config.image_size
         kinds = (False,) if self.crops == "masked" else (False, True)
         total = np.zeros((len(masks), self._width))
@@ -190,12 +202,11 @@ class Clip:
             kind = self.network.device.type
             reduced = kind != "cpu" or self.precision == "bfloat16"
             precision = torch.autocast(kind, torch.bfloat16, enabled=reduced)
-            with precision, inside(self.network):
+            with torch.inference_mode(), precision, inside(self.network):
                 found = self.network.get_image_features(values.to(self.network.device))
             total += _unit(found)[: len(masks)]
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
 
-    @torch.inference_mode()
     def _text(self, text: str) -> np.ndarray:
         shown = text if len(text) <= 60 else text[:57] + "..."
         if not text.strip():
@@ -212,8 +223,10 @@ class Clip:
             )
         if self._words.eos_token_id in tokens[:-1]:
             raise InputError(f"query {shown!r}: cannot be read by the tokenizer; use other words")
+        import torch
+
         given = torch.tensor([tokens], device=self.network.device)
-        with inside(self.network):
+        with torch.inference_mode(), inside(self.network):
             found = self.network.get_text_features(given)
         return _unit(found).astype(np.float32)
 
@@ -251,6 +264,8 @@ def _unit(found: Any) -> np.ndarray:
 
 def _colours(found: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
     """Mean and deviation that colours are normalised by, each [3, 1, 1]."""
+    import torch
+
     if found.checkpoint is None:
         file, keys = found.folder / PREPROCESSOR, ("image_mean", "image_std")
         said = read_json(file) if file.is_file() else {}

@@ -8,13 +8,16 @@ them are chosen at random; a rendered vector means the object whose code is near
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language.nearest import MOST_DIMENSIONS
 from slgaussian.parts.settings import check_settings, setting
+
+MOST_DIMENSIONS = 3
+"""Most numbers a code: channels that are rendered."""
 
 DIMENSIONS = f"1 to {MOST_DIMENSIONS} numbers a code"
 """What sentences expect of a dimension."""
@@ -45,6 +48,60 @@ class Grid:
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
         return grid_codes(count_objects(label_maps), rng, self.dimension)
+
+
+@dataclass(frozen=True)
+class Separated:
+    """Every second point of a grid, as on a chessboard, given to objects by simulated annealing.
+
+    Such points are farther from each other in L1 than as many of the whole grid. For as few objects
+    as the cube has corners, the corners.
+
+    Attributes
+    ----------
+    dimension : 1, 2, 3 or "auto"
+        Numbers a code. "auto" takes the fewest with which at most ``error`` of the mixtures of
+        neighbours read as a third object, and three if none do.
+    error : float
+        See ``dimension``; a share from 0 to 1, of mixtures and not of pixels.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of its range.
+    """
+
+    dimension: int | Literal["auto"] = setting(
+        3,
+        "Numbers a code, 1 to 3, or 'auto': as few as the scene needs.",
+        low=1,
+        high=MOST_DIMENSIONS,
+        expected=DIMENSIONS,
+    )
+    error: float = setting(
+        0.01,
+        "With 'auto': mixtures of neighbours that may read as a third object.",
+        low=0,
+        high=1,
+        expected="a share from 0 to 1",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self, "code")
+
+    def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
+        """See :class:`slgaussian.language.CodeStrategy`."""
+        from slgaussian.language.separated import misread, neighbours, place
+
+        n = count_objects(label_maps)
+        pairs = neighbours(label_maps)
+        if self.dimension != "auto":
+            return place(n, pairs, self.dimension, rng)
+        for dimension in (1, 2, 3):
+            codes = place(n, pairs, dimension, rng)
+            if misread(codes, pairs) <= self.error:
+                break
+        return codes
 
 
 @dataclass(frozen=True)

@@ -24,18 +24,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.language.colours import ColourNames
-from slgaussian.language.crops import check_regions
-from slgaussian.language.descriptors import Descriptors
-from slgaussian.language.room import Surroundings
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.parts.settings import setting
+
+if TYPE_CHECKING:
+    from slgaussian.language.room import Surroundings
 
 POSITIVE = 0.8
 """Evidence for a descriptor counts this much of evidence against: one word that does not fit
@@ -73,6 +72,9 @@ class Lexicon:
     )
 
     def __post_init__(self) -> None:
+        from slgaussian.language.colours import ColourNames
+        from slgaussian.language.descriptors import Descriptors
+
         self._vocabulary = load_vocabulary()
         self._guess = None
         if self.synonyms is not None:
@@ -113,6 +115,8 @@ class Lexicon:
         InputError
             If image, masks and surroundings do not match, or a mask is empty.
         """
+        from slgaussian.language.crops import check_regions
+
         check_regions(self.name, image, masks)
         if around is not None and around.height.shape != image.shape[:2]:
             raise InputError(

@@ -12,16 +12,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.labels import LabelMaps
-from slgaussian.language.room import Surroundings
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
-from slgaussian.scene import Sample
+
+if TYPE_CHECKING:
+    from slgaussian.labels import LabelMaps
+    from slgaussian.language.room import Surroundings
+    from slgaussian.scene import Sample
 
 CANONICAL = ("object", "things", "stuff", "texture")
 """The paper's; those of them that a table holds are what texts compete with."""

@@ -12,8 +12,7 @@ import numba
 import numpy as np
 
 from slgaussian.errors import InputError
-
-MOST_DIMENSIONS = 3
+from slgaussian.language.codes import MOST_DIMENSIONS
 
 LEVELS = {1: 12, 2: 7, 3: 5}
 """How often the cube is halved along every axis, by the dimension: 4,096 to 32,768 cells, which

@@ -1,4 +1,4 @@
-"""ID codes placed so that what mixes at a border does not read as a third object.
+"""Place codes so that what mixes at a border does not read as a third object.
 
 Compositing at the border of objects a and b gives ``(1 - s) a + s b``. On its way from code a to
 code b that value is nearest to a, then to b, if and only if no other code lies within the L1 ball
@@ -10,17 +10,14 @@ between them, which often means close ones, and which object gets which code is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from slgaussian.kernels.simd import LANES, vabs, vload, vsum, vwhere, vzero
 from slgaussian.labels import LabelMaps
-from slgaussian.language.codes import DIMENSIONS, count_objects
-from slgaussian.language.nearest import MOST_DIMENSIONS, nearest_code
-from slgaussian.parts.settings import check_settings, setting
+from slgaussian.language.nearest import nearest_code
 
 GAPS = (1, 2, 4, 8, 16)
 """Objects that are so many pixels apart, along rows or columns, are neighbours; they count by one
@@ -55,58 +52,6 @@ class Pairs(NamedTuple):
 
     rows: np.ndarray
     weights: np.ndarray
-
-
-@dataclass(frozen=True)
-class Separated:
-    """Every second point of a grid, as on a chessboard, given to objects by simulated annealing.
-
-    Such points are farther from each other in L1 than as many of the whole grid. For as few objects
-    as the cube has corners, the corners.
-
-    Attributes
-    ----------
-    dimension : 1, 2, 3 or "auto"
-        Numbers a code. "auto" takes the fewest with which at most ``error`` of the mixtures of
-        neighbours read as a third object, and three if none do.
-    error : float
-        See ``dimension``; a share from 0 to 1, of mixtures and not of pixels.
-
-    Raises
-    ------
-    InputError
-        If a setting is out of its range.
-    """
-
-    dimension: int | Literal["auto"] = setting(
-        3,
-        "Numbers a code, 1 to 3, or 'auto': as few as the scene needs.",
-        low=1,
-        high=MOST_DIMENSIONS,
-        expected=DIMENSIONS,
-    )
-    error: float = setting(
-        0.01,
-        "With 'auto': mixtures of neighbours that may read as a third object.",
-        low=0,
-        high=1,
-        expected="a share from 0 to 1",
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self, "code")
-
-    def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
-        """See :class:`slgaussian.language.CodeStrategy`."""
-        n = count_objects(label_maps)
-        pairs = neighbours(label_maps)
-        if self.dimension != "auto":
-            return place(n, pairs, self.dimension, rng)
-        for dimension in (1, 2, 3):
-            codes = place(n, pairs, dimension, rng)
-            if misread(codes, pairs) <= self.error:
-                break
-        return codes
 
 
 def neighbours(label_maps: LabelMaps) -> Pairs:

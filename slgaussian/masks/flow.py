@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways, pixel_grid
-from slgaussian.scene import View
+
+if TYPE_CHECKING:
+    from slgaussian.scene import View
 
 AGREE_PIXELS = 2.0
 AGREE_SHARE = 0.05
@@ -32,6 +34,8 @@ class FlowTracker(MemoryTracker):
 
     def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
         """Add SIFT keypoints; see :meth:`slgaussian.masks.memory.MemoryTracker.describe`."""
+        import cv2
+
         frame = super().describe(view, labels, depth)
         gray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)
         sift = cv2.SIFT_create(nfeatures=1500, contrastThreshold=0.02)
@@ -52,6 +56,8 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
 
     It need not be exact: it only has to bring most of the image within reach of the flow.
     """
+    import cv2
+
     if min(len(a.points), len(b.points)) < 2:
         return np.eye(3)
     pairs = cv2.BFMatcher().knnMatch(a.descriptors, b.descriptors, k=2)
@@ -74,6 +80,8 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
 
 def _flow(a: np.ndarray, b: np.ndarray, warp: np.ndarray) -> np.ndarray:
     """Where every pixel of ``a`` lies in ``b``, float32 [H, W, 2] (x, y): ``warp``, then DIS."""
+    import cv2
+
     grid = pixel_grid(a.shape)
     ahead = cv2.perspectiveTransform(grid.reshape(1, -1, 2), warp).reshape(grid.shape)
     warped = cv2.remap(b, ahead, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
-from slgaussian.scene import View
+
+if TYPE_CHECKING:
+    from slgaussian.scene import View
 
 AGREE_PIXELS = 4.0
 """How far there and back, through the two depth maps, may miss: what is hidden misses by far, what

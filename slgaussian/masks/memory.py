@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.masks.boundaries import lab_of
-from slgaussian.masks.merge import adjacency
-from slgaussian.masks.regions import check_image, watershed_leaves
-from slgaussian.scene import View
+
+if TYPE_CHECKING:
+    from slgaussian.scene import View
 
 LOOK = 25.0
 """CIELAB distance at which matched pixels do not show the same thing, exposure aside."""
@@ -89,6 +87,8 @@ class MemoryTracker(ABC):
 
     def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
         """Labels int32 [H, W] for ``view``; see :class:`slgaussian.masks.MaskTracker`."""
+        from slgaussian.masks.segmentation import watershed_leaves
+
         for frame in reversed(self._frames):
             if np.array_equal(frame.view.image, view.image):
                 return frame.labels.copy()
@@ -119,6 +119,11 @@ class MemoryTracker(ABC):
 
     def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
         """What :meth:`match` needs to know of a view."""
+        import cv2
+
+        from slgaussian.masks.boundaries import lab_of
+        from slgaussian.masks.segmentation import check_image
+
         check_image(view.image)
         if depth is not None and depth.shape != view.image.shape[:2]:
             raise InputError(
@@ -128,6 +133,8 @@ class MemoryTracker(ABC):
 
     def _grow(self, of_leaf: np.ndarray, leaves: np.ndarray, lab: np.ndarray, top: int) -> None:
         """Let objects grow, in place, over unlabelled leaves that wear their colours."""
+        from slgaussian.masks.merge import adjacency
+
         bins = int(np.prod(COLOR_BINS))
         worn = np.zeros((top, bins))
         for frame in self._frames:
@@ -167,6 +174,8 @@ def check_labels(view: View, labels: np.ndarray) -> None:
 
 def _gradient(lab: np.ndarray) -> np.ndarray:
     """Length of the CIELAB gradient, float32 [H, W]."""
+    import cv2
+
     dx, dy = cv2.Sobel(lab, cv2.CV_32F, 1, 0), cv2.Sobel(lab, cv2.CV_32F, 0, 1)
     return np.sqrt((dx**2 + dy**2).sum(-1))
 

@@ -7,16 +7,18 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, read_npy
+from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
-from slgaussian.scene import View
-from slgaussian.storage.store import sha256_of
+
+if TYPE_CHECKING:
+    from slgaussian.scene import View
 
 SUFFIXES = (".png", ".npy")
 
@@ -34,7 +36,7 @@ def folder_digest(folder: Path | str) -> str:
     folder = Path(folder)
     digest = hashlib.sha256()
     for file in sorted(file for file in folder.rglob("*") if file.suffix in SUFFIXES):
-        digest.update(f"{file.relative_to(folder).as_posix()} {sha256_of(file)}\n".encode())
+        digest.update(f"{file.relative_to(folder).as_posix()} {file_digest(file)}\n".encode())
     return digest.hexdigest()
 
 

@@ -2,35 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from scipy import ndimage
-from skimage.segmentation import watershed
 
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
-from slgaussian.masks.boundaries import boundary_map
-from slgaussian.masks.flatten import CRUMB_SHARE
-from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
-from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums
-from slgaussian.masks.patterns import join_patterns
-
-LEAF_REACH = 7
-"""Side in pixels of the window in which a boundary minimum seeds a leaf."""
-
-FINE = 0.12
-"""Cut of the tree, far below that for objects, at which repeated patterns are looked for."""
-
-CUES = (
-    Cues(),
-    Cues(color=0.0, texture=0.4, plane=0.25, fill=0.2, size_power=0.6),
-    Cues(plane=0.25, fill=0.5, size_power=0.1),
-)
-"""One tree each, as different as they are good: objects; even growth that is blind to colour, so
-that a thing of many colours is one; compact pieces, with small ones standing long."""
 
 LEVELS = ("s", "m", "l")
 
@@ -84,6 +61,10 @@ class Regions:
         InputError
             If image, ``where`` or ``depth`` have the wrong type or size, or depth is not finite.
         """
+        from slgaussian.masks.flatten import CRUMB_SHARE
+        from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
+        from slgaussian.masks.segmentation import CUES, check_image, grow_trees
+
         check_image(image)
         size = image.shape[:2]
         for name, other in (("where", where), ("depth", depth)):
@@ -112,40 +93,3 @@ class Regions:
         outside = np.zeros((len(member), 1), bool)
         masks = np.take(np.append(member, outside, 1), leaves, axis=1)
         return Proposals(masks, scores, levels)
-
-
-def grow_trees(
-    image: np.ndarray,
-    where: np.ndarray | None = None,
-    depth: np.ndarray | None = None,
-    cues: Sequence[Cues] = CUES,
-) -> list[MergeTree]:
-    """Merge trees of an image over the same leaves, one for each of the ``cues``; other arguments
-    as in :meth:`Regions.propose`.
-
-    A low cut of a first tree shows the elements of patterns; with every pattern joined
-    (:func:`join_patterns`) these are the leaves, and so are regions already.
-    """
-    boundary = boundary_map(image, depth)
-    leaves = watershed_leaves(boundary)
-    if where is not None:
-        leaves = np.where(where, leaves, -1)
-        packed = np.unique(leaves[where], return_inverse=True)[1]
-        leaves[where] = packed.astype(np.int32)
-    fine = build_tree(leaf_sums(image, leaves, boundary, depth))
-    elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
-    sums = leaf_sums(image, join_patterns(image, elements, depth), boundary, depth)
-    return [build_tree(sums, each) for each in cues]
-
-
-def watershed_leaves(boundary: np.ndarray) -> np.ndarray:
-    """Basins of a border strength map [H, W]: connected leaves int32 [H, W], 0 .. N-1."""
-    smooth = cv2.GaussianBlur(boundary, (0, 0), 1.0)
-    seeds, _ = ndimage.label(smooth == ndimage.minimum_filter(smooth, LEAF_REACH))
-    return watershed(smooth, seeds).astype(np.int32) - 1
-
-
-def check_image(image: np.ndarray) -> None:
-    """Raise InputError unless ``image`` is uint8 [H, W, 3] with at least one pixel."""
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise InputError(f"image: found {image.dtype} {image.shape}, expected uint8 [H, W, 3] RGB")

@@ -3,97 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import torch
-from PIL import Image
-from torch.nn import functional as F
 
-from slgaussian.masks.automatic import AutomaticProposer
+from slgaussian.masks.prompted import AutomaticProposer
 from slgaussian.parts.pretrained import Family
 
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of the colours of ImageNet, in [0, 1], by which all SAM models have their input normalised."""
+if TYPE_CHECKING:
+    from slgaussian.masks.sam_image import SamImage
 
 
 @dataclass(frozen=True, eq=False)
 class Sam(AutomaticProposer):
     """Masks by SAM; folders and hub names like ``facebook/sam-vit-base``, ``-large``, ``-huge``.
 
-    Settings and errors are those of :class:`slgaussian.masks.automatic.AutomaticProposer`.
+    Settings and errors are those of :class:`slgaussian.masks.prompted.AutomaticProposer`.
     """
 
     FAMILY: ClassVar[Family] = Family("sam", "SamModel", ("sam",), "facebook/sam-vit-base")
 
     def encode(self, image: np.ndarray) -> SamImage:
         """Encode an image uint8 [H, W, 3], its longest side brought to that of the network."""
+        from slgaussian.masks.sam_image import SamImage, encoder_precision, pixel_values
+
         side = self.network.config.prompt_encoder_config.image_size
         pixels, used = pixel_values(image, side)
         with encoder_precision(self.device):
             embedding = self.network.get_image_embeddings(pixels.to(self.device))
         return SamImage(self.network, embedding.float(), image.shape[:2], used)
-
-
-def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int, int]]:
-    """Network input float32 [1, 3, side, side] of an image, and the height and width used of it.
-
-    The longest side becomes ``side`` and the rest below or on the right is 0, the mean colour.
-    """
-    height, width = image.shape[:2]
-    scale = side / max(height, width)
-    used = max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
-    pixels = normalised(image, used)
-    return F.pad(pixels, (0, side - used[1], 0, side - used[0])), used
-
-
-def normalised(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
-    """Float32 [1, 3, *size] of an image uint8 [H, W, 3]: resized bilinearly, mean 0, variance 1."""
-    resized = Image.fromarray(image).resize(size[::-1], Image.Resampling.BILINEAR)
-    pixels = torch.from_numpy(np.array(resized, np.float32)).permute(2, 0, 1)[None] / 255
-    return (pixels - torch.tensor(MEAN).view(3, 1, 1)) / torch.tensor(STD).view(3, 1, 1)
-
-
-def encoder_precision(device: str) -> torch.autocast:
-    """The context in which images are encoded: bfloat16 on accelerators, else float32."""
-    kind = device.split(":")[0]
-    return torch.autocast(kind, torch.bfloat16, enabled=kind != "cpu")
-
-
-@dataclass(frozen=True, eq=False)
-class SamImage:
-    """An encoded image; see :class:`slgaussian.masks.automatic.PromptedImage`.
-
-    Attributes
-    ----------
-    network : SamModel
-    embedding : float32 [1, C, h, w]
-    size : (int, int)
-        Height and width of the image.
-    used : (int, int)
-        Height and width that it has in the network's input.
-    """
-
-    network: Any
-    embedding: Any
-    size: tuple[int, int]
-    used: tuple[int, int]
-
-    def segment(self, points: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Each point is a prompt of its own, in the foreground, and gives three masks."""
-        scaled = points * (self.used[1] / self.size[1], self.used[0] / self.size[0])
-        prompts = torch.from_numpy(scaled.astype(np.float32)).to(self.network.device)
-        found = self.network(
-            image_embeddings=self.embedding,
-            input_points=prompts[None, :, None],
-            input_labels=torch.ones(1, len(points), 1, dtype=torch.int64, device=prompts.device),
-            multimask_output=True,
-        )
-        return found.pred_masks[0].float(), found.iou_scores[0].float()
-
-    def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """First to the size of the network's input, whose padding is then cut off."""
-        side = self.network.config.prompt_encoder_config.image_size
-        large = F.interpolate(logits[:, None], (side, side), mode="bilinear")
-        large = large[:, :, : self.used[0], : self.used[1]]
-        return F.interpolate(large, self.size, mode="bilinear")[:, 0]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import torch
-from torch.nn import functional as F
 
-from slgaussian.masks.automatic import AutomaticProposer
-from slgaussian.masks.sam import SamImage, encoder_precision, normalised
+from slgaussian.masks.prompted import AutomaticProposer
 from slgaussian.parts.pretrained import Family
+
+if TYPE_CHECKING:
+    from slgaussian.masks.sam_image import Sam2Image
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Sam2(AutomaticProposer):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``.
 
     Models for video fit too: their image part is used. Settings and errors are those of
-    :class:`slgaussian.masks.automatic.AutomaticProposer`.
+    :class:`slgaussian.masks.prompted.AutomaticProposer`.
     """
 
     FAMILY: ClassVar[Family] = Family(
@@ -28,16 +28,10 @@ class Sam2(AutomaticProposer):
 
     def encode(self, image: np.ndarray) -> Sam2Image:
         """Encode an image uint8 [H, W, 3], brought to the network's square whatever its shape."""
+        from slgaussian.masks.sam_image import Sam2Image, encoder_precision, normalised
+
         side = self.network.config.prompt_encoder_config.image_size
         used = side, side
         with encoder_precision(self.device):
             levels = self.network.get_image_embeddings(normalised(image, used).to(self.device))
         return Sam2Image(self.network, [e.float() for e in levels], image.shape[:2], used)
-
-
-class Sam2Image(SamImage):
-    """An encoded image; ``embedding`` is a list of three, from fine to coarse."""
-
-    def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """At once to the size of the image."""
-        return F.interpolate(logits[:, None], self.size, mode="bilinear")[:, 0]

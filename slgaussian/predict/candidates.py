@@ -10,9 +10,7 @@ MIN_MATCHES = 12
 """Fewest triangulated matches that a depth range is estimated from."""
 
 MIN_CANDIDATES = 32
-MAX_CANDIDATES = 144
-"""Fewest that a sub-pixel fit is asked to interpolate, and most unless another number is asked for:
-more gain nothing that time and memory are worth (`docs/measured/tradeoffs.md`)."""
+"""Fewest that a sub-pixel fit is asked to interpolate."""
 
 MAX_DEPTH = 1e4
 """Farthest estimated depth in baselines, where even a long lens sees no parallax."""
@@ -50,7 +48,7 @@ def candidates(
     size: tuple[int, int],
     low: float,
     high: float,
-    most: int = MAX_CANDIDATES,
+    most: int,
 ) -> np.ndarray:
     """Inverse depths float64 [D], ascending and evenly spaced from ``low`` to ``high``.
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from slgaussian.gaussians import Gaussians
-from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
 from slgaussian.semantic.hard import HardIndex
-from slgaussian.semantic.others import find_others
+
+if TYPE_CHECKING:
+    from slgaussian.gaussians import Gaussians
+    from slgaussian.labels import LabelMaps
+    from slgaussian.language.bank import MemoryBank
 
 
 class Filled:
@@ -20,6 +22,8 @@ class Filled:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, still unlabelled, 0."""
+        from slgaussian.semantic.others import find_others
+
         others = find_others(gaussians, label_maps.labels.shape)
         filled = replace(label_maps, labels=others.fill(label_maps.labels))
         return HardIndex()(gaussians, filled, bank)

@@ -1,14 +1,18 @@
 """The control without a network: each Gaussian carries the object of its own source pixel."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
-from slgaussian.gaussians import Gaussians
-from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
 from slgaussian.semantic.code_images import code_images
+
+if TYPE_CHECKING:
+    from slgaussian.gaussians import Gaussians
+    from slgaussian.labels import LabelMaps
+    from slgaussian.language.bank import MemoryBank
 
 
 class HardIndex:
@@ -16,6 +20,8 @@ class HardIndex:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, unlabelled, 0."""
+        import torch
+
         labels = label_maps.labels.ravel()[gaussians.source.numpy()]
         features = code_images(labels, bank.ids, bank.codes)
         if not bank.dimension:

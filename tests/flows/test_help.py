@@ -112,7 +112,7 @@ def test_every_example_is_understood(words):
 def test_choices_that_are_listed_are_those_that_are_taken():
     """Of what is too heavy to ask where options are declared."""
     from slgaussian.language import clip, query, relevancy
-    from slgaussian.masks import automatic
+    from slgaussian.masks import prompted
     from slgaussian.predict.mvsplat import predictor
 
     def listed(name: str, of=settings.Method) -> set[str]:
@@ -120,8 +120,8 @@ def test_choices_that_are_listed_are_those_that_are_taken():
 
     assert listed("protocol") == set(query.PROTOCOLS)
     assert listed("absent") == set(relevancy.ABSENT)
-    assert listed("preset", settings.SamTable) == set(automatic.PRESETS)
-    assert listed("level", settings.SamTable) == {*automatic.LEVELS, "all"}
+    assert listed("preset", settings.SamTable) == set(prompted.PRESETS)
+    assert listed("level", settings.SamTable) == {*prompted.LEVELS, "all"}
     for part, table in (
         (clip.Clip, settings.ClipTable),
         (predictor.MVSplat, settings.MVSplatTable),

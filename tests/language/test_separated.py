@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language.codes import grid_codes
+from slgaussian.language.codes import Separated, grid_codes
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.separated import (
     Pairs,
-    Separated,
     _points,
     misread,
     neighbours,

@@ -18,9 +18,9 @@ from small_models import SIDE, sam2_config, save_sam, save_sam2
 from slgaussian.errors import InputError
 from slgaussian.masks import load_proposer
 from slgaussian.masks.associate import associate
-from slgaussian.masks.automatic import Automatic
 from slgaussian.masks.flow import FlowTracker
-from slgaussian.masks.sam import normalised, pixel_values
+from slgaussian.masks.prompted import Automatic
+from slgaussian.masks.sam_image import normalised, pixel_values
 from slgaussian.parts import pretrained
 from slgaussian.parts.pretrained import find_model, model_digest
 

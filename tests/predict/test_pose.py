@@ -129,7 +129,7 @@ def test_sift_on_a_blank_image_finds_nothing():
 
 def test_candidates_move_a_pixel_by_about_a_pixel():
     relative = Relative.between(A, B)
-    steps = candidates(relative, (120, 160), 0.1, 1.0)
+    steps = candidates(relative, (120, 160), 0.1, 1.0, 144)
     assert (steps[0], steps[-1]) == (0.1, 1.0)
     assert np.allclose(np.diff(steps), steps[1] - steps[0])
     grid = pixel_grid((120, 160), 12)

@@ -1,0 +1,211 @@
+"""How the predictor ``planesweep`` works: sweep every view, fill what is left, lift all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.predict.balance import color_gains
+from slgaussian.predict.candidates import (
+    MIN_MATCHES,
+    candidates,
+    inverse_depth_range,
+    visible_share,
+)
+from slgaussian.predict.cost import matching_cost
+from slgaussian.predict.fill import (
+    AGREES,
+    IN_FRONT,
+    cross_check,
+    fill,
+    fit_planes,
+    weighted_median,
+    without_speckles,
+)
+from slgaussian.predict.fuse import blend, meet
+from slgaussian.predict.hidden import hidden
+from slgaussian.predict.links import Link, link_views
+from slgaussian.predict.sgm import aggregate, winners
+from slgaussian.predict.unproject import concatenate, lift
+from slgaussian.scene import Sample, View
+
+if TYPE_CHECKING:
+    from slgaussian.predict.planesweep import PlaneSweep
+
+SPECKLE = 1 / 1200
+"""Answered patches of at most this share of the image are taken for accidents and filled instead.
+"""
+
+MIN_MARGIN = 0.02
+"""A pixel whose best cost is not this much below all others is not answered: on a blank wall the
+smoothness alone decides, and both views may agree on what it says."""
+
+MIN_VISIBLE = 0.05
+"""Least share of the image that the sweep must see in a source view."""
+
+OPACITY_SHARED = 0.5
+OPACITY_ALONE = 0.9
+OPACITY_REFUTED = 0.02
+"""Opacity by what is known. A surface that another view shows too is drawn once a view: no copy is
+opaque, so that they blend. 0.6 costs 0.2 dB in novel views; at 0.4 more of what is behind shines
+through, and 1.2 instead of 1.0 % of the pixels read a wrong object's code. What one view alone
+shows must close the surface by itself. What lies in another view's free space is all but invisible.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """One view after the sweep: candidates, raw depth, and where another view confirms it.
+
+    Attributes
+    ----------
+    steps : float64 [D]
+        Candidate inverse depths, ascending.
+    inverse_depth : float32 [H, W]
+        1 / z in scene units, between the first and last candidate.
+    answered : bool [H, W]
+        Where matching gave the depth and another view agrees.
+    """
+
+    steps: np.ndarray
+    inverse_depth: np.ndarray
+    answered: np.ndarray
+
+    @property
+    def step(self) -> float:
+        """Distance between neighbouring candidates."""
+        return float(self.steps[1] - self.steps[0])
+
+    @property
+    def known(self) -> np.ndarray:
+        """Inverse depth where it is answered, infinite elsewhere."""
+        return np.where(self.answered, self.inverse_depth, np.float32(np.inf))
+
+
+def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
+    """Gaussians of the context views; see :meth:`slgaussian.predict.planesweep.PlaneSweep`."""
+    views = sample.context
+    links = link_views(views)
+    swept = _sweep(settings, sample, links)
+    whole = _complete(sample, links, swept, seed)
+    opacities = [_opacity(i, links[i], swept, whole) for i in range(len(views))]
+    gains = color_gains([v.image for v in views], whole, [s.answered for s in swept], links)
+    exposed = [
+        (view.image * np.float32(gain / 255)).clip(0, 1)
+        for view, gain in zip(views, gains, strict=True)
+    ]
+    steps = [s.step for s in swept]
+    colors = blend(exposed, whole, steps, links)
+    cameras = meet([view.camera for view in views], links)
+    shown = lift(cameras, colors, whole, opacities)
+    return concatenate([shown, hidden(cameras, colors, whole, steps)])
+
+
+def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
+    """Match every view against its sources and check the answers against each other."""
+    views = sample.context
+    guides = [_grey(view) for view in views]
+    found = []
+    for i, view in enumerate(views):
+        low, high = _range(settings, sample.scene, view, links[i])
+        size = guides[i].shape
+        steps = max(
+            (candidates(k.relative, size, low, high, settings.depth_candidates) for k in links[i]),
+            key=len,
+        )
+        for link in links[i]:
+            if visible_share(link.relative, size, steps) < MIN_VISIBLE:
+                raise InputError(
+                    f"scene {sample.scene!r}: {view.name!r} and {views[link.source].name!r} "
+                    f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
+                    "choose views that overlap, or correct near and far"
+                )
+        # The least cost over the sources: what is hidden in one may be seen in another.
+        cost = matching_cost(guides[i], guides[links[i][0].source], links[i][0].relative, steps)
+        for link in links[i][1:]:
+            other = matching_cost(guides[i], guides[link.source], link.relative, steps)
+            np.minimum(cost, other, out=cost)
+        best, offset, margin = winners(aggregate(cost, guides[i]))
+        index = best + offset
+        inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
+        found.append((Swept(steps, inverse_depth, margin > MIN_MARGIN), index))
+    result = []
+    for (mine, index), sources in zip(found, links, strict=True):
+        agrees = np.zeros(index.shape, bool)
+        for link in sources:
+            other = found[link.source][0].inverse_depth
+            verdict = cross_check(mine.inverse_depth, other, link.relative, mine.step)
+            agrees |= verdict == AGREES
+        answered = without_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
+        result.append(Swept(mine.steps, mine.inverse_depth, answered))
+    return result
+
+
+def _range(
+    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link]
+) -> tuple[float, float]:
+    """Least and greatest inverse depth to try for one view."""
+    near = settings.near if settings.near is not None else view.camera.near
+    far = settings.far if settings.far is not None else view.camera.far
+    low = high = 0.0
+    if near is None or far is None:
+        sparse = np.concatenate([link.sparse for link in links])
+        if len(sparse) < MIN_MATCHES:
+            raise InputError(
+                f"scene {scene!r}: views do not overlap or have too little texture around "
+                f"{view.name!r} ({len(sparse)} matches, {MIN_MATCHES} needed to find the depth "
+                "range); choose other views, or give near and far"
+            )
+        baseline = min(float(np.linalg.norm(link.relative.t)) for link in links)
+        low, high = inverse_depth_range(sparse, baseline)
+    low = low if far is None else 1 / far
+    high = high if near is None else 1 / near
+    if low >= high:
+        raise InputError(
+            f"scene {scene!r}: for {view.name!r} near {1 / high:.3g} is not below far "
+            f"{1 / low:.3g}; give both near and far"
+        )
+    return low, high
+
+
+def _complete(
+    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept], seed: int
+) -> list[np.ndarray]:
+    """Inverse depth float32 [H, W] of every view at every pixel."""
+    whole = []
+    for i, (view, mine) in enumerate(zip(sample.context, swept, strict=True)):
+        rng = rng_for(seed, sample.content, f"planesweep/{i}")
+        planes = fit_planes(mine.inverse_depth, mine.answered, mine.step, rng)
+        witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
+        filled = fill(mine.inverse_depth, mine.answered, _grey(view), planes, mine.steps, witnesses)
+        whole.append(weighted_median(filled, view.image, mine.steps[0], mine.step))
+    return whole
+
+
+def _opacity(
+    i: int, links: Sequence[Link], swept: Sequence[Swept], whole: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Opacity float32 [H, W] of view ``i``."""
+    mine = swept[i]
+    refuted = np.zeros(mine.answered.shape, bool)
+    doubled = np.zeros(mine.answered.shape, bool)
+    for link in links:
+        known = swept[link.source].known
+        refuted |= cross_check(whole[i], known, link.relative, mine.step) == IN_FRONT
+        shown = cross_check(whole[i], whole[link.source], link.relative, mine.step)
+        doubled |= (shown == AGREES) | (shown == IN_FRONT)
+    cases = [mine.answered, refuted, doubled]
+    values = [OPACITY_SHARED, OPACITY_REFUTED, OPACITY_SHARED]
+    return np.select(cases, values, OPACITY_ALONE).astype(np.float32)
+
+
+def _grey(view: View) -> np.ndarray:
+    """Grey image uint8 [H, W]."""
+    return cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)
