@@ -250,8 +250,8 @@ class BranchTable(PartTable):
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "accurate")
-"""Named settings, each a file in `presets`. `benches/tradeoffs.py` measures them and picks them by
-the rules that `docs/measured/tradeoffs.md` states."""
+"""Named settings, each a file in `presets`. `benches/scores/setting_tradeoffs.py` measures them and
+picks them by the rules that `docs/measured/tradeoffs.md` states."""
 
 PARTS = set(registry.PARTS)
 """The settings that name a part of the method."""

@@ -1,5 +1,6 @@
 """Benches are no part of the suite; what they say of a wrong argument is."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -7,45 +8,63 @@ from pathlib import Path
 
 import pytest
 
-BENCHES = Path(__file__).parents[1] / "benches"
+from benches.common import photograph_pairs
+
+ROOT = Path(__file__).parents[1]
+BENCHES = sorted((ROOT / "benches").rglob("*.py"))
 
 
-@pytest.fixture
-def pairs(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHES)
-    monkeypatch.delitem(sys.modules, "pairs", raising=False)
-    import pairs
-
-    yield pairs
-    del sys.modules["pairs"]
-
-
-def test_another_folder_than_data_is_one_sentence(pairs, tmp_path):
+def test_another_folder_than_data_is_one_sentence(tmp_path):
     with pytest.raises(SystemExit, match=r"DATA: nowhere is no folder; give a folder with trans"):
-        pairs.photographs("nowhere")
+        photograph_pairs.photographs("nowhere")
     (tmp_path / "office").mkdir()
     for name in ("transforms.json", "pairs.json"):
         (tmp_path / "office" / name).write_text("{}")
     with pytest.raises(SystemExit) as left:
-        pairs.photographs(str(tmp_path))
+        photograph_pairs.photographs(str(tmp_path))
     assert left.value.code == (
         f"error: DATA: {tmp_path} holds no transforms.json and no pairs.json; "
         f"did you mean {tmp_path / 'office'}?"
     )
-    assert pairs.photographs(str(tmp_path / "office")) == tmp_path / "office"
+    assert photograph_pairs.photographs(str(tmp_path / "office")) == tmp_path / "office"
     with pytest.raises(SystemExit, match=f"did you mean {tmp_path}"):
-        pairs.data_folder("office/pairs.json")(str(tmp_path / "office"))
+        photograph_pairs.data_folder("office/pairs.json")(str(tmp_path / "office"))
 
 
 def test_a_bench_ends_so_before_it_works(tmp_path):
-    made = subprocess.run(
-        [sys.executable, BENCHES / "synonyms.py", "model", tmp_path], capture_output=True, text=True
-    )
+    command = [sys.executable, "-m", "benches.language.synonym_threshold", "model", tmp_path]
+    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert made.returncode == 1 and made.stderr.startswith("error: DATA: ")
     assert made.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("bench", sorted(BENCHES.glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("bench", BENCHES, ids=lambda file: file.stem)
 def test_no_bench_takes_any_folder_as_data(bench):
     taken = re.findall(r'add_argument\(\s*"(?:--)?data"[^)]*type=Path', bench.read_text())
     assert taken == []
+
+
+def test_no_bench_has_the_name_of_another_module():
+    """A traceback, an editor's tab and a search show the name without its folder."""
+    packages = ("slgaussian", "flows", "tasks")
+    others = {file.stem for name in packages for file in (ROOT / name).rglob("*.py")}
+    names = [file.stem for file in BENCHES]
+    assert len(set(names)) == len(names)
+    assert not others & set(names)
+
+
+def module(bench):
+    return ".".join(bench.relative_to(ROOT).with_suffix("").parts)
+
+
+@pytest.mark.parametrize("bench", BENCHES, ids=lambda file: file.stem)
+def test_what_a_bench_imports_is_there(bench):
+    importlib.import_module(module(bench))
+
+
+def test_commands_that_pages_and_benches_name_are_there():
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *BENCHES]
+    text = " ".join(page.read_text() for page in pages)
+    named = set(re.findall(r"python -m\s+(benches[\w.]*\w)", text))
+    assert len(named) > 20
+    assert named <= set(map(module, BENCHES))

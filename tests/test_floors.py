@@ -1,22 +1,22 @@
 """The quality of the whole method has a floor, within what chance moves it by.
 
-Means and standard deviations are those that ``python -m benches.floors 10 DATA`` printed, of ten
-draws (nine of photographs), when the scene's name was part of the seed. A floor is the mean less
-some four deviations of one draw, so that another seed, or a processor that rounds otherwise, stays
-above it, and what costs more than that falls below: of the planes that fill the motorcycle's depth
-all but one left out, or the smoothness of the matching a fifth.
+Means and standard deviations are those that ``python -m benches.scores.score_floors 10 DATA``
+printed, of ten draws (nine of photographs), when the scene's name was part of the seed. A floor is
+the mean less some four deviations of one draw, so that another seed, or a processor that rounds
+otherwise, stays above it, and what costs more than that falls below: of the planes that fill the
+motorcycle's depth all but one left out, or the smoothness of the matching a fifth.
 """
 
 from pathlib import Path
 
 import pytest
 
-from benches import floors
+from benches.scores import score_floors
 
 
 @pytest.fixture(scope="module")
 def rooms():
-    return floors.rooms(seed=0)
+    return score_floors.rooms(seed=0)
 
 
 def test_words_are_found_in_made_up_rooms(rooms):
@@ -34,7 +34,7 @@ def test_depth_of_the_motorcycle_pair():
 
     OpenCV's semi-global matcher has 17.9 % bad pixels.
     """
-    found = floors.motorcycle(seed=0)
+    found = score_floors.motorcycle(seed=0)
     assert found["bad2"] < 0.068
     assert found["abs_rel"] < 0.0187
 
@@ -48,9 +48,9 @@ def having(folder: Path, name: str) -> Path:
 
 def test_words_are_found_in_photographs_of_the_office(real_data):
     """Measured on four of its eight pairs, at a quarter of the pixels: 0.354 +- 0.011."""
-    assert floors.office(having(real_data, "office"), seed=0)["iou"] > 0.31
+    assert score_floors.office(having(real_data, "office"), seed=0)["iou"] > 0.31
 
 
 def test_words_are_found_in_photographs_of_other_places(real_data):
     """Measured on three of them, at a quarter of the pixels: 0.276 +- 0.011."""
-    assert floors.places(having(real_data, "places"), seed=0)["iou"] > 0.23
+    assert score_floors.places(having(real_data, "places"), seed=0)["iou"] > 0.23

@@ -1,10 +1,10 @@
-"""A small part of what ``benches/fuzz.py`` does, whose table is in ``docs/measured/fuzz.md``."""
+"""A small part of ``benches/pipeline/fuzz_readers.py``; the table is ``docs/measured/fuzz.md``."""
 
 import random
 
 import pytest
 
-from benches.fuzz import FORMATS, damaged, verdict
+from benches.pipeline.fuzz_readers import FORMATS, damaged, verdict
 
 SEED, COUNT = 1, 12
 

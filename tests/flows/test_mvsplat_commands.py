@@ -10,7 +10,7 @@ import torch
 from command import ROOM, run, save_photographs
 from roads import calls_of, keyed
 
-from benches.recipe import recipe_weights
+from benches.predict.random_mvsplat_weights import recipe_weights
 from flows import pipeline
 from flows.jobs import scene_job
 from flows.settings import MVSplatTable, Settings, make_settings, read_toml

@@ -1,12 +1,13 @@
 """Relevancy where it is hard to compute, and texts that are hard to read: a test a case.
 
-Cases are those of ``benches/hard_texts.py``, whose tables are in ``docs/measured/queries.md``.
+Cases are those of ``benches/language/hard_texts.py``, whose tables are in
+``docs/measured/queries.md``.
 """
 
 import numpy as np
 import pytest
 
-from benches.hard_texts import (
+from benches.language.hard_texts import (
     CLIP_TEXTS,
     JUDGED,
     TEMPERATURES,

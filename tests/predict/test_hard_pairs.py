@@ -1,8 +1,8 @@
 """What the plane sweep promises where two-view geometry is hard: a test a case, by its name.
 
-Scenes are those of ``benches/hard_pairs.py``, which says what is hard in each and prints their
-errors as a table. Errors are of the pixels whose surface falls inside another view, hidden or not;
-behind each bound stands what was measured, with about half of it again as a margin.
+Scenes are those of ``benches/predict/hard_pairs.py``, which says what is hard in each and prints
+their errors as a table. Errors are of the pixels whose surface falls inside another view, hidden or
+not; behind each bound stands what was measured, with about half of it again as a margin.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from benches.hard_pairs import (
+from benches.predict.hard_pairs import (
     LEFT,
     RIGHT,
     WALL,

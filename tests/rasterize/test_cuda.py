@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import pytest
 import torch
 
-from benches.hard_cases import camera, case, cloud
+from benches.rasterize.hard_cases import camera, case, cloud
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Settings, rasterize

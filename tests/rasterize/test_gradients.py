@@ -7,7 +7,7 @@ import numba
 import pytest
 import torch
 
-from benches.hard_cases import camera, case, cloud, rotated, splats
+from benches.rasterize.hard_cases import camera, case, cloud, rotated, splats
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
 from slgaussian.scene import Camera

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benches.hard_cases import camera, case, cloud, measure, names, rotated, splats
+from benches.rasterize.hard_cases import camera, case, cloud, measure, names, rotated, splats
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Settings, rasterize

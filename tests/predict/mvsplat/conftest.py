@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benches.recipe import recipe_weights
+from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera

@@ -2,10 +2,10 @@
 
 ``python make_reference.py PARITY.pt STATE_DICT.txt WIGNER.npz``. The first holds inputs, outputs
 and intermediates of the published implementation (github donydchen/mvsplat 175b17a, float32 on the
-CPU) at 64 x 64 with the weights of ``benches/recipe.py``, and for each the largest difference
-between two ways to compute it ("floor": oneDNN on and off). The second lists names and shapes of
-its weights, the third rotations of harmonics by e3nn 0.6. Kept of each stage: values at places
-drawn at random by its name.
+CPU) at 64 x 64 with the weights of ``benches/predict/random_mvsplat_weights.py``, and for each the
+largest difference between two ways to compute it ("floor": oneDNN on and off). The second lists
+names and shapes of its weights, the third rotations of harmonics by e3nn 0.6. Kept of each stage:
+values at places drawn at random by its name.
 """
 
 import hashlib

@@ -1,0 +1,885 @@
+"""Damaged files of every format that is read: what is said of them, and what they cost.
+
+``python -m benches.pipeline.fuzz_readers [--count 3000] [--seed 0] [--only ply]`` makes a small
+valid set of files a format, damages one to three places of one file of it at a time (bits, cuts,
+insertions, numbers that are huge, negative or none, wrong types, lost and repeated keys, deep
+nesting, sizes that no file has, with the checksums put right again) and reads the whole set, in a
+child process with 1 GiB more address space than it starts with. What counts as refused is an
+InputError or SpecError of one line that names a file of the set, or the clip in it.
+``--again "ply 17"`` reads one file once more, with the traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import random
+import re
+import resource
+import select
+import shutil
+import signal
+import struct
+import tempfile
+import time
+import traceback
+import warnings
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import plyfile
+import pyarrow as pa
+import torch
+from PIL import Image
+
+from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.annotations import labelled_frames, read_labels
+from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
+from slgaussian.datasets import colmap, llff, nerfstudio, re10k
+from slgaussian.datasets.sharpness import glance
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.field import SemanticField
+from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.gaussians import Gaussians
+from slgaussian.language import load_encoder
+from slgaussian.language.bank import MemoryBank
+from slgaussian.masks.precomputed import read_ids
+from slgaussian.predict.mvsplat.checkpoint import read_state
+from slgaussian.scene import Camera, Scene, View
+from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
+from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
+from slgaussian.semantic.versions import Versions
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import decode, encode_arrays, encode_table
+
+W, H = 24, 16
+ROOM = 2**30
+"""Bytes of address space that a child may take besides what it starts with."""
+PATIENCE = 60.0
+"""Seconds of wall time, on a busy machine, after which a file counts as one that hangs."""
+
+NUMBERS = [
+    "-1", "0", "1", "2", "0.5", "-0.0", "NaN", "Infinity", "-Infinity", "1e309", "1e-320", "1e12",
+    "65536", "2147483647", "2147483648", "-2147483649", "4294967296", "9223372036854775807",
+    "18446744073709551616", "99999999999999999999999999", "9" * 400, "9" * 5000, "1" + "0" * 308,
+]  # fmt: skip
+TEXTS = [
+    "", " ", ".", "..", "/", "../../x", "/etc/passwd", "a\0b", "\ud800", "x" * 5000, "💥", "NUL",
+]  # fmt: skip
+VALUES = [
+    None, True, [], {}, [[]], [1], "1", -1, 0, 3, 1e308, 10**18, 10**30, 10**400,
+    float("nan"), float("inf"), [[1, 2], [3]], {"a": 1}, [None] * 17, *TEXTS,
+]  # fmt: skip
+DEEP = 100_000
+SIZES = [0, 1, 2, 255, 20_000, 65_535, 2**31 - 1, 2**32 - 1]
+
+
+# --- damage -------------------------------------------------------------------------------------
+
+
+def damaged(data: bytes, name: str, rng: random.Random) -> bytes:
+    """The file with one to three places damaged, in ways that fit its kind, or in any."""
+    ways = WAYS.get(Path(name).suffix.lower(), [])
+    whole, left = data, rng.choice([1, 1, 1, 2, 3])
+    while left > 0 or data == whole:
+        way = rng.choice([any_bytes, *ways, *ways])
+        try:
+            data = way(data, rng)
+        except Exception:  # a way that does not fit, or no longer
+            data = any_bytes(data or b"\0", rng)
+        left -= 1
+    return data
+
+
+def any_bytes(data: bytes, rng: random.Random) -> bytes:
+    at = rng.randrange(len(data) + 1)
+    length = rng.choice([1, 2, 4, 8, 16, rng.randrange(1, 200)])
+    number = rng.choice([0, 1, -1, 2**15, 2**31 - 1, -(2**31), 2**40, 2**62, -(2**63), 2**63 - 1])
+    ways = {
+        "flip": lambda: _put(data, at, bytes([data[at % len(data)] ^ 1 << rng.randrange(8)])),
+        "noise": lambda: _put(data, at, rng.randbytes(length)),
+        "fill": lambda: _put(data, at, bytes([rng.choice([0, 255, 127, 128])]) * length),
+        "number": lambda: _put(data, at, struct.pack("<q", number)[: rng.choice([2, 4, 8])]),
+        "float": lambda: _put(
+            data, at, struct.pack("<d", rng.choice([np.nan, np.inf, -1e308, 1e-320, 0.0]))
+        ),
+        "cut": lambda: data[:at],
+        "insert": lambda: data[:at] + rng.randbytes(length) + data[at:],
+        "lose": lambda: data[:at] + data[at + length :],
+        "repeat": lambda: data[: at + length] + data[at:],
+        "behead": lambda: data[length:],
+        "empty": lambda: rng.choice([b"", b"\0", b"<html>", data + data, b"\xff" * 50]),
+    }
+    weights = [8, 4, 3, 6, 3, 3, 3, 3, 3, 1, 1]
+    return ways[rng.choices(list(ways), weights)[0]]()
+
+
+def _put(data: bytes, at: int, what: bytes) -> bytes:
+    return data[:at] + what + data[at + len(what) :]
+
+
+def any_text(data: bytes, rng: random.Random) -> bytes:
+    text = data.decode("latin-1")
+    lines = text.splitlines(keepends=True)
+    line = rng.randrange(len(lines))
+    numbers = list(re.finditer(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?", text))
+    words = list(re.finditer(r"\S+", text))
+    way = rng.choice(["number", "number", "number", "word", "swap", "lose", "repeat", "odd"])
+    if way == "number":
+        found = rng.choice(numbers)
+        text = text[: found.start()] + rng.choice(NUMBERS) + text[found.end() :]
+    elif way in ("word", "odd"):
+        found = rng.choice(words)
+        new = (
+            rng.choice([t for t in TEXTS if t.isascii()]) if way == "odd" else rng.choice(words)[0]
+        )
+        text = text[: found.start()] + new + text[found.end() :]
+    elif way == "swap":
+        other = rng.randrange(len(lines))
+        lines[line], lines[other] = lines[other], lines[line]
+        text = "".join(lines)
+    else:
+        lines[line] *= 0 if way == "lose" else 2
+        text = "".join(lines)
+    return text.encode("latin-1")
+
+
+def any_json(data: bytes, rng: random.Random) -> bytes:
+    content = json.loads(data)
+    places: list[tuple[Any, Any]] = []
+
+    def walk(node: Any) -> None:
+        for key in list(node) if isinstance(node, dict) else range(len(node)):
+            places.append((node, key))
+            if isinstance(node[key], dict | list):
+                walk(node[key])
+
+    walk(content)
+    if not places:
+        return data
+    node, key = rng.choice(places)
+    way = rng.choice(
+        ["value", "value", "value", "number", "lose", "rename", "repeat", "wrap", "deep"]
+    )
+    deep = None
+    if way == "value":
+        node[key] = rng.choice(VALUES)
+    elif way == "number":
+        node[key] = "@NUMBER@"
+        deep = ("@NUMBER@", rng.choice(NUMBERS))
+    elif way == "lose":
+        del node[key]
+    elif way == "wrap":
+        node[key] = [node[key]]
+    elif way == "deep":
+        node[key] = "@DEEP@"
+        left, right = rng.choice([("[", "]"), ('{"a":', "}")])
+        depth = rng.choice([20, 70, DEEP])
+        deep = ("@DEEP@", left * depth + "1" + right * depth)
+    elif isinstance(node, dict) and way == "rename":
+        node[rng.choice(["x", *(t for t in TEXTS if t)])] = node.pop(key)
+    elif isinstance(node, dict):
+        value = node[key]
+        node["@KEY@"] = rng.choice([value, *VALUES])
+        deep = ('"@KEY@"', json.dumps(key))
+    else:
+        node.insert(key, node[key])
+    text = json.dumps(content)
+    if deep is not None:
+        text = text.replace(json.dumps(deep[0]) if deep[0][0] == "@" else deep[0], deep[1])
+    return text.encode()
+
+
+def any_member(data: bytes, rng: random.Random) -> bytes:
+    """A member of a zip archive damaged, its checksum right."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = [(name, archive.read(name)) for name in archive.namelist()]
+    at = rng.randrange(len(members))
+    pickles = [i for i, (name, _) in enumerate(members) if name.endswith(".pkl")]
+    if pickles and rng.random() < 0.7:
+        at = pickles[0]
+    name, content = members[at]
+    packed = zipfile.ZIP_STORED
+    way = rng.choice(["content"] * 6 + ["lose", "repeat", "rename", "swap", "pack", "zeros"])
+    if way == "content":
+        ways = [any_bytes, any_npy, any_npy] if name.endswith(".npy") else [any_bytes]
+        members[at] = (name, rng.choice(ways)(content, rng))
+    elif way == "lose":
+        del members[at]
+    elif way == "repeat":
+        members.insert(at, members[at])
+    elif way == "rename":
+        members[at] = (rng.choice(["../../x", "/x.npy", "x.npy", name + "x"]), content)
+    elif way == "swap":
+        members[at] = (name, rng.choice(members)[1])
+    elif way == "zeros":
+        members[at] = (name, content[: rng.choice([0, 80, 128])] + bytes(2**20))
+    if way in ("pack", "zeros"):
+        packed = zipfile.ZIP_DEFLATED
+    out = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(out, "w", packed) as archive:
+        warnings.simplefilter("ignore")  # of two members with one name
+        for name, content in members:
+            archive.writestr(zipfile.ZipInfo(name), content, packed)
+    return out.getvalue()
+
+
+def any_npy(data: bytes, rng: random.Random) -> bytes:
+    (length,) = struct.unpack("<H", data[8:10])
+    header, body = data[10 : 10 + length].decode("latin-1"), data[10 + length :]
+    way = rng.choice(["shape", "shape", "type", "text"])
+    if way == "shape":
+        sizes = ["0", "1", "3", "-1", "1000000", "3000000000", "9223372036854775807", "1.5", "'a'"]
+        shape = ", ".join(rng.choice(sizes) for _ in range(rng.randrange(5)))
+        header = re.sub(r"\(.*?\)", f"({shape},)" if shape else "()", header, count=1)
+    elif way == "type":
+        types = [
+            "|O",
+            "<f8",
+            ">f4",
+            "<i8",
+            "|b1",
+            "<U9",
+            "|V9",
+            "<c16",
+            "<M8[s]",
+            "<f4,(9,9)<f8",
+            "x",
+        ]
+        header = re.sub(r"'descr': '[^']*'", f"'descr': '{rng.choice(types)}'", header)
+    else:
+        header = any_text(header.encode("latin-1"), rng).decode("latin-1")
+    text = header.encode("latin-1")
+    return data[:8] + struct.pack("<H", len(text)) + text + body
+
+
+def any_head(data: bytes, rng: random.Random) -> bytes:
+    """The text of a .ply's header damaged."""
+    end = data.index(b"end_header")
+    return any_text(data[:end], rng) + data[end:]
+
+
+def any_png(data: bytes, rng: random.Random) -> bytes:
+    """A part of a PNG damaged, its checksum right."""
+    parts, at = [], 8
+    while at < len(data):
+        (length,) = struct.unpack(">I", data[at : at + 4])
+        parts.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + length]))
+        at += 12 + length
+    way = rng.choice(["size", "size", "kind", "pixels", "lose", "repeat", "bytes"])
+    at = rng.randrange(len(parts))
+    kind, content = parts[at]
+    if way == "size":
+        size = struct.pack(">I", rng.choice(SIZES))
+        parts[0] = (b"IHDR", _put(parts[0][1], rng.choice([0, 4]), size))
+    elif way == "kind":
+        parts[0] = (b"IHDR", _put(parts[0][1], rng.randrange(8, 13), rng.randbytes(1)))
+    elif way == "pixels":
+        at = next(i for i, part in enumerate(parts) if part[0] == b"IDAT")
+        parts[at] = (b"IDAT", zlib.compress(any_bytes(zlib.decompress(parts[at][1]), rng)))
+    elif way == "bytes":
+        parts[at] = (kind, any_bytes(content, rng))
+    else:
+        parts[at : at + 1] = [] if way == "lose" else [parts[at]] * 2
+    return data[:8] + b"".join(
+        struct.pack(">I", len(content))
+        + kind
+        + content
+        + struct.pack(">I", zlib.crc32(kind + content))
+        for kind, content in parts
+    )
+
+
+def any_tensors(data: bytes, rng: random.Random) -> bytes:
+    """The header of a safetensors file damaged, its length right."""
+    (length,) = struct.unpack("<Q", data[:8])
+    header = rng.choice([any_json, any_text])(data[8 : 8 + length], rng)
+    return struct.pack("<Q", len(header)) + header + data[8 + length :]
+
+
+WAYS: dict[str, list[Callable[[bytes, random.Random], bytes]]] = {
+    ".json": [any_json, any_json, any_text],
+    ".txt": [any_text, any_text],
+    ".npz": [any_member, any_member],
+    ".torch": [any_member, any_member],
+    ".ckpt": [any_member, any_member],
+    ".npy": [any_npy],
+    ".png": [any_png],
+    ".ply": [any_head],
+    ".safetensors": [any_tensors],
+}
+
+
+# --- formats ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Format:
+    """``make`` writes a valid set into a folder, ``read`` reads it; ``files`` of it are damaged."""
+
+    make: Callable[[Path], None]
+    read: Callable[[Path], None]
+    files: tuple[str, ...]
+
+
+def picture(seed: int, *shape: int, top: int = 256) -> np.ndarray:
+    kind = np.uint8 if top == 256 else np.uint16
+    return np.random.default_rng(seed).integers(0, top, (H, W, *shape), dtype=kind)
+
+
+def all_views(scene: Scene) -> None:
+    """Read all of them, whatever is wrong with some; then say what was wrong first."""
+    first = None
+    for name in scene.cameras:
+        try:
+            scene.read(name)
+        except InputError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def each(read: Callable[[Path], Any], files: Iterator[Path]) -> None:
+    for file in sorted(files):
+        read(file)
+
+
+def make_photographs(folder: Path) -> None:
+    pictures = {
+        "a.png": Image.fromarray(picture(0, 3)),
+        "b.jpg": Image.fromarray(picture(1, 3)),
+        "c.png": Image.fromarray(picture(2, 4), "RGBA"),
+        "d.png": Image.fromarray(picture(3, top=65536)),
+        "e.png": Image.fromarray(picture(4, 3)).quantize(16),
+        "f.webp": Image.fromarray(picture(5, 3)),
+        "g.tif": Image.fromarray(picture(6, 3)),
+        "h.bmp": Image.fromarray(picture(7, 3)),
+        "i.ppm": Image.fromarray(picture(8, 3)),
+        "j.png": Image.fromarray(picture(9)),
+    }
+    frames = []
+    for number, (name, image) in enumerate(pictures.items()):
+        image.save(folder / name)
+        pose = np.eye(4)
+        pose[0, 3] = number
+        frames.append({"file_path": name, "transform_matrix": pose.tolist()})
+    Image.fromarray(picture(10, top=65536)).save(folder / "a_depth.png")
+    np.save(folder / "b_depth.npy", picture(11).astype(np.float32))
+    frames[0] |= {"depth_file_path": "a_depth.png", "k1": 0.05, "p1": 0.001}
+    frames[1] |= {"depth_file_path": "b_depth.npy", "depth_unit_scale_factor": 0.01}
+    frames[2] |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.01}
+    meta = {"w": W, "h": H, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.0, "cy": 8.0, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(meta))
+
+
+def read_nerfstudio(folder: Path) -> None:
+    nerfstudio.files(folder, ["a"])
+    all_views(nerfstudio.read(folder))
+
+
+def make_ids(folder: Path) -> None:
+    Image.fromarray(picture(0) // 8).save(folder / "grey.png")
+    Image.fromarray(picture(0, 3) // 64).save(folder / "colours.png")
+    Image.fromarray(picture(0, 3)).quantize(8).save(folder / "palette.png")
+    Image.fromarray(picture(0, top=65536)).save(folder / "deep.png")
+    Image.fromarray(picture(0) > 128).save(folder / "bits.png")
+    np.save(folder / "numbers.npy", picture(0).astype(np.int32))
+
+
+def make_masks(folder: Path) -> None:
+    (folder / "00").mkdir()
+    for name in ("cup", "table top"):
+        Image.fromarray((picture(len(name)) > 128).astype(np.uint8) * 255).save(
+            folder / "00" / f"{name}.png"
+        )
+    (folder / "classes.txt").write_text("cup\ntable top\n")
+
+
+def make_llff(folder: Path) -> None:
+    rows = []
+    for number in range(2):
+        Image.fromarray(picture(number, 3)).save(_new(folder / "images") / f"{number}.png")
+        pose = np.column_stack([[0, 1, 0], [1, 0, 0], [0, 0, -1], [number, 0, 0], [H, W, 20.0]])
+        rows.append([*pose.ravel(), 1.0, 9.0])
+    np.save(folder / "poses_bounds.npy", np.array(rows, np.float64))
+
+
+def _new(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
+    cameras = [(1, 1, "PINHOLE", (20.0, 21.0, 12.0, 8.0))]
+    try:
+        import pycolmap  # noqa: F401  (a bent lens needs it)
+    except ImportError:
+        return cameras
+    return [*cameras, (2, 4, "OPENCV", (20.0, 21.0, 12.0, 8.0, 0.05, 0.0, 0.001, 0.0))]
+
+
+def make_sparse_text(folder: Path) -> None:
+    sparse = _new(folder / "sparse")
+    cameras = sparse_cameras()
+    lines = [f"{n} {name} {W} {H} {' '.join(map(str, own))}" for n, _, name, own in cameras]
+    (sparse / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
+    lines, seen = [], "1.0 2.0 1 3.0 4.0 -1"
+    for number in range(1, 4):
+        Image.fromarray(picture(number, 3)).save(_new(folder / "images") / f"{number}.png")
+        lens = cameras[number % len(cameras)][0]
+        lines.append(f"{number} 1 0 0 0 {number} 0.5 0 {lens} {number}.png\n{seen}")
+    (sparse / "images.txt").write_text("# images\n" + "\n".join(lines) + "\n")
+    lines = [f"{n} {n} 0 {5 + n} 9 9 9 0.1 1 0 2 0 3 0" for n in range(1, 15)]
+    (sparse / "points3D.txt").write_text("\n".join(lines) + "\n")
+
+
+def make_sparse_binary(folder: Path) -> None:
+    make_sparse_text(folder)
+    shutil.rmtree(folder / "sparse")
+    sparse, cameras = _new(folder / "sparse"), sparse_cameras()
+    data = struct.pack("<Q", len(cameras))
+    for number, model, _, own in cameras:
+        data += struct.pack(f"<iiQQ{len(own)}d", number, model, W, H, *own)
+    (sparse / "cameras.bin").write_bytes(data)
+    data = struct.pack("<Q", 3)
+    for number in range(1, 4):
+        lens = cameras[number % len(cameras)][0]
+        data += struct.pack("<i7di", number, 1, 0, 0, 0, number, 0.5, 0, lens)
+        data += f"{number}.png".encode() + b"\0" + struct.pack("<Qddq", 1, 1.0, 2.0, 1)
+    (sparse / "images.bin").write_bytes(data)
+    data = struct.pack("<Q", 14)
+    for number in range(1, 15):
+        data += struct.pack("<Q3d3BdQ", number, number, 0, 5 + number, 9, 9, 9, 0.1, 3)
+        data += struct.pack("<6i", 1, 0, 2, 0, 3, 0)
+    (sparse / "points3D.bin").write_bytes(data)
+
+
+def camera(x: float) -> Camera:
+    c2w = np.eye(4)
+    c2w[0, 3] = x
+    return Camera(np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]), c2w, W, H)
+
+
+def a_clip(key: str) -> re10k.Clip:
+    cameras = {str(i): camera(i) for i in range(3)}
+    pictures = {name: View(name, own, picture(int(name), 3)) for name, own in cameras.items()}
+    return re10k.clip_of(Scene(key, cameras, pictures.__getitem__))
+
+
+def make_chunks(folder: Path) -> None:
+    re10k.write(folder, [a_clip("0a"), a_clip("0b")], chunk_bytes=1)
+    re10k.write_cameras(folder / "cameras.txt", a_clip("0a"))
+
+
+def read_chunks(folder: Path) -> None:
+    first = None
+    for key, name in re10k.read_index(folder).items():
+        for clip in re10k.read_chunk(folder / name):
+            try:
+                all_views(clip.scene())
+                each(glance, clip.images)
+            except InputError as error:
+                first = first or InputError(f"{folder / name}: {error}")
+        all_views(re10k.read(folder, key))
+    if first is not None:
+        raise first
+    re10k.read_cameras(folder / "cameras.txt")
+
+
+def make_labels(folder: Path) -> None:
+    square = [[2.0, 2], [20, 2], [20, 12], [2, 12]]
+    objects = [
+        {"category": "cup", "segmentation": square, "bbox": [2, 2, 20, 12]},
+        {"category": "cup", "segmentation": square, "bbox": [2, 2, 20, 12], "holes": [square]},
+        {"category": "table", "segmentation": square, "bbox": [2, 2, 20, 12]},
+    ]
+    for name in ("a", "b"):
+        record = {"info": {"name": f"{name}.jpg", "width": W, "height": H}, "objects": objects}
+        (folder / f"{name}.json").write_text(json.dumps(record))
+
+
+def read_all_labels(folder: Path) -> None:
+    for frame in labelled_frames(folder):
+        read_labels(folder, frame, 30, 20)
+
+
+def make_indices(folder: Path) -> None:
+    pair = ScenePair("room", ("a", "b"), ("c",), ("cup",), "label/room", {"scene": "x"}, {"o": 0.5})
+    write_index(folder / "pairs.json", Index((pair,), "lerf_ovs", {"name": "around"}, {"d": "why"}))
+    published = {"5a": {"context": [0, 40], "target": [10, 20]}, "5b": None}
+    (folder / "published.json").write_text(json.dumps(published))
+    old = {"room": {"context": ["a", "b"], "target": ["c"], "categories": ["cup"]}}
+    (folder / "old.json").write_text(json.dumps(old))
+
+
+def gaussians(n: int = 40) -> Gaussians:
+    rng = np.random.default_rng(0)
+    quats = rng.normal(size=(n, 4))
+    arrays = {
+        "means": rng.normal(size=(n, 3)),
+        "scales": rng.uniform(0.1, 1, (n, 3)),
+        "quats": quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        "opacities": rng.random(n),
+        "sh": rng.normal(size=(n, 4, 3)),
+        "features": rng.random((n, 4)),
+    }
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return Gaussians.from_arrays({**arrays, "source": np.arange(n, dtype=np.int32)})
+
+
+def make_field(folder: Path) -> None:
+    encoder = load_encoder("lexicon")
+    words = encoder.encode_text(["cup", "table"])
+    features = np.repeat(words[:, None], 2, 1).astype(np.float32)
+    codes = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7]], np.float32)
+    bank = MemoryBank(np.array([3, 7], np.int32), codes, features, np.ones((2, 2), bool))
+    cameras = {"a": camera(0), "b": camera(1)}
+    own = SemanticField(gaussians(), bank, cameras, {"encoder": "lexicon", "codes": "grid"})
+    own.save(folder / "field")
+
+
+def make_arrays(folder: Path) -> None:
+    labels = picture(0).astype(np.int32)[None]
+    arrays = {"labels": labels, "margin": np.ones(labels.shape, np.float32)}
+    for compress in (False, True):
+        (folder / f"labels{compress}.npz").write_bytes(encode_arrays(arrays, compress))
+
+
+def read_arrays(folder: Path) -> None:
+    spec = load_spec("labels")
+    for file in sorted(folder.iterdir()):
+        spec.check_arrays(decode(file.read_bytes(), spec, str(file)), str(file))
+
+
+def make_tables(folder: Path) -> None:
+    rows = [
+        {"scene": f"s{i % 3}", "stage": "views", "kind": "InputError", "reason": f"why {i}" * 3}
+        for i in range(40)
+    ]
+    columns = load_spec("failures").schema
+    rows = [{name: row.get(name, "x") for name in columns.names} for row in rows]
+    table = pa.Table.from_pylist(rows, schema=columns)
+    (folder / "failures.parquet").write_bytes(encode_table(table))
+    objects = load_spec("objects").schema
+    numbers = [dict.fromkeys(objects.names, i) for i in range(40)]
+    table = pa.Table.from_pylist(numbers, schema=objects)
+    (folder / "objects.parquet").write_bytes(encode_table(table))
+
+
+def read_tables(folder: Path) -> None:
+    for file in sorted(folder.iterdir()):
+        spec = load_spec(file.stem)
+        table = decode(file.read_bytes(), spec, str(file))
+        spec.check_table(table, str(file))
+        table.to_pylist()
+
+
+def make_ply(folder: Path) -> None:
+    save_ply(gaussians(), folder / "a.ply", labels=np.arange(40) % 3)
+    content = plyfile.PlyData.read(folder / "a.ply")
+    plyfile.PlyData([content["vertex"]], text=True).write(folder / "b.ply")
+    faces = np.array([([0, 1, 2],), ([3, 4],)], [("vertex_indices", "O")])
+    faces = plyfile.PlyElement.describe(faces, "face", len_types={"vertex_indices": "u4"})
+    plyfile.PlyData([faces, content["vertex"]], byte_order=">").write(folder / "c.ply")
+
+
+def make_checkpoints(folder: Path) -> None:
+    state = {"encoder.a.weight": torch.arange(12.0).reshape(3, 4), "encoder.b": torch.ones(5)}
+    torch.save({"state_dict": state, "epoch": 3}, folder / "new.ckpt")
+    torch.save(state, folder / "old.ckpt", _use_new_zipfile_serialization=False)
+
+
+def read_checkpoints(folder: Path) -> None:
+    for file in sorted(folder.iterdir()):
+        for tensor in read_state(file).values():
+            tensor.to(torch.float32, copy=True)
+
+
+SMALL = Architecture(widths=(4, 6), hidden=8)
+RUN = {"architecture": {"widths": [4, 6], "hidden": 8, "others": True}, "steps": 3}
+
+
+def trained() -> tuple[Branch, torch.optim.Optimizer]:
+    branch = Branch(SMALL, 0)
+    optimiser = torch.optim.AdamW(branch.parameters(), foreach=False)
+    for parameter in branch.parameters():
+        parameter.grad = torch.ones_like(parameter)
+    optimiser.step()
+    return branch, optimiser
+
+
+def make_weights(folder: Path) -> None:
+    branch, optimiser = trained()
+    (folder / "branch.safetensors").write_bytes(save_branch(branch))
+    schema = load_spec("metrics").schema
+    values = {"string": "x", "bool": True}
+    row = {field.name: values.get(str(field.type), 1) for field in schema}
+    save_checkpoint(folder, branch, optimiser, RUN, [row])
+
+
+def read_weights(folder: Path) -> None:
+    load_branch(folder / "branch.safetensors")
+    load_checkpoint(folder, *trained(), RUN)
+
+
+def make_versions(folder: Path) -> None:
+    Versions(folder).add(b"weights", {"scores": {"iou": 0.5}}, True, "first")
+
+
+def read_versions(folder: Path) -> None:
+    versions = Versions(folder)
+    versions.all()
+    current = versions.current()
+    if current is not None:
+        versions.weights(current)
+
+
+FORMATS = {
+    "transforms.json": Format(make_photographs, read_nerfstudio, ("*.json",)),
+    "photographs, depth": Format(make_photographs, read_nerfstudio, ("[a-j]*.*",)),
+    "id maps": Format(make_ids, lambda f: each(read_ids, f.iterdir()), ("*",)),
+    "class masks": Format(
+        make_masks, lambda f: class_masks.read(f, "00", W, H), ("*.txt", "*/*.png")
+    ),
+    "LLFF": Format(make_llff, lambda f: all_views(llff.read(f)), ("*.npy",)),
+    "COLMAP binary": Format(make_sparse_binary, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
+    "COLMAP text": Format(make_sparse_text, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
+    "chunks": Format(make_chunks, read_chunks, ("*.torch", "*.torch", "*.json", "*.txt")),
+    "label JSON": Format(make_labels, read_all_labels, ("*.json",)),
+    "pair index": Format(make_indices, lambda f: each(read_index, f.iterdir()), ("*.json",)),
+    "field": Format(
+        make_field, lambda f: SemanticField.load(f / "field"), ("field/*.json", "field/*.npz")
+    ),
+    "npz": Format(make_arrays, read_arrays, ("*.npz",)),
+    "Parquet": Format(make_tables, read_tables, ("*.parquet",)),
+    "ply": Format(make_ply, lambda f: each(load_ply, f.iterdir()), ("*.ply",)),
+    "checkpoints": Format(make_checkpoints, read_checkpoints, ("*.ckpt",)),
+    "weights": Format(make_weights, read_weights, ("*.safetensors", "*.parquet")),
+    "versions": Format(make_versions, read_versions, ("*.json", "versions/*")),
+}
+
+
+# --- one file after the other -------------------------------------------------------------------
+
+
+@dataclass
+class Found:
+    """What became of one damaged file: ``kind``, one of KINDS, and what was said of it."""
+
+    number: int
+    kind: str
+    said: str = ""
+    seconds: float = 0.0
+    bytes: int = 0
+
+
+KINDS = {
+    "accepted": "Accepted",
+    "refused": "Refused",
+    "other": "Other errors",
+    "crashed": "Crashes",
+    "hung": "Hangs",
+}
+
+
+def trial(name: str, number: int, seed: int, folder: Path) -> None:
+    """Damage one file of the set in ``folder``, read the set, and put the file right again."""
+    own = FORMATS[name]
+    rng = random.Random(f"{seed} {name} {number}")
+    files = sorted(folder.glob(rng.choice(own.files)))
+    file = rng.choice([path for path in files if path.is_file()])
+    whole = file.read_bytes()
+    file.write_bytes(damaged(whole, file.name, rng))
+    try:
+        own.read(folder)
+    finally:
+        file.write_bytes(whole)
+
+
+def measured(name: str, number: int, seed: int, folder: Path) -> Found:
+    _reset_peak()
+    before, begun = _memory("VmRSS"), time.process_time()
+    kind, said = verdict(name, number, seed, folder)
+    seconds = time.process_time() - begun
+    return Found(number, kind, said, seconds, max(0, _memory("VmHWM") - before))
+
+
+def verdict(name: str, number: int, seed: int, folder: Path) -> tuple[str, str]:
+    """What became of a file that leaves the process alive: its kind, and what was said."""
+    try:
+        trial(name, number, seed, folder)
+    except SLGaussianError as error:
+        wrong = _wrong(str(error), folder)
+        return ("other", f"{wrong}: {str(error)!r:.300}") if wrong else ("refused", str(error))
+    except BaseException as error:
+        place = traceback.extract_tb(error.__traceback__)
+        ours = [f"{Path(f.filename).name}:{f.lineno}" for f in place if "slgaussian" in f.filename]
+        return "other", f"{type(error).__name__} in {' '.join(ours[-3:])}: {str(error)[:200]}"
+    return "accepted", ""
+
+
+def _wrong(said: str, folder: Path) -> str | None:
+    """What is wrong with a sentence for the user, None if nothing is."""
+    try:
+        said.encode()
+    except UnicodeEncodeError:
+        return "cannot be printed"
+    if "\n" in said:
+        return "is more than a line"
+    if len(said) > 1000:
+        return "is too long"
+    elsewhere = said.startswith(("/: ", "/etc/passwd: "))  # of TEXTS
+    return None if elsewhere or str(folder) in said else "names no file"
+
+
+def _memory(field: str) -> int:
+    text = Path("/proc/self/status").read_text()
+    return int(re.search(rf"{field}:\s+(\d+) kB", text)[1]) * 1024
+
+
+def _reset_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int) -> None:
+    """Read the files from ``first`` on and write a line on each; the process ends here."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 1)
+    os.dup2(nothing, 2)  # decoders have much to say about damaged files
+    warnings.simplefilter("ignore")
+    most = _memory("VmSize") + ROOM
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with os.fdopen(out, "w") as lines:
+        FORMATS[name].read(folder)  # what is loaded once is no file's
+        for number in range(first, count):
+            found = measured(name, number, seed, folder)
+            lines.write(json.dumps(asdict(found)) + "\n")
+            lines.flush()
+    os._exit(0)
+
+
+def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Found]:
+    """Damage ``count`` files of a format and read them, in as few child processes as last."""
+    _in_child(lambda: FORMATS[name].make(_new(folder)))
+    _in_child(lambda: FORMATS[name].read(folder))
+    number = 0
+    while number < count:
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(reading)
+            _child(name, number, count, seed, folder, writing)
+        os.close(writing)
+        hung = False
+        with os.fdopen(reading, "rb", buffering=0) as pipe:
+            rest = b""
+            while True:
+                if not select.select([pipe], [], [], PATIENCE)[0]:
+                    hung = True
+                    break
+                part = pipe.read(65536)
+                if not part:
+                    break
+                *lines, rest = (rest + part).split(b"\n")
+                for line in lines:
+                    yield Found(**json.loads(line))
+                    number += 1
+        if hung:
+            os.kill(child, signal.SIGKILL)
+        status = os.waitpid(child, 0)[1]
+        if number < count:
+            shutil.rmtree(folder)
+            _in_child(lambda: FORMATS[name].make(_new(folder)))
+            yield Found(number, "hung" if hung else "crashed", f"status {status}")
+            number += 1
+
+
+def _in_child(work: Callable[[], None]) -> None:
+    """Do it in a child, so that no thread starts here, which a fork would not survive."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        raise RuntimeError("the set that is not damaged could not be made or read")
+
+
+def ready() -> None:
+    """One thread a library, before any of them starts."""
+    cv2.setNumThreads(0)
+    torch.set_num_threads(1)
+    pa.set_cpu_count(1)
+
+
+def main() -> None:
+    from benches.common.machine import machine
+    from benches.common.markdown_tables import Table, count
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=FORMATS)
+    parser.add_argument("--again")
+    parser.add_argument("--said", action="store_true", help="print what was said, and how often")
+    given = parser.parse_args()
+    ready()
+    with tempfile.TemporaryDirectory() as place:
+        if given.again:
+            name, _, number = given.again.rpartition(" ")
+            FORMATS[name].make(_new(Path(place) / "set"))
+            trial(name, int(number), given.seed, Path(place) / "set")
+            return
+        rows, bad = [], []
+        for name in [given.only] if given.only else FORMATS:
+            folder = Path(place) / "set"
+            found = list(fuzz(name, given.count, given.seed, folder))
+            shutil.rmtree(folder)
+            kinds = Counter(one.kind for one in found)
+            rows.append(
+                {"format": name, "files": len(found), **{kind: kinds[kind] for kind in KINDS}}
+                | {
+                    "seconds": max(one.seconds for one in found),
+                    "memory": max(one.bytes for one in found) / 2**20,
+                }
+            )
+            bad += [(name, one) for one in found if one.kind not in ("accepted", "refused")]
+            if given.said:
+                said = Counter(re.sub(r"\S*/set\S*|\d+", "…", one.said)[:150] for one in found)
+                for text, often in said.most_common():
+                    print(f"{often:6d} {name}: {text}")
+    table = Table(
+        "Damaged files",
+        f"On {machine()}; `python -m benches.pipeline.fuzz_readers --count {given.count} "
+        f"--seed {given.seed}`. CPU "
+        "seconds of the slowest file; memory is what one took at most, besides what was there.",
+        {
+            "format": ("Format", str),
+            "files": ("Files", count),
+            **{kind: (heading, count) for kind, heading in KINDS.items()},
+            "seconds": ("Slowest, s", lambda value: f"{value:.2f}"),
+            "memory": ("Memory, MiB", lambda value: f"{value:.0f}"),
+        },
+    )
+    print(table.markdown(rows))
+    for name, one in bad:
+        print(f"{name} {one.number}: {one.kind}: {one.said}")
+    raise SystemExit(bool(bad))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Speed, memory and error of MVSplat's settings: a table, and a page of it.
+
+    python -m benches.predict.mvsplat_cost [CHECKPOINT] [-o docs/measured]
+
+Without CHECKPOINT weights are random; -o also writes mvsplat.md.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benches.common.machine import machine
+from benches.common.markdown_tables import Table, count, error, hundredths
+from benches.common.photograph_pairs import SIZE
+from benches.predict.random_mvsplat_weights import recipe_weights
+from slgaussian import datasets
+from slgaussian.cameras.trajectories import between
+from slgaussian.kernels import threads
+from slgaussian.predict import load_predictor
+from slgaussian.predict.mvsplat.cost_volume import needed_candidates
+from slgaussian.rasterize import rasterize
+from slgaussian.storage.store import write_atomic
+
+ROUNDS = 3
+PRECISIONS = ("float32", "bfloat16")
+CANDIDATES = (128, 64, 32, "auto")
+TIMES = ("load", "seconds", "cpu")
+
+TABLE = Table(
+    "Settings",
+    f"Each in processes of its own, once in each of {ROUNDS} rounds. Times are the best of these: "
+    "on the clock, which says little where others share the machine; of all cores together (*CPU*, "
+    "where threads sleep when they wait); and the CPU time over that of the first row. *Load* is "
+    "reading the checkpoint, libraries included; *peak* "
+    "is the most memory that the process ever held, libraries and inputs included. Errors are "
+    "against the first row: of *distances* from the camera as a share of them, and of *pixels* in "
+    "[0, 1] drawn from halfway between the views.",
+    {
+        "precision": ("precision", str),
+        "candidates": ("candidates", str),
+        "load": ("load, s", hundredths),
+        "seconds": ("s", hundredths),
+        "cpu": ("CPU, s", hundredths),
+        "share": ("of first", hundredths),
+        "peak": ("peak, MB", count),
+        "distance_mean": ("distance: mean", error),
+        "distance_greatest": ("greatest", error),
+        "pixel_mean": ("pixel: mean", error),
+        "pixel_greatest": ("greatest", error),
+    },
+)
+
+
+def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
+    """Print times and peak memory of one prediction as JSON; leave what it says in ``out``."""
+    scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
+    names = list(scene.cameras)
+    sample = scene.sample([names[0], names[-1]], near=1.0, far=100.0)
+    start = time.perf_counter()
+    predict = load_predictor(
+        "mvsplat",
+        checkpoint=checkpoint,
+        precision=precision,
+        depth_candidates=candidates if candidates == "auto" else int(candidates),
+    )
+    row = {"load": time.perf_counter() - start, "precision": precision, "candidates": candidates}
+    cameras = [view.camera for view in sample.context]
+    if candidates == "auto":
+        row["candidates"] += f": {needed_candidates(cameras, 1.0, 100.0, CANDIDATES[0])}"
+    predict(sample.resized(64, 96))
+    start = time.perf_counter(), time.process_time()
+    gaussians = predict(sample)
+    row |= {"seconds": time.perf_counter() - start[0], "cpu": time.process_time() - start[1]}
+    row["peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    means = gaussians.means.numpy().reshape(2, -1, 3)
+    centres = np.stack([camera.center for camera in cameras])
+    distance = np.linalg.norm(means - centres[:, None], axis=-1)
+    pixel = rasterize(gaussians, None, between(*cameras, 0.5)).values.clamp(0, 1).numpy()
+    np.savez(out, distance=distance, pixel=pixel)
+    print(json.dumps(row))
+
+
+def rows(checkpoint: str, folder: Path) -> list[dict]:
+    best: dict[tuple[str, str], dict] = {}
+    for _ in range(ROUNDS):
+        for setting in product(PRECISIONS, map(str, CANDIDATES)):
+            out = folder / f"{'_'.join(setting)}.npz"
+            words = [sys.executable, "-m", __spec__.name, "--one", checkpoint, *setting, str(out)]
+            # OpenMP's waiting threads are busy by default, and CPU time would be no work.
+            env = os.environ | {"OMP_WAIT_POLICY": "PASSIVE"}
+            done = subprocess.run(words, env=env, stdout=subprocess.PIPE, check=True)
+            row = json.loads(done.stdout)
+            before = best.setdefault(setting, row)
+            best[setting] = row | {key: min(row[key], before[key]) for key in TIMES}
+            print(f"{', '.join(setting)}: {row['seconds']:.1f} s", file=sys.stderr)
+            best[setting] |= errors(out, folder / "float32_128.npz")
+    first = best["float32", "128"]
+    return [row | {"share": row["cpu"] / first["cpu"]} for row in best.values()]
+
+
+def errors(found: Path, exact: Path) -> dict[str, float]:
+    found, exact = dict(np.load(found)), dict(np.load(exact))
+    off = {
+        "distance": np.abs(found["distance"] / exact["distance"] - 1),
+        "pixel": np.abs(found["pixel"] - exact["pixel"]),
+    }
+    return {f"{name}_mean": values.mean() for name, values in off.items()} | {
+        f"{name}_greatest": values.max() for name, values in off.items()
+    }
+
+
+def page(table: str, weights: str, given: bool) -> str:
+    command = " ".join(
+        ["python -m benches.predict.mvsplat_cost", *["CHECKPOINT"] * given, "-o docs/measured"]
+    )
+    return f"""# MVSplat, measured
+
+Made by `{command}` on {machine()}.
+
+Two views of {SIZE[0]} x {SIZE[1]} pixels of a made-up room, with {weights}. `candidates` is how
+many disparities the views are compared at; the network was trained with 128, and fewer are
+interpolated to as many; `auto` takes one for each pixel of motion over the feature map, so it
+depends on the pair. In bfloat16, disparities, probabilities and geometry are still float32.
+
+{table}"""
+
+
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
+    parser.add_argument(
+        "-o", dest="out", type=Path, metavar="FOLDER", help="write mvsplat.md there"
+    )
+    options = parser.parse_args(arguments)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    weights = f"the weights of {Path(options.checkpoint or '').name}"
+    with tempfile.TemporaryDirectory() as folder:
+        checkpoint = options.checkpoint
+        if checkpoint is None:
+            weights = (
+                "random weights (`benches/predict/random_mvsplat_weights.py`):\ntimes and memory "
+                "are those of the "
+                "published ones, errors say little of theirs"
+            )
+            checkpoint = str(Path(folder) / "recipe.ckpt")
+            torch.save(recipe_weights(), checkpoint)
+        table = TABLE.markdown(rows(checkpoint, Path(folder)))
+    made = page(table, weights, options.checkpoint is not None)
+    print(made)
+    if options.out is not None:
+        write_atomic(options.out / "mvsplat.md", made.encode())
+
+
+if __name__ == "__main__":
+    threads.share()
+    if sys.argv[1:2] == ["--one"]:
+        measure(*sys.argv[2:])
+    else:
+        main(sys.argv[1:])

@@ -1,0 +1,592 @@
+"""Scenes on which rasterisers break, by name, and the error of the cpu backend on each.
+
+Every case is small enough for the float64 reference to draw it in a fraction of a second. The tests
+draw all of them, and a bench can sweep settings over them with :func:`measure`; ``python -m
+benches.rasterize.hard_cases`` prints the table.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import torch
+
+from slgaussian.gaussians import Gaussians
+from slgaussian.rasterize import Render, Settings, rasterize
+from slgaussian.rasterize.settings import find_settings
+from slgaussian.scene import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One scene and the camera that sees it; ``about`` says in a line what is hard."""
+
+    name: str
+    about: str
+    gaussians: Gaussians
+    values: torch.Tensor
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Largest differences from the reference: absolute, but for ``depth``.
+
+    ``depth`` is relative, where alpha is above one half: with little light, the mean depth is
+    decided by whatever a cut-off drops.
+    """
+
+    values: float
+    alpha: float
+    depth: float
+
+
+NEAR = Settings().near
+_MAKERS: dict[str, Callable[[], tuple]] = {}
+
+
+def _case(make: Callable[[], tuple]) -> Callable[[], tuple]:
+    _MAKERS[make.__name__] = make
+    return make
+
+
+def names() -> list[str]:
+    return list(_MAKERS)
+
+
+@cache
+def case(name: str) -> Case:
+    gaussians, values, camera = _MAKERS[name]()
+    return Case(name, _MAKERS[name].__doc__, gaussians, values, camera)
+
+
+@cache
+def _truth(name: str, picture: Settings) -> Render:
+    made = case(name)
+    return rasterize(
+        made.gaussians, made.values, made.camera, backend="reference", settings=picture
+    )
+
+
+def measure(name: str, settings: Settings | str) -> Errors:
+    """Errors of the cpu backend with ``settings`` on the case of that name."""
+    settings, made = find_settings(settings), case(name)
+    picture = replace(settings, alpha_min=0.0, sigmas=math.inf, pass_min=0.0)
+    true = _truth(name, picture)
+    fast = rasterize(made.gaussians, made.values, made.camera, backend="cpu", settings=settings)
+    solid = true.alpha > 0.5
+    depth = (fast.depth.double() - true.depth)[solid] / true.depth[solid]
+    return Errors(_worst(fast.values - true.values), _worst(fast.alpha - true.alpha), _worst(depth))
+
+
+def _worst(difference: torch.Tensor) -> float:
+    """Largest magnitude, 0 of nothing; NaN stays NaN, so that it passes no bound."""
+    return float(difference.abs().max()) if difference.numel() else 0.0
+
+
+# What the cases are made of.
+
+
+def camera(
+    width=32, height=24, focal=30.0, cx=None, cy=None, skew=0.0, c2w=None, aspect=1.0
+) -> Camera:
+    cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
+    K = np.array([[focal, skew, cx], [0, focal * aspect, cy], [0, 0, 1]])
+    return Camera(K, np.eye(4) if c2w is None else c2w, width, height)
+
+
+def rotated(seed: int, centre=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """A camera-to-world pose with a random rotation."""
+    R, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    c2w = np.eye(4)
+    c2w[:3, :3] = R * np.sign(np.linalg.det(R))
+    c2w[:3, 3] = centre
+    return c2w
+
+
+def seen_at(seen: Camera, u, v, z) -> torch.Tensor:
+    """World points float32 [N, 3] that ``seen`` has at pixels (u, v) and depths z."""
+    u, v, z = (a.reshape(-1) for a in np.broadcast_arrays(u, v, np.asarray(z, np.float64)))
+    local = np.stack([u, v, np.ones_like(z)], -1) @ np.linalg.inv(seen.K).T * z[:, None]
+    world = local @ seen.c2w[:3, :3].T + seen.center
+    return torch.from_numpy(world.astype(np.float32))
+
+
+def splats(means, scales=0.1, opacities=0.8, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:
+    """Gaussians from what is given, each spread over all of them."""
+    means = torch.as_tensor(means, dtype=torch.float32).reshape(-1, 3)
+    n = len(means)
+    scales = torch.as_tensor(scales, dtype=torch.float32)
+    return Gaussians(
+        means=means,
+        scales=(scales[:, None] if scales.ndim == 1 and len(scales) == n else scales)
+        .expand(n, 3)
+        .contiguous(),
+        quats=torch.as_tensor(quats, dtype=torch.float32).expand(n, 4).contiguous(),
+        opacities=torch.as_tensor(opacities, dtype=torch.float32).expand(n).contiguous(),
+        sh=torch.zeros(n, 1, 3),
+        source=torch.arange(n, dtype=torch.int32),
+    )
+
+
+class _Random:
+    """Short names for what most cases draw at random."""
+
+    def __init__(self, seed: int) -> None:
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def uniform(self, *shape, low=0.0, high=1.0) -> torch.Tensor:
+        return torch.rand(*shape, generator=self.generator) * (high - low) + low
+
+    def magnitudes(self, *shape, low, high) -> torch.Tensor:
+        return torch.exp(self.uniform(*shape, low=math.log(low), high=math.log(high)))
+
+    def quats(self, n) -> torch.Tensor:
+        return torch.randn(n, 4, generator=self.generator)
+
+    def inside(self, seen: Camera, n, low=2.0, high=6.0, margin=0.1) -> torch.Tensor:
+        """Points that ``seen`` has in its image and a little around it."""
+        u = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.width
+        v = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.height
+        return seen_at(seen, u, v, self.magnitudes(n, low=low, high=high).numpy())
+
+
+def cloud(n: int, seed: int = 0, size: float = 0.3, seen: Camera | None = None, channels: int = 5):
+    """Gaussians of every shape and opacity before the camera, and values in [0, 1]."""
+    r = _Random(seed)
+    means = r.inside(camera() if seen is None else seen, n)
+    scales = r.uniform(n, 3, low=0.01, high=0.01 + size)
+    return splats(means, scales, r.uniform(n), r.quats(n)), r.uniform(n, channels)
+
+
+# The cases.
+
+
+@_case
+def ordinary_cloud():
+    """A hundred Gaussians of every shape; the control."""
+    seen = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
+    return *cloud(100, 1, 0.2, seen), seen
+
+
+@_case
+def a_gaussian_per_pixel():
+    """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
+    seen, r = camera(32, 24, 30), _Random(2)
+    u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
+    means = [seen_at(seen, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
+    n = 2 * 32 * 24
+    scales = torch.stack([r.uniform(n, low=0.04, high=0.1)] * 2 + [torch.full((n,), 0.005)], -1)
+    made = splats(
+        torch.cat(means), scales, r.uniform(n, low=0.5), r.quats(n) * 0.1 + splats([[0] * 3]).quats
+    )
+    return made, r.uniform(n, 6), seen
+
+
+@_case
+def dense_overlap():
+    """400 large Gaussians on a small image."""
+    seen, r = camera(64, 48, 60), _Random(3)
+    made = splats(
+        r.inside(seen, 400), r.uniform(400, 3, low=0.05, high=0.6), r.uniform(400), r.quats(400)
+    )
+    return made, r.uniform(400, 3), seen
+
+
+@_case
+def at_the_near_plane():
+    """Centres exactly on the near plane, which are not drawn, and the next float behind it."""
+    on = np.float32(NEAR)
+    z = [on, np.nextafter(on, np.float32(0)), np.nextafter(on, np.float32(1)), 0.0100001, 2.0]
+    made = splats([[0, 0, d] for d in z], 1e-3, 0.7)
+    return made, torch.eye(5), camera()
+
+
+@_case
+def behind_the_near_plane():
+    """Centres behind the camera, in its centre and before the near plane; one is drawn."""
+    z = [-3.0, -1e-3, 0.0, 1e-30, 0.005, 0.0099, 3.0]
+    return splats([[0.1, 0, d] for d in z], 0.2, 0.9), torch.eye(7), camera()
+
+
+@_case
+def reaching_through_the_near_plane():
+    """Large Gaussians whose centres lie just behind the near plane."""
+    r = _Random(4)
+    means = torch.cat(
+        [r.uniform(20, 2, low=-0.05, high=0.05), r.uniform(20, 1, low=0.0101, high=0.2)], 1
+    )
+    made = splats(means, r.magnitudes(20, 3, low=0.01, high=2.0), r.uniform(20), r.quats(20))
+    return made, r.uniform(20, 3), camera()
+
+
+@_case
+def far_off_axis():
+    """Gaussians beside the camera, up to a thousand times as far off the axis as before it."""
+    r = _Random(5)
+    angle = r.uniform(60, high=2 * math.pi)
+    off = r.magnitudes(60, low=0.5, high=1000)
+    z = r.magnitudes(60, low=0.05, high=3)
+    means = torch.stack([off * z * angle.cos(), off * z * angle.sin(), z], -1)
+    made = splats(
+        means, (off * z)[:, None] * r.uniform(60, 3, low=0.05), r.uniform(60), r.quats(60)
+    )
+    return made, r.uniform(60, 3), camera()
+
+
+@_case
+def needles():
+    """A million times as long as wide, in all directions."""
+    seen, r = camera(48, 32, 40, c2w=rotated(6)), _Random(6)
+    made = splats(r.inside(seen, 40), [1.0, 1e-6, 1e-6], r.uniform(40), r.quats(40))
+    return made, r.uniform(40, 3), seen
+
+
+@_case
+def needles_longer_than_the_scene():
+    """A million times as long as wide, and a hundred images long."""
+    seen, r = camera(48, 32, 40), _Random(7)
+    made = splats(r.inside(seen, 20), [1e-4, 100.0, 1e-4], r.uniform(20), r.quats(20))
+    return made, r.uniform(20, 3), seen
+
+
+@_case
+def pancakes():
+    """A million times as wide as thick, in all directions."""
+    seen, r = camera(48, 32, 40, c2w=rotated(8)), _Random(8)
+    made = splats(r.inside(seen, 40), [1.0, 1.0, 1e-6], r.uniform(40), r.quats(40))
+    return made, r.uniform(40, 3), seen
+
+
+@_case
+def pancakes_on_edge():
+    """Large discs seen exactly from the side, at angles that no axis of the image has."""
+    seen, r = camera(48, 32, 40), _Random(9)
+    half = r.uniform(24, high=math.pi)
+    quats = torch.stack([half.cos(), 0 * half, 0 * half, half.sin()], -1)
+    means = seen_at(seen, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
+    return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), seen
+
+
+@_case
+def scales_of_nine_decades():
+    """Axes from a millionth to a thousand times the scene, mixed in one Gaussian."""
+    seen, r = camera(48, 32, 40, c2w=rotated(10)), _Random(10)
+    made = splats(
+        r.inside(seen, 80), r.magnitudes(80, 3, low=1e-6, high=1e3), r.uniform(80), r.quats(80)
+    )
+    return made, r.uniform(80, 3), seen
+
+
+@_case
+def scales_of_zero():
+    """Points, line segments and sheets without any thickness."""
+    seen, r = camera(), _Random(11)
+    scales = r.uniform(40, 3, high=0.3) * (r.uniform(40, 3) < 0.5)
+    return splats(r.inside(seen, 40), scales, r.uniform(40), r.quats(40)), r.uniform(40, 3), seen
+
+
+@_case
+def subpixel():
+    """A ten-thousandth of a pixel wide, at pixel centres, edges, corners and between."""
+    seen, r = camera(), _Random(12)
+    u = np.concatenate([[4.5, 5.0, 8.0, 8.0, 16.0, 31.999], 32 * r.uniform(60).double().numpy()])
+    v = np.concatenate([[4.5, 4.5, 8.0, 16.0, 16.0, 23.999], 24 * r.uniform(60).double().numpy()])
+    return splats(seen_at(seen, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)), r.uniform(66, 3), seen
+
+
+@_case
+def one_covers_the_image():
+    """A single opaque Gaussian of 6000 pixels before everything."""
+    r = _Random(13)
+    means, scales = [[0.3, -0.2, 5.0], [0, 0, 6.0]], [[1e3] * 3, [1.0] * 3]
+    return splats(means, scales, [1.0, 0.9]), r.uniform(2, 3), camera()
+
+
+@_case
+def mixed_huge_and_tiny():
+    """Specks before, in and behind Gaussians of a hundred images; some of the huge are faint."""
+    seen, r = camera(48, 32, 40), _Random(14)
+    scales = torch.where(
+        r.uniform(80, 1) < 0.2,
+        r.magnitudes(80, 3, low=10, high=500),
+        r.magnitudes(80, 3, low=1e-5, high=0.05),
+    )
+    opacities = torch.where(scales.amax(1) > 1, r.uniform(80, high=0.4), r.uniform(80, low=0.5))
+    return splats(r.inside(seen, 80), scales, opacities, r.quats(80)), r.uniform(80, 3), seen
+
+
+def _with_opacity(opacity, seed):
+    seen, r = camera(), _Random(seed)
+    opacities = torch.where(r.uniform(40) < 0.5, torch.tensor(opacity), r.uniform(40))
+    made = splats(r.inside(seen, 40), r.uniform(40, 3, low=0.02, high=0.3), opacities, r.quats(40))
+    return made, r.uniform(40, 3), seen
+
+
+@_case
+def opacity_0():
+    """Half of the Gaussians have opacity 0."""
+    return _with_opacity(0.0, 15)
+
+
+@_case
+def opacity_1():
+    """Half of the Gaussians have opacity 1."""
+    return _with_opacity(1.0, 16)
+
+
+@_case
+def opacity_almost_1():
+    """Half of the Gaussians have opacity 1 - 1e-7."""
+    return _with_opacity(1 - 1e-7, 17)
+
+
+@_case
+def opacity_almost_0():
+    """Half of the Gaussians have an opacity that float32 holds with few bits."""
+    return _with_opacity(1e-40, 18)
+
+
+@_case
+def opaque_right_at_pixel_centres():
+    """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
+    seen, r = camera(), _Random(19)
+    u, v = np.meshgrid(np.arange(0, 32, 3) + 0.5, np.arange(0, 24, 3) + 0.5)
+    means = torch.cat([seen_at(seen, u, v, z) for z in (2.0, 3.0)])
+    return splats(means, 0.05, 1.0), r.uniform(len(means), 3), seen
+
+
+@_case
+def ten_thousand_on_one_pixel():
+    """Each under the cut-offs around the middle, and all of them together opaque."""
+    r = _Random(20)
+    means = torch.zeros(10_000, 3)
+    means[:, 2] = torch.linspace(2, 3, 10_000)
+    return splats(means, 0.01, 0.002), r.uniform(10_000, 2), camera(31, 23)
+
+
+@_case
+def long_list():
+    """Four thousand faint layers on every pixel: sums of thousands of small float32 numbers."""
+    r = _Random(21)
+    means = torch.cat(
+        [r.uniform(4000, 2, low=-0.2, high=0.2), r.magnitudes(4000, 1, low=2, high=3)], 1
+    )
+    return splats(means, 2.0, 0.0015), r.uniform(4000, 3), camera(20, 12)
+
+
+@_case
+def equal_depths():
+    """All at one depth, overlapping: the order of the input decides."""
+    r = _Random(22)
+    means = torch.cat([r.uniform(50, 2, low=-1, high=1), torch.full((50, 1), 3.0)], 1)
+    return splats(means, 0.5, r.uniform(50)), r.uniform(50, 3), camera()
+
+
+@_case
+def depths_a_float_apart():
+    """Neighbouring float32 depths, in any order."""
+    r = _Random(23)
+    steps = torch.randperm(50, generator=r.generator).float() * 2.0**-22
+    means = torch.cat([r.uniform(50, 2, low=-1, high=1), 3.0 + steps[:, None]], 1)
+    return splats(means, 0.5, r.uniform(50)), r.uniform(50, 3), camera()
+
+
+@_case
+def quaternions_of_any_length():
+    """From 1e-36 to 1e36 long: the square is beyond float32 on both sides."""
+    seen, r = camera(), _Random(24)
+    made = splats(
+        r.inside(seen, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), r.quats(60)
+    )
+    made.quats[:] *= r.magnitudes(60, 1, low=1e-36, high=1e36)
+    return made, r.uniform(60, 3), seen
+
+
+@_case
+def quaternions_near_zero():
+    """1e-20 long."""
+    seen, r = camera(), _Random(25)
+    made = splats(
+        r.inside(seen, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), 1e-20 * r.quats(60)
+    )
+    return made, r.uniform(60, 3), seen
+
+
+def _with_focal(focal, seed):
+    seen, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
+    means = r.inside(seen, 80)
+    z = torch.from_numpy(seen.project(means.double().numpy())[1]).float()
+    pixels = r.magnitudes(80, 3, low=0.1, high=10)
+    return (
+        splats(means, pixels * z[:, None] / focal, r.uniform(80), r.quats(80)),
+        r.uniform(80, 3),
+        seen,
+    )
+
+
+@_case
+def focal_2():
+    """A field of view of 170 degrees."""
+    return _with_focal(2.0, 26)
+
+
+@_case
+def focal_50():
+    """A focal length of 50 px."""
+    return _with_focal(50.0, 27)
+
+
+@_case
+def focal_50000():
+    """A focal length of 50,000 px: a field of view of three minutes of arc."""
+    return _with_focal(50_000.0, 28)
+
+
+@_case
+def a_million_units_away():
+    """Camera and scene a million units from the origin, where float32 places are 0.06 apart."""
+    seen, r = camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), _Random(29)
+    means = r.inside(seen, 80, low=8, high=24)
+    return (
+        splats(means, r.uniform(80, 3, low=0.05, high=2), r.uniform(80), r.quats(80)),
+        r.uniform(80, 3),
+        seen,
+    )
+
+
+@_case
+def astronomical_and_microscopic():
+    """Depths from the near plane to 1e8, each Gaussian a few pixels wide."""
+    seen, r = camera(48, 32, 40, c2w=rotated(30)), _Random(30)
+    z = r.magnitudes(80, low=0.011, high=1e8)
+    means = seen_at(seen, r.uniform(80).numpy() * 48, r.uniform(80).numpy() * 32, z.numpy())
+    return (
+        splats(
+            means, r.uniform(80, 3, low=0.01, high=0.2) * z[:, None], r.uniform(80), r.quats(80)
+        ),
+        r.uniform(80, 3),
+        seen,
+    )
+
+
+@_case
+def nothing():
+    """No Gaussian at all."""
+    return splats(torch.zeros(0, 3)), torch.zeros(0, 3), camera()
+
+
+@_case
+def nothing_in_sight():
+    """All beside or behind the camera."""
+    r = _Random(31)
+    means = torch.cat([r.uniform(30, 2, low=50, high=60), r.uniform(30, 1, low=-5, high=5)], 1)
+    return splats(means, 0.1, 0.9), r.uniform(30, 3), camera()
+
+
+def _with_size(width, height, seed):
+    seen = camera(width, height, max(width, height), c2w=rotated(seed))
+    return *cloud(60, seed, 0.5, seen, 3), seen
+
+
+@_case
+def image_of_1x1():
+    """One pixel."""
+    return _with_size(1, 1, 32)
+
+
+@_case
+def image_of_7x5():
+    """Less than a tile."""
+    return _with_size(7, 5, 33)
+
+
+@_case
+def image_of_17x33():
+    """A pixel more than tiles of 8 and 16 and 32."""
+    return _with_size(17, 33, 34)
+
+
+@_case
+def image_of_200x3():
+    """Wide and flat."""
+    return _with_size(200, 3, 35)
+
+
+@_case
+def principal_point_far_outside():
+    """A window cut from far off the middle of a large image."""
+    seen = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
+    return *cloud(80, 36, 0.5, seen, 3), seen
+
+
+@_case
+def principal_point_at_a_corner():
+    """At the top left pixel, with some of the scene off-axis on the other sides."""
+    seen = camera(48, 32, 60, cx=0.5, cy=0.5)
+    return *cloud(80, 37, 0.3, seen, 3), seen
+
+
+@_case
+def skewed_pixels():
+    """Rows shifted by a third of a pixel each, and the far corner off-axis."""
+    seen = camera(48, 32, 60, skew=20.0, cx=10, c2w=rotated(38))
+    return *cloud(80, 38, 0.3, seen, 3), seen
+
+
+@_case
+def pixels_that_are_not_square():
+    """Ten times as wide as high."""
+    seen = camera(48, 32, 20, aspect=10.0, c2w=rotated(39))
+    return *cloud(80, 39, 0.2, seen, 3), seen
+
+
+@_case
+def a_pose_of_three_digits():
+    """A rotation that is one only to a thousandth, as in files that print few digits."""
+    seen = camera(48, 32, 40, c2w=rotated(40).round(4))
+    return *cloud(80, 40, 0.3, seen, 3), seen
+
+
+def _with_channels(channels, seed):
+    seen = camera()
+    made, _ = cloud(40, seed, 0.3, seen)
+    return made, _Random(seed).uniform(40, channels, low=-1), seen
+
+
+@_case
+def no_channel():
+    """Alpha and depth alone."""
+    return _with_channels(0, 41)
+
+
+@_case
+def one_channel():
+    """A single value, of both signs."""
+    return _with_channels(1, 42)
+
+
+@_case
+def seven_channels():
+    """No multiple of what is summed side by side."""
+    return _with_channels(7, 43)
+
+
+@_case
+def three_hundred_channels():
+    """Features rather than colours."""
+    return _with_channels(300, 44)
+
+
+if __name__ == "__main__":
+    presets = sys.argv[1:] or ["exact", "fast"]
+    print(
+        f"{'case':32}"
+        + "".join(f"{p + ' ' + f:>16}" for p in presets for f in ("values", "alpha", "depth"))
+    )
+    for name in names():
+        row = [e for p in presets for e in vars(measure(name, p)).values()]
+        print(f"{name:32}" + "".join(f"{e:16.1e}" for e in row))

@@ -1,0 +1,110 @@
+"""Speed, error, memory and start-up of the rasteriser: tables, and a page with a picture.
+
+    python -m benches.rasterize.speed_and_error [DATA] [-o docs/measured]
+
+DATA holds pairs of photographs; without it, a made-up room is drawn. -o also writes rasterizer.md
+and rasterizer.svg.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import torch
+
+from benches.common.machine import machine
+from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
+from benches.rasterize import fresh_process, parameter_sweeps, pruning_error
+from benches.rasterize.parameter_sweeps import Subject
+from benches.rasterize.rasterizer_chart import picture
+from benches.rasterize.rasterizer_tables import TABLES, page
+from slgaussian.errors import InputError
+from slgaussian.kernels import threads
+from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.scene import Sample
+from slgaussian.storage.store import write_atomic
+
+MEASURES = {
+    "stages": lambda subject: [parameter_sweeps.stages_row(subject)],
+    "thresholds": parameter_sweeps.threshold_rows,
+    "tolerances": lambda s: pruning_error.sweep(
+        s.gaussians, s.contexts, pruning_error.TOLERANCES, s.camera
+    ),
+    "counts": parameter_sweeps.count_rows,
+    "resolutions": parameter_sweeps.resolution_rows,
+    "channels": parameter_sweeps.channel_rows,
+    "hard_cases": lambda _: parameter_sweeps.hard_case_rows(),
+    "memory": lambda s: fresh_process.memory_rows(s.gaussians, s.values, s.camera),
+    "start": lambda s: fresh_process.start_rows(s.gaussians, s.values, s.camera),
+}
+"""What is measured of one scene: the rows of each table but those of all scenes."""
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", nargs="?", type=photographs, metavar="DATA", help=DATA_HELP)
+    parser.add_argument("--scene", help="of all sweeps (default: the first of DATA)")
+    parser.add_argument(
+        "-o", dest="out", type=Path, metavar="FOLDER", help="write rasterizer.md and .svg there"
+    )
+    return parser.parse_args(arguments)
+
+
+def subject_of(name: str, sample: Sample) -> Subject:
+    """The Gaussians that two photographs predict, with their colours and three random codes."""
+    gaussians = PlaneSweep()(sample)
+    codes = parameter_sweeps.random_values(len(gaussians), 3)
+    values = torch.cat([gaussians.colors(), codes], 1)
+    contexts = [view.camera for view in sample.context]
+    return Subject(name, gaussians, values, sample.targets[0].camera, contexts)
+
+
+def run(options: argparse.Namespace) -> None:
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    samples = load_samples(options.data)
+    chosen = options.scene or next(iter(samples))
+    if chosen not in samples:
+        raise InputError(f"--scene: found {chosen!r}, expected one of {', '.join(samples)}")
+    print(f"On {machine()}; scene {chosen}\n", flush=True)
+    rows = {"scenes": [], "pruned": []}
+    for name, sample in samples.items():
+        subject = subject_of(name, sample)
+        rows["scenes"].append(parameter_sweeps.scene_row(subject))
+        pruned = pruning_error.sweep(
+            subject.gaussians, subject.contexts, [pruning_error.GREY], subject.camera
+        )
+        rows["pruned"] += [{"scene": name, "views": "contexts", **row} for row in pruned]
+        if name == chosen:
+            swept = subject
+    for key, found in rows.items():
+        print(TABLES[key].markdown(found), flush=True)
+    for key, measure in MEASURES.items():
+        rows[key] = measure(swept)
+        print(TABLES[key].markdown(rows[key]), flush=True)
+    if options.out is not None:
+        write(options, rows, chosen)
+
+
+def write(options: argparse.Namespace, rows: dict[str, list[dict]], chosen: str) -> None:
+    shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
+    drawn = picture(*(rows[key] for key in shown))
+    words = [
+        "python -m benches.rasterize.speed_and_error",
+        *["DATA"] * bool(options.data),
+        "-o docs/measured",
+    ]
+    made = page(rows, chosen, " ".join(words), machine())
+    write_atomic(options.out / "rasterizer.svg", drawn)
+    write_atomic(options.out / "rasterizer.md", made.encode())
+    print(f"wrote {options.out / 'rasterizer.md'} and .svg")
+
+
+if __name__ == "__main__":
+    threads.share()
+    try:
+        run(parse(sys.argv[1:]))
+    except (InputError, OSError) as problem:
+        sys.exit(f"error: {problem}")

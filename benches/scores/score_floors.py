@@ -1,0 +1,114 @@
+"""What the default method reaches, over seeds: the spread that ``tests/test_floors.py`` allows for.
+
+``python -m benches.scores.score_floors [SEEDS] [DATA]``: on made-up rooms the mean IoU of words and
+the PSNR of novel views (dB), on the motorcycle pair bad-2.0 and the mean relative error of depth;
+and with DATA, a folder that holds ``office`` and ``places``, the mean IoU there. Scenes stay the
+same, the seed decides what the method draws. A line a number: mean, standard deviation, least and
+greatest.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth, read_truth
+from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_from_instances
+from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.metrics import depth_errors
+from slgaussian.build import build_field
+from slgaussian.gaussians import source_depths
+from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
+from slgaussian.predict import load_predictor
+from slgaussian.scene import Sample
+
+ROOMS, ROOM_SIZE = (0, 1, 2, 3), (156, 216)
+
+SIZE = "at most 208x288"
+"""Of real photographs: a quarter of the pixels that the method is meant for, and of the time."""
+
+OFFICE = ("hall_sofa", "red_crate", "coffee_machine", "sofa_plant")
+PLACES = {"kitchen": "kitchen", "castle": "castle", "dining": "dining_mug"}
+"""Scenes of the two sets by name; of places also the folder."""
+
+
+def rooms(seed: int) -> dict[str, float]:
+    """``iou`` and ``psnr`` of the two views between the given ones, means over :data:`ROOMS`."""
+    found = []
+    for number in ROOMS:
+        height, width = ROOM_SIZE
+        room = datasets.load("procedural", seed=number, height=height, width=width)
+        sample = room.sample(["view_00", "view_03"], ["view_01", "view_02"])
+        found.append(_scores(sample, truth_from_instances(sample), seed))
+    return {name: float(np.mean([scores[name] for scores in found])) for name in ("iou", "psnr")}
+
+
+def motorcycle(seed: int) -> dict[str, float]:
+    """``bad2`` and ``abs_rel`` of the left view's depth, at full size."""
+    sample = datasets.load("stereo").sample(["left", "right"], size="original")
+    left, right = (view.camera for view in sample.context)
+    gaussians = load_predictor("planesweep")(sample, seed)
+    depth = source_depths(gaussians, [left, right])[0]
+    scale = left.K[0, 0] * float(np.linalg.norm(right.center - left.center))
+    found = depth_errors(depth, sample.context[0].depth, scale)
+    return {name: found[name] for name in ("bad2", "abs_rel")}
+
+
+def office(data: Path, seed: int) -> dict[str, float]:
+    """``iou`` in the target views, the mean over :data:`OFFICE`."""
+    return _labelled(dict.fromkeys(OFFICE, data / "office"), seed)
+
+
+def places(data: Path, seed: int) -> dict[str, float]:
+    """``iou`` in the target views, the mean over :data:`PLACES`."""
+    return _labelled({name: data / "places" / folder for folder, name in PLACES.items()}, seed)
+
+
+def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
+    ious = []
+    for name, folder in folders.items():
+        (pair,) = (p for p in read_index(folder / "pairs.json").pairs if p.scene == name)
+        scene = datasets.load("nerfstudio", path=folder)
+        sample = scene.sample(pair.context, pair.targets, size=SIZE)
+        truth = read_truth(folder / "labels", pair.categories, sample.targets)
+        ious.append(_scores(sample, truth, seed)["iou"])
+    return {"iou": float(np.mean(ious))}
+
+
+def _scores(sample: Sample, truth: Truth, seed: int) -> dict:
+    field = build_field(sample, Method(seed=seed))
+    unused = np.zeros((1, 1, 1), np.int32)  # what is drawn of label maps
+    maps = LabelMaps(unused, unused)
+    settings = EvaluationSettings(protocols=["slgaussian"], drawn=False)
+    return evaluate(field, sample, maps, truth, settings).scene_metrics
+
+
+def main(seeds: int = 8, data: str | None = None) -> None:
+    """Print a line a number; one a seed and part on the way, with CPU seconds, on stderr."""
+    parts = {"rooms": rooms, "motorcycle": motorcycle}
+    if data is not None:
+        parts |= {"office": partial(office, Path(data)), "places": partial(places, Path(data))}
+    found: dict[str, list[float]] = {}
+    for seed in range(seeds):
+        for part, measure in parts.items():
+            start = time.process_time()
+            scores = measure(seed)
+            seconds = time.process_time() - start
+            print(part, seed, scores, f"{seconds:.1f} s", file=sys.stderr, flush=True)
+            for name, value in scores.items():
+                found.setdefault(f"{part} {name}", []).append(value)
+    for name, values in found.items():
+        spread = np.std(values, ddof=1)
+        ends = f"{min(values):.4f} to {max(values):.4f}"
+        print(f"{name:20} {np.mean(values):.4f} +- {spread:.4f}, {ends}, {len(values)} seeds")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:2]), *sys.argv[2:3])

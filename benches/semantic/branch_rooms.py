@@ -1,0 +1,120 @@
+"""Lessons to train and judge liftings with: rooms whose objects are known, and real pairs.
+
+Making one takes seconds, so they are kept in a folder.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benches.common.photograph_pairs import load_samples
+from slgaussian import datasets
+from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.masks import load_proposer, load_tracker
+from slgaussian.masks.associate import associate
+from slgaussian.predict import load_predictor
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Sample, View
+from slgaussian.semantic.lesson import Lesson
+from slgaussian.storage.store import encode_arrays, write_atomic
+
+SIZE = 256
+VIEWS = 6
+TRAINING = range(1000, 1160)
+HELD_OUT = range(5000, 5032)
+"""Seeds of rooms."""
+
+
+class Rooms(Sequence[Lesson]):
+    """Rooms of some seeds, at 256x256: the ends of the arc are context, four views between targets.
+
+    Labels are the true objects. ``found`` has the labels that masks make of the context views, each
+    mask named for the true object that most of it is.
+    """
+
+    def __init__(self, folder: Path, seeds: Sequence[int]) -> None:
+        self.folder, self.seeds = folder, seeds
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    def __getitem__(self, index: int) -> Lesson:
+        return Lesson.from_arrays(dict(np.load(self._file(index))))
+
+    def found(self, index: int) -> np.ndarray:
+        masks, labels = np.load(self._masks(index)), self[index].labels
+        named = np.zeros_like(masks)
+        for mask in np.unique(masks[masks > 0]):
+            inside = masks == mask
+            named[inside] = np.bincount(labels[inside]).argmax()
+        return named
+
+    def make(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for index, seed in enumerate(self.seeds):
+            if not self._file(index).is_file():
+                sample = room(seed)
+                gaussians = load_predictor("planesweep")(sample)
+                np.save(self._masks(index), association(sample.context, gaussians))
+                true = [np.stack([v.instances for v in vs]).astype(np.int32)
+                        for vs in (sample.context, sample.targets)]  # fmt: skip
+                lesson = lesson_of(sample, gaussians, *true)
+                write_atomic(self._file(index), encode_arrays(lesson.to_arrays(), False))
+
+    def _file(self, index: int) -> Path:
+        return self.folder / f"{self.seeds[index]}.npz"
+
+    def _masks(self, index: int) -> Path:
+        return self.folder / f"{self.seeds[index]}.masks.npy"
+
+
+def room(seed: int) -> Sample:
+    rng = rng_for(seed, "lesson", "room")
+    scene = datasets.load(
+        "procedural",
+        seed=seed,
+        views=VIEWS,
+        height=SIZE,
+        width=SIZE,
+        baseline=float(np.round(rng.uniform(0.3, 1.0), 2)),
+        objects=int(rng.integers(4, 15)),
+    )
+    names = list(scene.cameras)
+    return scene.sample([names[0], names[-1]], names[1:-1])
+
+
+def real_lessons(data: Path) -> list[Lesson]:
+    """Of the pairs of a nerfstudio folder: what masks make of context views and target together."""
+    lessons = []
+    for name, sample in load_samples(data).items():
+        gaussians = load_predictor("planesweep")(sample)
+        labels = association(sample.context, gaussians, sample.targets)
+        lessons.append(lesson_of(sample, gaussians, labels[:2], labels[2:], name))
+    return lessons
+
+
+def association(
+    context: Sequence[View], gaussians: Gaussians, targets: Sequence[View] = ()
+) -> np.ndarray:
+    """Label maps int32 of all views; targets get the depth that the Gaussians show there."""
+    depths = list(source_depths(gaussians, [view.camera for view in context]))
+    nothing = torch.zeros(len(gaussians), 1)
+    for view in targets:
+        # The mean would put a surface between what is before and behind an edge.
+        drawn = rasterize(gaussians, nothing, view.camera, median=True)
+        depths.append(drawn.median.numpy())
+    return associate([*context, *targets], load_proposer(), load_tracker(), 5, depths).labels
+
+
+def lesson_of(
+    sample: Sample,
+    gaussians: Gaussians,
+    labels: np.ndarray,
+    targets: np.ndarray,
+    name: str | None = None,
+) -> Lesson:
+    cameras = tuple(view.camera for view in sample.targets)
+    return Lesson(name or sample.scene, gaussians, labels, cameras, targets)
