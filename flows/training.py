@@ -23,7 +23,13 @@ from slgaussian.semantic.branch import Architecture, find_weights, load_branch
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import TrainingSettings
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode, encode_table, write_atomic
+from slgaussian.storage.store import (
+    ArtifactRef,
+    ArtifactStore,
+    decode_table,
+    encode_table,
+    write_atomic,
+)
 from tasks.judge import judge
 from tasks.train import train as train_stage
 from tasks.training_report import training_report
@@ -115,8 +121,7 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
             f"{file}: cannot be read ({error.strerror}); expected what `slgaussian supervise` wrote"
         ) from error
     spec = load_spec("lessons")
-    table = decode(data, spec, str(file), "run `slgaussian supervise` again")
-    spec.check_table(table, str(file))
+    table = decode_table(data, spec, str(file), "run `slgaussian supervise` again")
     try:
         for uri in table["uri"].to_pylist()[:1]:
             store.check_there(uri)

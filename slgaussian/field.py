@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -169,9 +170,9 @@ class SemanticField:
         """See the field through ``camera``: colour, ids and depth in one pass."""
         values, rows = harmonics.colors(self.gaussians, camera), None
         if self.bank.dimension:
-            values = torch.cat([values, self.gaussians.features], 1)
+            values = torch.cat([values, self.gaussians.require_features()], 1)
         else:
-            rows = self.gaussians.features[:, 0].int()
+            rows = self.gaussians.require_features()[:, 0].int()
         image = rasterize(self.gaussians, values, camera, backend=backend, labels=rows)
         drawn = image.values.float().numpy()
         if self.bank.dimension:
@@ -194,7 +195,7 @@ class SemanticField:
 
     def labels(self) -> np.ndarray:
         """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""
-        features = self.gaussians.features.numpy()
+        features = self.gaussians.require_features().numpy()
         if not self.bank.dimension:
             return np.append(np.int32(0), self.bank.ids)[features[:, 0].astype(np.int64)]
         labelled = features[:, -1] >= VISIBLE
@@ -209,7 +210,7 @@ class SemanticField:
         labels = self.labels()
         rows = np.searchsorted(self.bank.ids, labels[labels > 0])  # ids are positive and ascending
         counts = np.bincount(rows, minlength=len(self.bank.ids))
-        columns = {"id": self.bank.ids.astype(np.int64)}
+        columns: dict[str, Any] = {"id": self.bank.ids.astype(np.int64)}
         for channel, letter in enumerate("rgb"):
             known = channel < self.bank.dimension
             column = self.bank.codes[:, channel].astype(np.float64) if known else None
@@ -297,16 +298,21 @@ class SemanticField:
         InputError
             If the arrays hold none, or do not belong together; the message begins with the file.
         """
-        made = {}
-        for spec, kind in (("gaussians", Gaussians), ("bank", MemoryBank)):
-            try:
-                made[spec] = kind.from_arrays(arrays[spec])
-            except InputError as error:
-                raise InputError(f"{field_folder.FILES[spec]}: {error}") from error
-        _check_features(**made)
-        return SemanticField(
-            **made, cameras=about.cameras, settings=about.settings, places=places or {}
-        )
+        with _naming_file("gaussians"):
+            gaussians = Gaussians.from_arrays(arrays["gaussians"])
+        with _naming_file("bank"):
+            bank = MemoryBank.from_arrays(arrays["bank"])
+        _check_features(gaussians, bank)
+        return SemanticField(gaussians, bank, about.cameras, about.settings, places or {})
+
+
+@contextmanager
+def _naming_file(spec: str) -> Iterator[None]:
+    """Begin the message of an InputError with the file of a field that holds ``spec``."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{field_folder.FILES[spec]}: {error}") from error
 
 
 def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -82,6 +82,12 @@ class Gaussians:
         pairs = ((f.name, getattr(self, f.name)) for f in fields(self))
         return [(name, value) for name, value in pairs if value is not None]
 
+    def require_features(self) -> torch.Tensor:
+        """The features, float32 [N, D]; InputError if there are none."""
+        if self.features is None:
+            raise InputError("gaussians features: found none, expected some in a semantic field")
+        return self.features
+
     def check(self) -> None:
         """Raise :class:`InputError` naming the first field and index whose numbers make no sense.
 

@@ -104,6 +104,11 @@ class Camera:
         object.__setattr__(self, "width", int(self.width))
         object.__setattr__(self, "height", int(self.height))
 
+    def ranged(self, near: float | None, far: float | None) -> Camera:
+        """The camera with another depth range along z, scene units; None keeps its own end."""
+        near, far = self.near if near is None else near, self.far if far is None else far
+        return replace(self, near=near, far=far)
+
     @property
     def w2c(self) -> np.ndarray:
         """World-to-camera, float64 [4, 4]."""
@@ -377,8 +382,7 @@ class Scene:
                 )
         views = [self.read(name) for name in names]
         views = [view if size == "original" else view.resized(*_fit(view, size)) for view in views]
-        given = {name: z for name, z in (("near", near), ("far", far)) if z is not None}
-        views = [replace(view, camera=replace(view.camera, **given)) for view in views]
+        views = [replace(view, camera=view.camera.ranged(near, far)) for view in views]
         n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
 

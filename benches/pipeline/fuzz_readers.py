@@ -59,7 +59,7 @@ from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_b
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode, encode_arrays, encode_table
+from slgaussian.storage.store import decode_arrays, decode_table, encode_arrays, encode_table
 
 W, H = 24, 16
 ROOM = 2**30
@@ -557,7 +557,7 @@ def make_arrays(folder: Path) -> None:
 def read_arrays(folder: Path) -> None:
     spec = load_spec("labels")
     for file in sorted(folder.iterdir()):
-        spec.check_arrays(decode(file.read_bytes(), spec, str(file)), str(file))
+        decode_arrays(file.read_bytes(), spec, str(file))
 
 
 def make_tables(folder: Path) -> None:
@@ -578,9 +578,7 @@ def make_tables(folder: Path) -> None:
 def read_tables(folder: Path) -> None:
     for file in sorted(folder.iterdir()):
         spec = load_spec(file.stem)
-        table = decode(file.read_bytes(), spec, str(file))
-        spec.check_table(table, str(file))
-        table.to_pylist()
+        decode_table(file.read_bytes(), spec, str(file)).to_pylist()
 
 
 def make_ply(folder: Path) -> None:

@@ -26,7 +26,7 @@ from slgaussian.storage.store import (
     ArtifactStore,
     address,
     arrays_digest,
-    decode,
+    decode_arrays,
     encode_arrays,
 )
 
@@ -93,7 +93,7 @@ def reads() -> None:
         rules = load_spec(spec)
         data = encode_arrays(arrays, rules.compress)
         parts = {
-            "decode": lambda data=data, rules=rules: decode(data, rules, "file"),
+            "decode": lambda data=data, rules=rules: decode_arrays(data, rules, "file"),
             "spec": lambda arrays=arrays, rules=rules: rules.check_arrays(arrays, "file"),
             "digest": lambda arrays=arrays: arrays_digest(arrays),
         }

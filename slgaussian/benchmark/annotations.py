@@ -84,11 +84,12 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     """
     masks: dict[str, dict[str, np.ndarray]] = {}
     boxes: dict[str, dict[str, np.ndarray]] = {}
+    found_boxes: dict[str, np.ndarray] = {}
     dense = class_masks.are_in(folder)
     for view in targets:
         width, height = view.camera.width, view.camera.height
         if dense:
-            found, found_boxes = class_masks.read(folder, view.name, width, height), {}
+            found = class_masks.read(folder, view.name, width, height)
         else:
             found, found_boxes = _read_frame(Path(folder), view.name, width, height)
         nothing = np.zeros((height, width), bool)

@@ -166,7 +166,10 @@ class _Frame:
         """What is found out about a query, all but where it comes from."""
         truth, hit = self.masks[query], self._ask(query, self.field.reader)
         found, point = (np.zeros_like(truth), None) if hit is None else (hit.mask, hit.point)
-        row = {"iou": metrics.iou(found, truth), "hit": metrics.point_in_mask(point, truth)}
+        row: dict[str, Any] = {
+            "iou": metrics.iou(found, truth),
+            "hit": metrics.point_in_mask(point, truth),
+        }
         pieces = oracles.best_pieces(self.seen, truth)
         wholes = oracles.best_wholes(self.seen, self.field.bank, truth)
         member = self.true.members[:, self.places[query]]
@@ -208,7 +211,7 @@ class _Frame:
         """
         if hit is None or not hit.score:
             return 0.0, False
-        inside, total = self.seen.areas_within(truth), np.count_nonzero(truth)
+        inside, total = self.seen.areas_within(truth), int(np.count_nonzero(truth))
         chosen = oracles.best_prefix(hit.scores, inside, self.seen.areas, total)
         best = int(np.where(self.seen.areas > 0, hit.scores, -1).argmax())
         points = hit.point, self.seen.point(best)

@@ -36,8 +36,8 @@ def classes(folder: str | Path) -> tuple[str, ...]:
     if not names or len(set(names)) < len(names):
         raise InputError(f"{file}: found {names}, expected different classes, one a line")
     # Nothing outside the folder is a mask, and no name of more than 255 bytes a file's.
-    if bad := [n for n in names if "/" in n or "\0" in n or len(f"{n}.png".encode()) > 255]:
-        raise InputError(f"{file}: the class {bad[0]!r:.80} can be no file's name; rename it")
+    if unfit := [n for n in names if "/" in n or "\0" in n or len(f"{n}.png".encode()) > 255]:
+        raise InputError(f"{file}: the class {unfit[0]!r:.80} can be no file's name; rename it")
     return tuple(names)
 
 

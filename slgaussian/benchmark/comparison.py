@@ -183,7 +183,7 @@ def _said(
         mine, theirs = _aligned(earlier, later)
         total += len(mine)
         same += sum(
-            a | {"method": ""} == b | {"method": ""} for a, b in zip(mine, theirs, strict=True)
+            {**a, "method": ""} == {**b, "method": ""} for a, b in zip(mine, theirs, strict=True)
         )
         more[0] += len(earlier) - len(mine)
         more[1] += len(later) - len(mine)
@@ -240,8 +240,8 @@ def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple
     ]
     for scene in dict.fromkeys([*data[0], *data[1]]):
         if scene not in data[0] or scene not in data[1]:
-            there = ["present" if scene in own else "–" for own in data]
-            found.append((f"data.{scene}", *there))
+            before, after = ("present" if scene in own else "–" for own in data)
+            found.append((f"data.{scene}", before, after))
             continue
         mine, theirs = (dict(flatten(own[scene])) for own in data)
         names = [n for n in dict.fromkeys([*mine, *theirs]) if mine.get(n) != theirs.get(n)]
@@ -264,10 +264,10 @@ def _changes(
     known = sorted((k for k in known if k[2]), key=lambda k: -abs(k[2]))[:CHANGED]
     changes = []
     for row, other, _ in sorted(known, key=lambda k: k[2]):
-        masks = [_mask(first, row), _mask(second, other)]
+        before, after = _mask(first, row), _mask(second, other)
         picture = None
-        if all(mask is not None for mask in masks) and masks[0].shape == masks[1].shape:
-            picture = mask_change(*masks)
+        if before is not None and after is not None and before.shape == after.shape:
+            picture = mask_change(before, after)
         changes.append(Change(name, row, row["iou"], other["iou"], picture))
     return changes
 

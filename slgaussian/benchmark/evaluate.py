@@ -227,11 +227,11 @@ def evaluate(
         record.look_at_depths(sample, gaussians)
     if not drawn:
         return record.result()
-    for view, labels in zip(sample.context, label_maps.labels, strict=True):
-        record.pictures[f"input/{view.name}"] = view.image
-        record.pictures[f"labels/{view.name}"] = pictures.paint_labels(labels, view.image)
+    for context, labels in zip(sample.context, label_maps.labels, strict=True):
+        record.pictures[f"input/{context.name}"] = context.image
+        record.pictures[f"labels/{context.name}"] = pictures.paint_labels(labels, context.image)
     if bank is not None and bank.boxes is not None:
-        images = [view.image for view in sample.context]
+        images = [context.image for context in sample.context]
         cuts = pictures.cut_out(images, label_maps.labels, bank.ids, bank.boxes)
         tiles = list(zip(map(str, bank.ids), cuts, strict=True))
         record.pictures["objects/all"] = pictures.contact_sheet(tiles, side=56, columns=8)
@@ -366,7 +366,7 @@ class _Record:
         x, y = (None, None) if scored.point is None else map(float, scored.point)
         score = None if hit is None else float(hit.score)
         rest = {"score": score, "point_x": x, "point_y": y, "note": note}
-        known = self._common | row | scored.scores | rest
+        known = {**self._common, **row, **scored.scores, **rest}
         self.rows.append({name: known.get(name) for name in load_spec("samples").columns})
 
     def draw_view(self, view: AnsweringView, frame: str) -> None:

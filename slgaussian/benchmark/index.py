@@ -186,13 +186,16 @@ def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
         )
     labels, options = entry.get("labels", ""), entry.get("options", {})
     measured = entry.get("measured", {})
-    below = isinstance(labels, str) and PurePosixPath(labels)
-    if not isinstance(labels, str) or below.is_absolute() or ".." in below.parts:
+    if not (isinstance(labels, str) and _is_below(PurePosixPath(labels))):
         raise InputError(f"{where}: 'labels' is {labels!r}, expected a folder below the labels")
     for key, value in (("options", options), ("measured", measured)):
         if not isinstance(value, dict):
             raise InputError(f"{where}: {key!r} is {_kind(value)}, expected an object")
     return ScenePair(scene, context, targets, categories, labels, options, measured)
+
+
+def _is_below(folder: PurePosixPath) -> bool:
+    return not folder.is_absolute() and ".." not in folder.parts
 
 
 def _names(entry: dict[str, Any], key: str, at_least: int, where: str) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def best_pieces(seen: ObjectMap, truth: np.ndarray) -> np.ndarray:
     """Which objects of an image, united, overlap best with a mask bool [H, W]: bool [N]."""
     inside = seen.areas_within(truth)
     shares = inside / np.maximum(seen.areas, 1)
-    return best_prefix(shares, inside, seen.areas, np.count_nonzero(truth))
+    return best_prefix(shares, inside, seen.areas, int(np.count_nonzero(truth)))
 
 
 def best_wholes(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ def best_wholes(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndar
     """
     inside, total = seen.areas_within(truth), np.count_nonzero(truth)
     members = np.eye(len(bank), dtype=bool)
-    if bank.levels is not None:
+    if bank.levels is not None and bank.group_features is not None:
         groups = np.arange(len(bank), len(bank) + len(bank.group_features))
         members = np.concatenate([members, (bank.levels == groups[:, None, None]).any(1)])
     chosen, best = np.zeros(len(bank), bool), 0.0
@@ -186,12 +186,12 @@ class Apart:
                     if right[a][one] and right[b][other] and count > ONE_THING * smaller:
                         found.append((-count, one, other))
         taken: set[int] = set()
-        pairs = []
+        chosen = []
         for _, one, other in sorted(found):
             if not taken & {one, other}:
-                pairs.append((one, other))
+                chosen.append((one, other))
                 taken |= {one, other}
-        return pairs
+        return chosen
 
 
 def joined(bank: MemoryBank, pairs: Sequence[tuple[int, int]]) -> MemoryBank:
@@ -233,11 +233,12 @@ def context_truth(
     where that is not known, and takes what is labelled there, unless something hides it.
     """
     ids = {q: [i for i, phrase in sample.phrases.items() if phrase == q] for q in masks}
-    if all(view.instances is not None for view in sample.context) and all(ids.values()):
+    exact = [view.instances for view in sample.context if view.instances is not None]
+    if len(exact) == len(sample.context) and all(ids.values()):
         table = np.zeros((max(map(max, ids.values())) + 2, len(masks)), bool)
         for column, own in enumerate(ids.values()):
             table[np.array(own) + 1, column] = True
-        labels = np.stack([view.instances for view in sample.context])
+        labels = np.stack(exact)
         labels = np.where(labels + 1 < len(table), labels, 0).astype(np.int32) + 1
         return ContextTruth(labels, table, np.ones(len(masks)))
     sets, members = _sets(list(masks.values()))

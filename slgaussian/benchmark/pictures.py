@@ -116,7 +116,7 @@ def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarr
 
 def cut_out(
     images: Sequence[np.ndarray],
-    labels: Sequence[np.ndarray],
+    labels: Sequence[np.ndarray] | np.ndarray,
     ids: np.ndarray,
     boxes: np.ndarray,
 ) -> list[np.ndarray]:

@@ -160,13 +160,14 @@ def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
 
 def _langsplat(frame: Frame, k: int, how: How) -> Scored:
     relevancy, truth, boxes = frame.answers[k].relevancy, frame.masks[k], frame.boxes[k]
+    side = langsplat.FILTER if how.filter is None else how.filter
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
     known = relevancy > 0
     if known.any():
         # A hole must not stretch the range that the threshold is a share of.
         image = np.where(known, relevancy, relevancy.min(where=known, initial=np.inf))
-        mask = langsplat.find_mask(image, how.filter)
-        point, peak = langsplat.find_point(image, how.filter)
+        mask = langsplat.find_mask(image, side)
+        point, peak = langsplat.find_point(image, side)
     scores = {
         "iou": metrics.iou(mask, truth),
         "boundary_iou": boundary_iou(mask, truth),

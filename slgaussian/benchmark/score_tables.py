@@ -133,7 +133,8 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
             if row["dataset"] == dataset and not _is_of_curve(row)
         }
         methods = list(dict.fromkeys(method for method, *_ in own))
-        groups, cells = [], {method: [] for method in methods}
+        groups = []
+        cells: dict[str, list[Cell]] = {method: [] for method in methods}
         by: dict[str, list[str]] = {method: [] for method in methods}
         for protocol in dict.fromkeys(column.protocol for column in columns):
             group = [
@@ -150,8 +151,9 @@ def method_tables(scores: Sequence[Row], columns: Sequence[Column] = MAIN) -> li
                 there = [score for score in by_method.values() if score is not None]
                 said = _most(conditions(score) for score in there)
                 counts.append(_most(f"n {score['samples']}" for score in there))
-                best = max(_printed(score, column) * column.sign for score in there)
-                best = best if len(methods) > 1 else None
+                best = None
+                if len(methods) > 1:
+                    best = max(_printed(score, column) * column.sign for score in there)
                 for method, score in by_method.items():
                     by[method] += [] if score is None else _others(conditions(score), said)
                     cells[method].append(_cell(score, column, best, said, counts[-1]))

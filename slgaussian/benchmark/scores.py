@@ -10,7 +10,7 @@ the data say that several scenes, pairs of views, are of one place, they are dra
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -189,7 +189,11 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
             if not shared:
                 continue
             one, other = (
-                [_scene_mean([pair[side] for pair in scene], metric) for scene in shared]
+                [
+                    mean
+                    for scene in shared
+                    if (mean := _scene_mean([pair[side] for pair in scene], metric)) is not None
+                ]
                 for side in (0, 1)
             )
             gain = compare(one, other, seed, [place_of(scene[0][0]) for scene in shared])
@@ -313,9 +317,9 @@ def _by_sample(rows: Iterable[Row]) -> dict[tuple[str, ...], Row]:
 
 def _grouped(
     rows: Iterable[Any], *names: str, of: Callable[[Any], Row] = lambda row: row
-) -> dict[tuple[Hashable, ...], list[Any]]:
+) -> dict[tuple[Any, ...], list[Any]]:
     """Rows by some of their columns, in order of appearance."""
-    groups: dict[tuple[Hashable, ...], list[Any]] = defaultdict(list)
+    groups: dict[tuple[Any, ...], list[Any]] = defaultdict(list)
     for row in rows:
         groups[tuple(of(row)[name] for name in names)].append(row)
     return dict(groups)

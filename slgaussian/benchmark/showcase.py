@@ -87,7 +87,7 @@ def telling(own: Sequence[Row], others: Mapping[str, Sequence[Row]], count: int)
 def _once(keys: Sequence[Key], before: Sequence[Key]) -> list[Key]:
     """Those whose text was not shown in another frame of the scene, nor ``before``."""
     shown = {(scene, query) for scene, _, query in before}
-    fresh = {}
+    fresh: dict[tuple[str, str], Key] = {}
     for key in keys:
         if (key[0], key[2]) not in shown:
             fresh.setdefault((key[0], key[2]), key)

@@ -48,19 +48,20 @@ class Times:
 
     def claim(self) -> str:
         """What the paper claims of speed, and what was measured; empty without its two methods."""
-        known = {
-            one.method: one for one in self.speeds() if None not in (one.first_query, one.paper)
-        }
+        known = sorted(
+            (one.paper, one.method, one.first_query)
+            for one in self.speeds()
+            if one.first_query is not None and one.paper is not None
+        )
         if len(known) < 2:
             return ""
-        fast, slow = sorted(known.values(), key=lambda one: one.paper)
-        if not fast.first_query:
+        (fast_paper, fast, fast_query), (slow_paper, slow, slow_query) = known
+        if not fast_query:
             return ""
         return (
-            f"A query in a new view takes {slow.method} {slow.first_query / fast.first_query:.0f} "
-            f"times as long as {fast.method}, {slow.first_query:.2g} s against "
-            f"{fast.first_query:.2g} s; the paper says {slow.paper:g} s against {fast.paper:g} s, "
-            f"on its GPU and with its networks."
+            f"A query in a new view takes {slow} {slow_query / fast_query:.0f} times as long as "
+            f"{fast}, {slow_query:.2g} s against {fast_query:.2g} s; the paper says "
+            f"{slow_paper:g} s against {fast_paper:g} s, on its GPU and with its networks."
         )
 
     def _speed(self, method: str) -> Speed:
@@ -69,8 +70,13 @@ class Times:
             known = [value for value in own if value is not None]
             return median(known) if known else None
 
-        names = "prepare", "first_query", "further_query"
-        return Speed(method, *map(middle, names), SECONDS.get(method))
+        return Speed(
+            method,
+            prepare=middle("prepare"),
+            first_query=middle("first_query"),
+            further_query=middle("further_query"),
+            paper=SECONDS.get(method),
+        )
 
 
 @dataclass(frozen=True)

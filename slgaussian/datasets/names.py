@@ -6,7 +6,7 @@ import numpy as np
 
 from slgaussian.datasets.procedural import textures
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING
-from slgaussian.datasets.procedural.textures import Material, linear
+from slgaussian.datasets.procedural.textures import RGB, Material, linear
 
 COLOURS = {
     "red": (0.76, 0.12, 0.13),
@@ -70,10 +70,11 @@ def material(rng: np.random.Generator, words: str, cell: float) -> Material:
     )
 
 
-def jitter(rng: np.random.Generator, srgb: tuple[float, ...]) -> tuple[float, ...]:
+def jitter(rng: np.random.Generator, srgb: RGB) -> RGB:
     """Linear colour near an sRGB one: a little lighter or darker, a little off in hue."""
     values = np.clip(np.array(srgb) * rng.uniform(0.94, 1.05) + rng.normal(0, 0.008, 3), 0.02, 0.97)
-    return tuple(float(v) for v in linear(values))
+    r, g, b = linear(values).tolist()
+    return r, g, b
 
 
 def look(words: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, overload
 
 import cv2
 import numpy as np
@@ -132,9 +132,10 @@ class _Reader:
         if name not in self.frames:
             raise InputError(f"{self.file}: no frame has the file_path {name!r}")
         frame, camera = self.frames[name], self.cameras[name]
-        if frame.image_path is None:
+        path = frame.image_path
+        if path is None:
             raise self._missing(name)
-        image, opaque = frame.image(camera)
+        image, opaque = frame.image(path, camera)
         depth = frame.depth(camera)
         maps = frame.undistortion(camera)
         if maps is not None:
@@ -163,6 +164,10 @@ class _Frame:
     def error(self, what: str) -> InputError:
         return InputError(f"{self.file}: frame {self.name!r}: {what}")
 
+    @overload
+    def number(self, key: str, default: float) -> float: ...
+    @overload
+    def number(self, key: str, default: float | None = None) -> float | None: ...
     def number(self, key: str, default: float | None = None) -> float | None:
         value = self.values.get(key)
         if value is None:  # missing, or null
@@ -244,11 +249,11 @@ class _Frame:
         lens = np.array([k[0], k[1], p[0], p[1], k[2]])
         return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
 
-    def image(self, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
-        pixels, opaque = open_photograph(self.image_path, (camera.width, camera.height))
+    def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
+        pixels, opaque = open_photograph(path, (camera.width, camera.height))
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
-                f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
+                f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
                 f"says {camera.width}x{camera.height}; resize it, or scale w, h, fl_x, fl_y, cx "
                 "and cy to its size"
             )

@@ -204,8 +204,10 @@ def read_chunk(file: str | Path) -> list[Clip]:
             f"{file}: cannot be read as a chunk (it holds {code}, which could run code); get one "
             "that holds clips only"
         ) from None
-    except (*troubles(), ValueError) as error:
-        reason = explained(error) if not isinstance(error, ValueError) else error
+    except Exception as error:
+        if not isinstance(error, (*troubles(), ValueError)):
+            raise
+        reason = error if isinstance(error, ValueError) else explained(error)
         raise InputError(
             f"{file}: cannot be read as a chunk ({reason}); it is damaged or cut short, get it "
             "again"
@@ -420,19 +422,22 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
     for key, entry in _json(file).items():
         if entry is None:
             continue
-        lists = [
-            entry.get(name) if isinstance(entry, dict) else None for name in ("context", "target")
-        ]
-        if not all(
-            isinstance(frames, list) and frames and all(type(f) is int and f >= 0 for f in frames)
-            for frames in lists
-        ):
+        context, target = (_frames(entry, name) for name in ("context", "target"))
+        if not (context and target):
             raise InputError(
                 f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
                 '{"context": [0, 40], "target": [10, 20, 30]}, or null'
             )
-        found[key] = tuple([str(frame) for frame in frames] for frames in lists)
+        found[key] = context, target
     return found
+
+
+def _frames(entry: Any, name: str) -> list[str]:
+    """The frame numbers of an entry, as text; none if they are not given as they should."""
+    frames = entry.get(name) if isinstance(entry, dict) else None
+    if not isinstance(frames, list) or not all(type(f) is int and f >= 0 for f in frames):
+        return []
+    return [str(frame) for frame in frames]
 
 
 def _json(file: str | Path) -> dict[str, Any]:

@@ -9,9 +9,10 @@ checked against what is left of the file.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -27,6 +28,8 @@ MODELS = {
 """Camera models: name and number of parameters by the number that binary files have for them."""
 
 KINDS = ("cameras", "images", "points3D")
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -93,13 +96,14 @@ def read_model(folder: Path) -> SparseModel:
         raise InputError(
             f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
         )
-    read = _BINARY if files[0].suffix == ".bin" else _TEXT
+    binary = files[0].suffix == ".bin"
     content = dict(zip(KINDS, files, strict=False))
-    cameras = _checked(content["cameras"], read["cameras"])
-    images = _checked(content["images"], read["images"])
+    cameras = _checked(content["cameras"], _binary_cameras if binary else _text_cameras)
+    images = _checked(content["images"], _binary_images if binary else _text_images)
     points, seen = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
     if "points3D" in content:
-        points, seen = _checked(content["points3D"], read["points3D"])
+        read = _binary_points if binary else _text_points
+        points, seen = _checked(content["points3D"], read)
     for image in images.values():
         if image.camera not in cameras:
             raise InputError(
@@ -109,7 +113,7 @@ def read_model(folder: Path) -> SparseModel:
     return SparseModel(cameras, images, points, seen)
 
 
-def _checked(file: Path, read):
+def _checked(file: Path, read: Callable[[Path], T]) -> T:
     try:
         return read(file)
     except OSError as bad:
@@ -242,7 +246,7 @@ def _add_image(
     if not name:
         raise _Wrong(f"image {number} has no name")
     w, *xyz = pose[:4]
-    length = np.linalg.norm(pose[:4])
+    length = float(np.linalg.norm(pose[:4]))
     if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
         raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
     w, (x, y, z) = w / length, np.array(xyz) / length
@@ -298,7 +302,3 @@ def _lines(file: Path, blank: bool = False) -> Iterator[tuple[int, list[str]]]:
     for number, line in enumerate(text.splitlines(), 1):
         if not line.startswith("#") and (blank or line.strip()):
             yield number, line.split()
-
-
-_BINARY = {"cameras": _binary_cameras, "images": _binary_images, "points3D": _binary_points}
-_TEXT = {"cameras": _text_cameras, "images": _text_images, "points3D": _text_points}

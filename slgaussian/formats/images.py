@@ -51,7 +51,7 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
         there or where its pixels are taken. :func:`unreadable` makes a sentence of both.
     """
     try:
-        with Image.open(source, formats=kinds) as image:
+        with Image.open(source, formats=tuple(kinds)) as image:
             check_size(*image.size)
             if not min(image.size):
                 raise ValueError("it has no pixel")

@@ -143,7 +143,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     table = _vertices(path)
     n = len(table)
     # A list property is no column of numbers; it can only be extra.
-    names = [name for name in table.dtype.names if table.dtype[name].kind != "O"]
+    fields = table.dtype.names or ()
+    names = [name for name in fields if table.dtype[name].kind != "O"]
     if missing := [name for name in _NEEDED if name not in names]:
         raise InputError(
             f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
@@ -179,7 +180,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     if semantic:
         arrays["features"] = columns.read(semantic)
     used = {*_NEEDED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
-    extra = {name: table[name] for name in table.dtype.names if name not in used}
+    extra = {name: table[name] for name in fields if name not in used}
     # Copies in the machine's byte order, apart from the file, which is only mapped here.
     extra = {name: np.array(v, v.dtype.newbyteorder("=")) for name, v in extra.items()}
     if "label" in names and (label := _whole(extra["label"])) is not None:

@@ -85,7 +85,7 @@ def _check_names(stream: BinaryIO, count: int) -> None:
                 (
                     len(name)
                     for code, name, _ in pickletools.genops(stream)
-                    if code.name == "GLOBAL"
+                    if code.name == "GLOBAL" and isinstance(name, str)
                 ),
                 default=0,
             )

@@ -44,16 +44,19 @@ def watch() -> None:
     from numba.core import event
 
     class Listener(event.Listener):
+        def __init__(self, watch: _Watch) -> None:
+            self.watch = watch
+
         def on_start(self, event: event.Event) -> None:
-            _watch.begun()
+            self.watch.begun()
 
         def on_end(self, event: event.Event) -> None:
-            _watch.ended()
+            self.watch.ended()
 
     with _lock:
         if _watch is None:
             _watch = _Watch()
-            event.register("numba:compile", Listener())
+            event.register("numba:compile", Listener(_watch))
 
 
 class _Watch:

@@ -12,6 +12,7 @@ Only for arguments and variables inside ``njit`` functions; a vector cannot leav
 from __future__ import annotations
 
 import operator
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -41,11 +42,11 @@ _LLVM = {
 
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
-    def __init__(self, manager, kind) -> None:
+    def __init__(self, manager: Any, kind: _Vector) -> None:
         super().__init__(manager, kind, ir.VectorType(_LLVM[kind.dtype], LANES))
 
 
-def _floats(kind) -> bool:
+def _floats(kind: types.Type) -> bool:
     return isinstance(kind, _Vector) and kind.dtype != types.boolean
 
 
@@ -85,13 +86,13 @@ def _register(function, op, applies):
         return None
 
 
-def _float_operands(a, b) -> bool:
+def _float_operands(a: types.Type, b: types.Type) -> bool:
     return (_floats(a) and (_floats(b) or isinstance(b, types.Number))) or (
         _floats(b) and isinstance(a, types.Number)
     )
 
 
-def _mask_operands(a, b) -> bool:
+def _mask_operands(a: types.Type, b: types.Type) -> bool:
     return a == b == _MASK
 
 

@@ -85,7 +85,7 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
     alpha_max : float
     """
     n = len(geometry[0])
-    seen, counts, first = [], [], 0
+    seen, own_counts, first = [], [], 0
     view, left, top, sizes, z = [], [], [], [], []
     for number, eye in enumerate(eyes):
         splats, boxes, _ = project(*geometry, np.empty((n, 0), np.float32), eye)
@@ -96,14 +96,14 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
               np.empty(0, np.int32), np.empty(0, np.float32))  # fmt: skip
         y, x = np.indices((down, across)).reshape(2, -1) * BLOCK
         seen.append(scene)
-        counts.append(count)
+        own_counts.append(count)
         view.append(np.full(across * down, number))
         left.append(x)
         top.append(y)
         sizes.append((eye.width, eye.height, across, first))
         z.append(splats[:, Z])
         first += across * down
-    counts = np.concatenate(counts)
+    counts = np.concatenate(own_counts)
     rooms = counts + SPARE
     starts = np.cumsum(rooms) - rooms
     members = np.empty(rooms.sum(), np.int32)
@@ -113,13 +113,16 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
               members, alphas)  # fmt: skip
     begins, places = _turn(starts, counts, members, n)
     return Lists(
-        starts, counts, rooms, members, alphas,
-        *(np.concatenate(column).astype(np.int32) for column in (view, left, top)),
+        starts, counts, rooms, members, alphas, _joined(view), _joined(left), _joined(top),
         np.array(sizes), np.array(z, np.float32), begins[:-1].copy(), begins[1:].copy(),
         # Room for everybody to move three times.
         np.concatenate([places, np.empty(3 * len(places) + 64, np.int32)]),
         np.array([len(places)]),
     )  # fmt: skip
+
+
+def _joined(columns: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate(columns).astype(np.int32)
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")

@@ -221,12 +221,12 @@ def load_tile(tile, bins, splats, boxes, values, work):
     most = len(work.keys)
     work.counts[:] = 0
     for j in range(n):
-        k = np.uint32(order[j])  # the lower half
-        reach = work.reach[k]
+        entry = np.uint32(order[j])  # the lower half
+        reach = work.reach[entry]
         for y in range(reach[2], reach[3]):
             for x in range(reach[0], reach[1]):
                 block = y * BLOCKS_ACROSS + x
-                work.lists[block * most + work.counts[block]] = k
+                work.lists[block * most + work.counts[block]] = entry
                 work.counts[block] += 1
     return left, top
 

@@ -87,9 +87,7 @@ class Branch(nn.Module):
             torch.manual_seed(seed)
             self.convolutions = _Convolutions(channels, architecture.widths)
             self.first = nn.Conv2d(channels, hidden, 1)
-            self.last = nn.Conv2d(hidden, OWN + 2 * architecture.others, 1)
-        nn.init.zeros_(self.last.weight)
-        nn.init.zeros_(self.last.bias)
+            self.last = _zeroed(nn.Conv2d(hidden, OWN + 2 * architecture.others, 1))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Features float [V, H, W, 4] of input images float [V, H, W, C], of any size.
@@ -108,6 +106,13 @@ class Branch(nn.Module):
         return features.permute(0, 2, 3, 1)
 
 
+def _zeroed(convolution: nn.Conv2d) -> nn.Conv2d:
+    """The convolution, which at first adds nothing."""
+    for parameter in convolution.parameters():
+        nn.init.zeros_(parameter)
+    return convolution
+
+
 class _Convolutions(nn.Module):
     def __init__(self, channels: int, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -115,13 +120,10 @@ class _Convolutions(nn.Module):
         pairs = list(pairwise(widths))
         self.down = nn.ModuleList(_HalvingBlock(*pair) for pair in pairs)
         self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairs)
-        self.head = nn.Conv2d(widths[0], channels, 1) if widths else None
-        if self.head is not None:
-            nn.init.zeros_(self.head.weight)
-            nn.init.zeros_(self.head.bias)
+        self.head = _zeroed(nn.Conv2d(widths[0], channels, 1)) if widths else None
 
     def forward(self, images: torch.Tensor) -> torch.Tensor | float:
-        if self.stem is None:
+        if self.stem is None or self.head is None:
             return 0.0
         levels = [F.relu(self.stem(images))]
         for block in self.down:

@@ -13,7 +13,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.semantic.branch import Branch, branch_of, encode_tensors, read_tensors
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode, encode_table, write_atomic
+from slgaussian.storage.store import decode_table, encode_table, write_atomic
 
 CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 
@@ -113,8 +113,7 @@ def load_checkpoint(
         data = metrics.read_bytes()
     except OSError as error:
         raise InputError(f"{metrics}: {error.strerror}; begin in an empty folder") from None
-    table = decode(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
-    load_spec("metrics").check_table(table, str(metrics))
+    table = decode_table(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
     return Place(step, table.to_pylist()[:step])
 
 

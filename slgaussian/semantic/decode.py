@@ -95,6 +95,8 @@ def elected_ids(image: Render, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     The confidence is the lead of the object over the next one itself.
     """
+    if image.label is None or image.label_weights is None:
+        raise InputError("decode: the picture was drawn without labels; rasterize with them")
     best, second, whole = np.moveaxis(image.label_weights.float().numpy(), -1, 0)
     visible = whole >= VISIBLE
     found = np.append(np.int32(0), ids)[image.label.numpy() * visible]

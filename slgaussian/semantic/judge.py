@@ -80,7 +80,10 @@ def novel_labels(
     nothing = np.zeros((len(ids), len(labels), 1), np.float32)
     bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
     decode = Decoder(bank)
-    lifted = {name: lift(lesson.gaussians, maps, bank).features for name, lift in liftings.items()}
+    lifted = {
+        name: lift(lesson.gaussians, maps, bank).require_features()
+        for name, lift in liftings.items()
+    }
     found: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
     for camera in lesson.cameras:
         planned = plan(lesson.gaussians, camera)

@@ -22,7 +22,7 @@ import pyarrow as pa
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode, encode_table, sha256_of, write_atomic
+from slgaussian.storage.store import decode_table, encode_table, sha256_of, write_atomic
 
 POINTER = "current.json"
 
@@ -213,8 +213,7 @@ def _table(version: Version) -> pa.Table:
 def _read(file: Path) -> Version:
     spec, otherwise = load_spec("versions"), "use another version"
     try:
-        table = decode(file.read_bytes(), spec, str(file), otherwise)
-        spec.check_table(table, str(file))
+        table = decode_table(file.read_bytes(), spec, str(file), otherwise)
         (row,) = table.to_pylist()
         return Version(**{**row, "facts": strict_json.parse(row["facts"])})
     except OSError as error:

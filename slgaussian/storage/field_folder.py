@@ -22,7 +22,13 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.scene import Camera
 from slgaussian.storage.specs import load_spec, mismatch
-from slgaussian.storage.store import Arrays, arrays_digest, decode, is_digest, replacing_folder
+from slgaussian.storage.store import (
+    Arrays,
+    arrays_digest,
+    decode_arrays,
+    is_digest,
+    replacing_folder,
+)
 
 FORMAT = 1
 """Version of the folder: what its files are and mean. One without a number was made before."""
@@ -115,7 +121,7 @@ class About:
         return About(settings, cameras, digests), places
 
 
-def write(path: Path, text: str, fill: Callable[[str, Path], None]) -> None:
+def write(path: Path, text: str, fill: Callable[[str, Path], object]) -> None:
     """Write a folder: complete, or not at all. A field that is there already is replaced.
 
     Parameters
@@ -166,8 +172,7 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
         data = file.read_bytes()
     except OSError as error:
         raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
-    arrays = decode(data, rules, str(file), repair=AGAIN)
-    rules.check_arrays(arrays, str(file))
+    arrays = decode_arrays(data, rules, str(file), repair=AGAIN)
     found = arrays_digest(arrays)
     if found != digest:
         expected = f"{digest[:12]} as {ABOUT} says: it was changed, or is of another field; {AGAIN}"

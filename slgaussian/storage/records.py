@@ -71,12 +71,11 @@ class Records:
     def all(self) -> Iterator[list[Record]]:
         """All records, those of a folder at a time."""
         for files in self.store.walk([FOLDER]):
-            yield self.store.at_once(
-                self._read, [file for file in files if _FILE.fullmatch(file.uri)]
-            )
+            found = [(file, _FILE.fullmatch(file.uri)) for file in files]
+            yield self.store.at_once(self._read, [(f, named) for f, named in found if named])
 
-    def _read(self, file: File) -> Record:
-        found = _FILE.fullmatch(file.uri)
+    def _read(self, file_and_name: tuple[File, re.Match[str]]) -> Record:
+        file, found = file_and_name
         try:
             ref, _ = _parse(self.store.read(file.uri))
         except SpecError:

@@ -186,12 +186,12 @@ class ArtifactStore:
         rules = load_spec(ref.spec)
         file = f"{self.root}/{ref.uri}"
         try:
-            content = decode(data, rules, file)
+            content: Arrays | pa.Table
             if rules.columns:
-                rules.check_table(content, file)
+                content = decode_table(data, rules, file)
                 digest = table_digest(content)
             else:
-                rules.check_arrays(content, file)
+                content = decode_arrays(data, rules, file)
                 digest = arrays_digest(content)
         except SpecError as error:
             raise DamagedError(str(error), ref.uri) from error
@@ -422,7 +422,9 @@ def _written(info: Mapping[str, Any]) -> float:
     return stamp.timestamp() if isinstance(stamp, datetime) else float(stamp)
 
 
-def write_atomic(path: str | os.PathLike[str], data: bytes, sync: bool = False) -> None:
+def write_atomic(
+    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False
+) -> None:
     """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
 
     With ``sync``, no crash of the machine either: it is on the disk when this returns.
@@ -490,7 +492,7 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
     for name in sorted(arrays):
         array = np.asarray(arrays[name], order="C")
         sha.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode())
-        sha.update(array.reshape(-1).view(np.uint8))
+        sha.update(array.reshape(-1).view(np.uint8).data)
     return sha.hexdigest()
 
 
@@ -535,28 +537,41 @@ def encode_table(table: pa.Table) -> bytes:
     return buffer.getvalue()
 
 
-def decode(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays | pa.Table:
-    """Read what :func:`encode_arrays` or :func:`encode_table` wrote.
+def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
+    """Read what :func:`encode_table` wrote.
 
     Raises
     ------
     SpecError
-        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short.
+        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, or do not
+        hold what ``spec`` says.
     """
-    try:
-        if spec.columns:
-            # A third of the time of pq.read_table, which asks what else may be in a folder.
-            table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
-            table.validate(full=True)
-            return table
+    with _whole(data, file, spec, repair):
+        # A third of the time of pq.read_table, which asks what else may be in a folder.
+        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+        table.validate(full=True)
+    spec.check_table(table, file)
+    return table
+
+
+def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
+    """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
+    with _whole(data, file, spec, repair), zipfile.ZipFile(io.BytesIO(data)) as members:
+        if sum(member.file_size for member in members.infolist()) > MOST_UNPACKED:
+            raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
         # Not np.load, which takes whatever is no zip file for a pickle and says so.
         with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
-            if sum(member.file_size for member in archive.zip.infolist()) > MOST_UNPACKED:
-                raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
             arrays = {name: archive[name] for name in archive.files}
         if any(isinstance(array, bytes) for array in arrays.values()):
             raise ValueError("a member is no array")
-        return arrays
+    spec.check_arrays(arrays, file)
+    return arrays
+
+
+@contextmanager
+def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
+    try:
+        yield
     except Exception as error:  # a damaged file raises almost anything
         why = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         found = f"{len(data)} bytes that cannot be read ({why})"

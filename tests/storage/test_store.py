@@ -4,6 +4,7 @@ import stat
 import sys
 import uuid
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +20,7 @@ from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
     arrays_digest,
-    decode,
+    decode_arrays,
     encode_arrays,
     encode_table,
     table_digest,
@@ -94,10 +95,11 @@ def test_memory_order_and_order_of_names_do_not_matter(local):
 )
 def test_any_array_survives_the_file_with_its_digest(array):
     arrays = {"a": array, "b": np.arange(3)}
+    anything = SimpleNamespace(suffix=".npz", check_arrays=lambda arrays, file: None)
     for compress in (True, False):
         data = encode_arrays(arrays, compress)
         assert data == encode_arrays(dict(reversed(arrays.items())), compress)
-        back = decode(data, load_spec("labels"), "file")
+        back = decode_arrays(data, anything, "file")
         assert back["a"].dtype == array.dtype
         assert arrays_digest(back) == arrays_digest(arrays)
 

@@ -129,12 +129,12 @@ class DenseView:
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:
         """float64 [Q, S, h * w]."""
         scales, h, w, width = self.vectors.shape
-        texts = self.reader.vectors(texts).astype(np.float64)
-        texts /= np.linalg.norm(texts, axis=1, keepdims=True)
+        asked = self.reader.vectors(texts).astype(np.float64)
+        asked /= np.linalg.norm(asked, axis=1, keepdims=True)
         flat = self.vectors.reshape(-1, width)
-        found = np.empty((len(texts), len(flat)))
-        cosines(flat, texts, found)
-        return found.reshape(len(texts), scales, h * w)
+        found = np.empty((len(asked), len(flat)))
+        cosines(flat, asked, found)
+        return found.reshape(len(asked), scales, h * w)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,18 +36,20 @@ class _Photographs:
         context = self.inputs.sample.context
         away = [np.linalg.norm(view.camera.center - camera.center) for view in context]
         index = int(np.argmin(away))
-        labelled = replace(context[index], instances=self.inputs.label_maps.labels[index])
-        labelled = replace(labelled, depth=None).resized(camera.height, camera.width)
+        own = self.inputs.label_maps.labels[index]
+        labelled = replace(context[index], depth=None, instances=own)
+        labelled = labelled.resized(camera.height, camera.width)
         bank = self.inputs.bank
         only = np.s_[:, index : index + 1]
         said = replace(
             bank,
             features=bank.features[only],
             present=bank.present[only],
-            group_features=None if bank.levels is None else bank.group_features[only],
+            group_features=None if bank.group_features is None else bank.group_features[only],
             boxes=None,
         )
         ids = labelled.instances
+        assert ids is not None  # they were given above
         return FieldView(
             labelled.image,
             ids,

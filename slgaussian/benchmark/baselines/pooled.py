@@ -37,10 +37,10 @@ class SegSplatLike:
 def pooled(bank: MemoryBank) -> MemoryBank:
     """The bank with one view, the mean of all; groups of objects likewise."""
     features = _mean(bank.features, bank.present)
-    present = bank.present.any(1, keepdims=True)
+    present = np.any(bank.present, axis=1, keepdims=True)
     groups = bank.group_features
     if groups is not None:
-        groups = _mean(groups, groups.any(2))
+        groups = _mean(groups, np.any(groups, axis=2))
     return replace(bank, features=features, present=present, boxes=None, group_features=groups)
 
 

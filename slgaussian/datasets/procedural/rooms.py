@@ -135,8 +135,8 @@ def _paler(material: Material) -> Material:
     """The same paint, thinned: walls are large, and strong colours on them drown all else."""
     if material.pattern == textures.BRICK:
         return material
-    mixed = tuple(0.88 * value + 0.12 * 0.8 for value in material.first)
-    return replace(material, first=mixed, gloss=0.0)
+    r, g, b = (0.88 * value + 0.12 * 0.8 for value in material.first)
+    return replace(material, first=(r, g, b), gloss=0.0)
 
 
 def _shell(rng: np.random.Generator, taken: set[tuple[str, str]]) -> list[Thing]:

@@ -30,6 +30,10 @@ FRAME = 0.06
 """Width of a picture's frame, as a share of the picture."""
 
 
+RGB = tuple[float, float, float]
+"""Red, green and blue."""
+
+
 @dataclass(frozen=True)
 class Material:
     """What a thing is made of.
@@ -49,8 +53,8 @@ class Material:
     """
 
     pattern: int
-    first: tuple[float, float, float]
-    second: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    first: RGB
+    second: RGB = (0.8, 0.8, 0.8)
     cell: float = 0.1
     photo: str = PHOTOS[0]
     gloss: float = 0.05
