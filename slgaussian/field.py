@@ -52,7 +52,7 @@ class FieldView:
     ids : int32 [H, W]
         Object ids, 0 where there is none.
     confidence : float32 [H, W]
-        In [0, 1], about the share of the pixel's light by which its object leads the next one; 0
+        In [0, 1], about the fraction of the pixel's light by which its object leads the next one; 0
         where there is none. See :class:`slgaussian.semantic.decode.Decoder`.
     alpha : float32 [H, W]
         Accumulated opacity in [0, 1].

@@ -388,7 +388,7 @@ class Scene:
 
 
 def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
-    """Share of ``a``'s image, 0 to 1, that lands inside ``b`` if all of it lies at ``depth``.
+    """Fraction of ``a``'s image, 0 to 1, that lands inside ``b`` if all of it lies at ``depth``.
 
     ``depth`` is a scalar or a [9, 9] map of z-depths on a regular grid over ``a``'s image.
     """

@@ -28,7 +28,7 @@ from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_lin
 from slgaussian.kernels import threads
 from slgaussian.parts.extras import PACKAGE, install_line, requirements
 from slgaussian.parts.registry import names_of
-from slgaussian.storage.remote import masked
+from slgaussian.storage.remote import redacted
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are told even if all is well."""
@@ -203,7 +203,7 @@ def _begin_server(store: Any, stack: ExitStack, begun: list[Callable[[], Finding
 
     def check() -> Findings:
         ready()
-        said = f"{_version(given)} answers at {masked(given)}" if given else "starts and answers"
+        said = f"{_version(given)} answers at {redacted(given)}" if given else "starts and answers"
         yield Finding("server", f"Prefect's server {said}")
 
     begun.append(check)
@@ -216,7 +216,7 @@ def _version(url: str) -> str:
             return str(json.load(answer))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"PREFECT_API_URL {masked(url)}: no Prefect server answers there ({error}); start it "
+            f"PREFECT_API_URL {redacted(url)}: no Prefect server answers there ({error}); start it "
             "with `prefect server start`, correct the variable, or unset it"
         ) from error
 

@@ -21,7 +21,7 @@ from prefect.events.clients import NullEventsClient
 from prefect.events.worker import EventsWorker
 
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.storage.remote import masked
+from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.events import Event, Failed, Listener
 from tasks.stage import Worksite, at
@@ -203,7 +203,7 @@ def answer_roll_call(root: str, probe: str, server: str) -> None:
     try:
         urllib.request.urlopen(f"{server}/health", timeout=ANSWER).close()
     except OSError as error:
-        raise InputError(f"it does not reach the server at {masked(server)}: {error}") from error
+        raise InputError(f"it does not reach the server at {redacted(server)}: {error}") from error
 
 
 def _failure(scene: str, stage: str, error: Exception) -> Failure:

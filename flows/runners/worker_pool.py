@@ -37,7 +37,7 @@ from flows.runners.shard import (
 )
 from flows.runners.task_runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
-from slgaussian.storage.remote import masked
+from slgaussian.storage.remote import redacted
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.events import Event, Failed
@@ -210,7 +210,7 @@ class JobFlow(Generic[Made]):
             try:
                 self.flow.with_options(task_runner=task_runner)(here)
             except HTTPError as error:  # as when it was killed, or its disk is full
-                url, home = masked(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+                url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
                 failed = f"the Prefect server at {url} failed ({error})"
                 if not here.made:
                     raise SLGaussianError(

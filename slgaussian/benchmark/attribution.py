@@ -46,7 +46,7 @@ UNDECIDED = "mask or geometry"
 its own measure, wherever it lies."""
 
 MOSTLY = 0.5
-"""Share of the truth in the context views that must not rest on predicted depth, to decide."""
+"""Fraction of the truth in the context views that must not rest on predicted depth, to decide."""
 
 BEYOND = "nothing mends it"
 """What lost a miss that stays one: the photographs do not show it, or the truth is rough."""

@@ -14,7 +14,7 @@ import numpy as np
 from slgaussian.benchmark import metrics
 
 DILATION = 0.02
-"""The distance, as a share of the image's diagonal."""
+"""The distance, as a fraction of the image's diagonal."""
 
 
 def boundary_iou(predicted: np.ndarray, truth: np.ndarray) -> float:

@@ -32,7 +32,7 @@ CHANGED = 8
 """Queries that are shown, those whose IoU changed most."""
 
 WIDTH = 300
-"""Of a picture of two masks, pixels at most."""
+"""Pixels, at most, of the width of a picture of two masks."""
 
 BOTH, FIRST, SECOND, NEITHER = (236, 239, 244), (230, 126, 34), (0, 114, 178), (29, 35, 48)
 """Colours of the pixels of two masks: in both, in that of the first report alone, of the second."""
@@ -215,7 +215,7 @@ def _keys(rows: Sequence[Row]) -> set[tuple[str, ...]]:
 
 
 def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """The same samples of both."""
+    """The samples that both have, in one order."""
     theirs = {_key(row): row for row in others}
     mine = [row for row in rows if _key(row) in theirs]
     return mine, [theirs[_key(row)] for row in mine]

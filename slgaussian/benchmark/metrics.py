@@ -36,7 +36,7 @@ def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float |
 
 
 def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
-    """Share of the image's pixels at which every class is told right (3D-OVS, arXiv:2305.14093).
+    """Fraction of the image's pixels at which every class is told right (3D-OVS, arXiv:2305.14093).
 
     scikit-learn's accuracy of one bit a class: the pixel's truth has to be one class alone, and
     that one has to win. So a pixel without a label, or with two, is always wrong; and so is one
@@ -103,8 +103,8 @@ def depth_errors(
     Returns
     -------
     dict
-        ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` share with ``max(d/t, t/d) < 1.25``;
-        with a disparity scale, ``bad2`` share whose disparity is more than 2 px off, the measure
+        ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) < 1.25``;
+        with a disparity scale, ``bad2`` fraction whose disparity is more than 2 px off, the measure
         of the Middlebury stereo benchmark. Empty if no true depth is known.
     """
     known = truth > 0

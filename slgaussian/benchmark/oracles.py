@@ -23,13 +23,13 @@ from slgaussian.semantic.decode import elected_ids
 
 ONE_THING = 0.5
 """Two objects of different views are one thing if they share more than this share of the smaller
-one's pixels, and more than this share of each lies in the truth."""
+one's pixels, and more than this fraction of each lies in the truth."""
 
 CRUMB = 0.05
-"""Share of a mask below which a connected part of it does not count."""
+"""Fraction of a mask below which a connected part of it does not count."""
 
 BEHIND = 0.05
-"""Share of its depth by which a point must lie behind what a view shows, to be hidden there."""
+"""Fraction of its depth by which a point must lie behind what a view shows, to be hidden there."""
 
 SPECK = 7
 """Side of the window, pixels, in which one pixel with a known place is enough to fill the gaps of
@@ -45,7 +45,7 @@ def best_prefix(keys: np.ndarray, inside: np.ndarray, areas: np.ndarray, total: 
 
     With scores for keys it is the best that any threshold can do. With ``inside / areas`` it is the
     best that any choice of pieces can do: at the best IoU t, taking a piece pays if and only if its
-    pixels inside are more than t times those outside, and that goes by the share inside.
+    pixels inside are more than t times those outside, and that goes by the fraction inside.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def best_prefix(keys: np.ndarray, inside: np.ndarray, areas: np.ndarray, total: 
 def best_pieces(seen: ObjectMap, truth: np.ndarray) -> np.ndarray:
     """Which objects of an image, united, overlap best with a mask bool [H, W]: bool [N]."""
     inside = seen.areas_within(truth)
-    shares = inside / np.maximum(seen.areas, 1)
-    return best_prefix(shares, inside, seen.areas, int(np.count_nonzero(truth)))
+    fractions = inside / np.maximum(seen.areas, 1)
+    return best_prefix(fractions, inside, seen.areas, int(np.count_nonzero(truth)))
 
 
 def best_wholes(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
@@ -215,7 +215,7 @@ class ContextTruth:
     members : bool [L + 1, Q]
         Which queries a label belongs to.
     known : float64 [Q]
-        Share of the pixels of a query that does not rest on predicted depth.
+        Fraction of the pixels of a query that does not rest on predicted depth.
     """
 
     labels: np.ndarray

@@ -151,11 +151,11 @@ TABLES = (
 ABLATION = "Table 3. Ablation: chosen IoU (%)"
 ABLATED = ((LERF, "teatime"), (OVS3D, "covered_desk"))
 ABLATION_NUMBERS = ((8.70, 15.51), (6.58, 10.48), (10.84, 16.40), (40.65, 51.97))
-"""Of Table 3, in the order of :data:`slgaussian.benchmark.baselines.PAPER_ABLATION`."""
+"""The numbers of Table 3, in the order of :data:`slgaussian.benchmark.baselines.PAPER_ABLATION`."""
 
 QUERY_2D = "Table 4. Querying a new view against the 2D query, LERF"
 QUERY_2D_NUMBERS = {"query-2d": (44.64, 65.08), "slgaussian": (41.50, 70.80)}
-"""Of Table 4: chosen IoU and localization accuracy, %."""
+"""The numbers of Table 4: chosen IoU and localization accuracy, %."""
 
 
 def paper_tables(

@@ -34,7 +34,7 @@ class Placement:
 
     @classmethod
     def of(cls, full_w: int, full_h: int, width: int, height: int) -> Placement:
-        """That of an image of ``full_w`` x ``full_h`` pixels.
+        """The placement of an image of ``full_w`` x ``full_h`` pixels.
 
         InputError if the shapes differ by so much that it would be scaled to too many pixels.
         """

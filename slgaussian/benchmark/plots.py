@@ -103,15 +103,15 @@ def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
         for method in [*others, *(found.keys() & {ours})]:
             own = found[method]
             some = own.counts > 0
-            shares = own.hits[some] / own.counts[some]
+            fractions = own.hits[some] / own.counts[some]
             means = own.scores[some] / own.counts[some]
             sizes = 4 + 200 * own.counts[some] / own.counts.sum()
             if method == ours:
-                axes.plot(means, shares, color=ACCENT, lw=1.2, alpha=0.5)
-                axes.scatter(means, shares, sizes, color=ACCENT, zorder=3, label=ours)
+                axes.plot(means, fractions, color=ACCENT, lw=1.2, alpha=0.5)
+                axes.scatter(means, fractions, sizes, color=ACCENT, zorder=3, label=ours)
             else:
                 label = "other methods" if method == others[-1] else None
-                axes.scatter(means, shares, sizes, color=LINE, label=label)
+                axes.scatter(means, fractions, sizes, color=LINE, label=label)
         axes.set(xlim=(0, 1), ylim=(-0.03, 1.03), xlabel="best relevancy", ylabel="share of hits")
         axes.grid()
         _name_lines(figure)

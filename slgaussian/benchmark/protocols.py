@@ -164,7 +164,7 @@ def _langsplat(frame: Frame, k: int, how: How) -> Scored:
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
     known = relevancy > 0
     if known.any():
-        # A hole must not stretch the range that the threshold is a share of.
+        # A hole must not stretch the range that the threshold is a fraction of.
         image = np.where(known, relevancy, relevancy.min(where=known, initial=np.inf))
         mask = langsplat.find_mask(image, side)
         point, peak = langsplat.find_point(image, side)

@@ -55,7 +55,7 @@ def average_precision(ranking: Ranking) -> float | None:
     """Precision at every different relevancy, weighted by the recall that it adds; in (0, 1].
 
     The step-wise sum, as scikit-learn has it, without interpolation. An image of one value scores
-    the truth's share of the pixels. None if the truth is empty.
+    the truth's fraction of the pixels. None if the truth is empty.
     """
     if not ranking.positives:
         return None
@@ -98,7 +98,7 @@ def calibration_error(ranking: Ranking) -> float:
     """Expected calibration error of relevancy as a chance that the pixel is in the truth; [0, 1].
 
     Of each of :data:`BINS` bins ((b - 1) / n, b / n], the first with 0, how far the mean
-    relevancy is from the truth's share, averaged with the bins' pixels as weights (Naeini et al.
+    relevancy is from the truth's fraction, averaged with the bins' pixels as weights (Naeini et al.
     2015; Guo et al. 2017, arXiv:1706.04599).
     """
     pixels = np.diff(ranking.found, prepend=0)

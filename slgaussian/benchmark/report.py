@@ -377,7 +377,7 @@ Lost = list[tuple[str, int, dict[str, float | None]]]
 
 
 def _attribution_tables(attribution: Sequence[Row]) -> list[tuple[str, Lost]]:
-    """Of each data set, and of all queries in its last line."""
+    """What lost the queries of each data set, and of all of them in the last line."""
     tables = []
     for dataset in dict.fromkeys(row["dataset"] for row in attribution):
         own = [row for row in attribution if row["dataset"] == dataset]
@@ -396,7 +396,7 @@ def _mean_ious(rows: Sequence[Row]) -> dict[str, float | None]:
 
 
 def _summaries(scenes: Sequence[Scene]) -> list[tuple[str, list[str], Summary]]:
-    """Of each data set its name, its scenes, and what is said of them."""
+    """The name of each data set, its scenes, and what is said of them."""
     found = []
     for dataset in dict.fromkeys(scene.dataset for scene in scenes):
         own = [scene for scene in scenes if scene.dataset == dataset]

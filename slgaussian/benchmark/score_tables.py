@@ -42,7 +42,7 @@ MAIN = (
     Column("threshold-free", "auc", "AUC", 3, "area under the curve of true and false positives"),
     Column("threshold-free", "best_iou", "Best IoU", 3, "with the best threshold of each query"),
 )
-"""The scores that are looked at first,"""
+"""The scores that are looked at first."""
 
 MORE = (
     Column("langsplat", "iou", "IoU", 3, "smoothed, stretched relevancy above 0.4"),
@@ -56,7 +56,7 @@ MORE = (
     Column("slgaussian", SCORE_CALIBRATION, "ECE, point", 3, "relevancy as a chance to hit", -1),
     Column("threshold-free", "calibration_error", "ECE, pixels", 3, "as a chance of a pixel", -1),
 )
-"""and the others."""
+"""The scores that follow."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Table:
 
     @property
     def columns(self) -> list[Column]:
-        """Of all groups."""
+        """The columns of all groups."""
         return [column for group in self.groups for column in group.columns]
 
     @property

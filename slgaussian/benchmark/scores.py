@@ -275,7 +275,7 @@ def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int
 
 
 def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
-    """Of one scene; None without a sample."""
+    """The mean of a metric over one scene; None without a sample."""
     if not metric.by_frame:
         values = [value for row in rows if (value := metric.of(row)) is not None]
     else:

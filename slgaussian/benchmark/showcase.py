@@ -14,12 +14,15 @@ Row = Mapping[str, Any]
 Key = tuple[str, str, str]
 """Scene, frame and query."""
 
-WORST, BEST = 8, 4
-"""Answers of a run that open the report, and that follow."""
+WORST = 8
+"""Answers of a run, those that scored least, that open the report."""
+
+BEST = 4
+"""Answers of a run, those that scored most, that follow."""
 
 OF_A_SCENE = 2
-"""Of them at most so many are of one scene, unless there are too few scenes; of data sets as many
-of each."""
+"""Shown answers that are of one scene at most, unless there are too few scenes; as many are of each
+data set."""
 
 ALL_METHODS = 5
 """Queries that are shown as every method answers them."""
@@ -85,7 +88,7 @@ def telling(own: Sequence[Row], others: Mapping[str, Sequence[Row]], count: int)
 
 
 def _once(keys: Sequence[Key], before: Sequence[Key]) -> list[Key]:
-    """Those whose text was not shown in another frame of the scene, nor ``before``."""
+    """The keys whose text was not shown in another frame of the scene, nor ``before``."""
     shown = {(scene, query) for scene, _, query in before}
     fresh: dict[tuple[str, str], Key] = {}
     for key in keys:

@@ -18,7 +18,7 @@ DRAWS = 10_000
 """Resamplings of the bootstrap; of 10,000 the interval's ends have about two sure digits."""
 
 LEVEL = 0.95
-"""Share of the resamplings inside the interval."""
+"""Fraction of the resamplings inside the interval."""
 
 LEAST = 6
 """Samples below which no gain is beyond noise: of five, all gain by chance one time in 32, and the

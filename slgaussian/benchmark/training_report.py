@@ -30,7 +30,7 @@ ABOUT = {
 """What each lifting is."""
 
 SMOOTH = 0.02
-"""Share of the steps over which the curve of the loss is averaged."""
+"""Fraction of the steps over which the curve of the loss is averaged."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from slgaussian.scene import Camera, Sample, View
 
 COARSE = 0.01
 FINE = 0.002
-"""Distances to the epipolar line, as shares of the image diagonal, up to which cameras explain a
+"""Distances to the epipolar line, as fractions of the image diagonal, up to which cameras explain a
 match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off by half a degree,
 which :func:`slgaussian.predict.pose.refine` mends and the coarse one forgives; the fine one tells
 which of several cameras fit best."""
@@ -32,23 +32,23 @@ LEAST = 1.0
 
 MIN_AGREEING = 30
 MIN_AGREEMENT = 0.4
-"""Fewest matches, and least share of them, that must agree with one another for a judgement."""
+"""Fewest matches, and least fraction of them, that must agree with one another for a judgement."""
 
 BOUND = 0.35
-"""Cameras are refused if they explain less than this share of the matches that agree."""
+"""Cameras are refused if they explain less than this fraction of the matches that agree."""
 
 FITS = 0.6
 BETTER = 2.0
-"""A correction is the cause if it explains finely this share of the matches that agree as finely,
-and so many times those that the cameras explain as they are. `docs/measured/cameras.md` has
-what both were chosen by."""
+"""A correction is the cause if it explains finely the fraction ``FITS`` of the matches that agree
+as finely, and ``BETTER`` times as many as the cameras explain as they are. What both were chosen by
+is in `docs/measured/cameras.md`."""
 
 WIDE = 20.0
-"""Degrees between the two lines of sight to a thing above which depth suffers."""
+"""Degrees between the two lines of sight to a thing above which depth suffers, as measured in
+`docs/measured/cameras.md`."""
 
 TURNED = 30.0
-"""Degrees between the optical axes of two cameras above which it does; both are measured in
-`docs/measured/cameras.md`."""
+"""Degrees between the optical axes of two cameras above which depth suffers, as measured there."""
 
 Pair = tuple[Camera, Camera]
 
@@ -210,17 +210,17 @@ def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarr
 
 def _refusal(check: PairCheck) -> str:
     a, b = check.views
-    share = f"{check.coarse:.0%} of the {check.matches} matches"
+    explained = f"{check.coarse:.0%} of the {check.matches} matches"
     agreed = check.agreeing / check.matches
     if check.correction is None:
         return (
-            f"{a!r} and {b!r}: the cameras explain {share} between the photographs to within "
+            f"{a!r} and {b!r}: the cameras explain {explained} between the photographs to within "
             f"{check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, and no "
             "usual mistake explains it; check that each photograph has its own pose and its own "
             "intrinsics (--trust-cameras goes on all the same)"
         )
     return (
-        f"{a!r} and {b!r}: the cameras explain {share} between the photographs to within "
+        f"{a!r} and {b!r}: the cameras explain {explained} between the photographs to within "
         f"{check.pixels[0]:.1f} pixels, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
         f"{check.correction} (--trust-cameras goes on all the same)"
     )

@@ -12,7 +12,7 @@ from slgaussian.cameras.check import TURNED, WIDE, PairCheck
 from slgaussian.scene import Camera
 
 CONFIRMS = 0.02
-"""Two views show one surface where their depths differ by at most this share."""
+"""Two views show one surface where their depths differ by at most this fraction."""
 
 LITTLE_SHARED = 0.3
 """Overlap below which most of a field is seen once, and its depth is a guess."""
@@ -20,22 +20,22 @@ LITTLE_SHARED = 0.3
 
 @dataclass(frozen=True)
 class Quality:
-    """Of the worst pair of neighbouring views where there are several.
+    """How well two photographs fit together; of several, the worst pair of neighbouring views.
 
     Attributes
     ----------
     overlap : float
-        Share of the pixels of each view that show a surface, for which it falls inside the other;
-        the smaller of the two.
+        Fraction of the pixels of each view that show a surface, for which it falls inside the
+        other; the smaller of the two.
     confirmed : float
-        Share of all such pixels whose surface another view shows at the same depth.
+        Fraction of all such pixels whose surface another view shows at the same depth.
     angle : float or None
         Degrees between the lines of sight, median of the explained matches; None without any.
     turn : float
         Degrees between their optical axes.
     matches : int
     explained : float
-        Share of the matches that the cameras explain within ``pixels``.
+        Fraction of the matches that the cameras explain within ``pixels``.
     pixels : float
     judged : bool
         Whether the matches could tell right cameras from wrong ones.
@@ -96,12 +96,12 @@ def measure(
     confirmed = np.zeros(depths.shape, bool)
     for check in checks:
         a, b = (names.index(name) for name in check.views)
-        shares = []
+        fractions = []
         for here, there in ((a, b), (b, a)):
             inside, same = _seen_again(cameras[here], depths[here], cameras[there], depths[there])
             confirmed[here] |= same
-            shares.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
-        overlaps.append(min(shares))
+            fractions.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
+        overlaps.append(min(fractions))
         cosine = cameras[a].c2w[:3, 2] @ cameras[b].c2w[:3, 2]
         turns.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
     worst = min(checks, key=lambda check: check.coarse)

@@ -20,13 +20,13 @@ ALIKE = np.cos(np.radians(45))
 one's: the middle of cameras all around a thing is inside the thing."""
 
 ROUND = 0.3
-"""The least shorter half axis of a turn, as a share of the longer one: above and below the baseline
-of two cameras parallax uncovers what neither saw. At 0.3, at most 0.3 % of a frame is empty in the
-office's hall, 0.6 % in a kitchen and 5.5 % in a street that is driven along."""
+"""The least shorter half axis of a turn, as a fraction of the longer one: above and below the
+baseline of two cameras parallax uncovers what neither saw. At 0.3, at most 0.3 % of a frame is
+empty in the office's hall, 0.6 % in a kitchen and 5.5 % in a street that is driven along."""
 
 
 def between(a: Camera, b: Camera, t: float) -> Camera:
-    """The camera at share ``t`` of the way from ``a`` to ``b``.
+    """The camera at fraction ``t`` of the way from ``a`` to ``b``.
 
     Position and intrinsics are interpolated; the orientation is slerped (Shoemake, "Animating
     Rotation with Quaternion Curves", SIGGRAPH 1985), so that it turns at an even rate about one

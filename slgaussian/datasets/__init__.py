@@ -28,10 +28,10 @@ FILES = {
     name: READERS[name].replace(":read", ":files")
     for name in ("nerfstudio", "colmap", "llff", "lerf_ovs", "ovs3d", "re10k")
 }
-"""Of the formats that read files, what says which."""
+"""What says which files a format reads, by format."""
 
 SETS = {name: READERS[name].replace(":read", ":scenes") for name in ("lerf_ovs", "ovs3d", "re10k")}
-"""Of the formats whose folder holds several scenes, what lists them."""
+"""What lists the scenes of a folder that holds several, by format."""
 
 
 def load(format: str, *args: Any, **settings: Any) -> Scene:

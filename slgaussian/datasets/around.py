@@ -11,7 +11,7 @@ import numpy as np
 from slgaussian.datasets.pairs import Bounds, Pair, Views, score, sightings
 
 NAME, VERSION = "around", 1
-"""Of the rule, as index files have them: what it chooses does not change within a version."""
+"""Name and version of the rule, as index files have them: within a version it chooses the same."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Rule:
     bounds : Bounds
         Overlap and baseline of the two, how sharp and well exposed they must be.
     min_cover : float
-        Least share of the target that at least one of the two sees, if all of it lies at the
+        Least fraction of the target that at least one of the two sees, if all of it lies at the
         target's typical depth.
     max_aside : float
-        How far the target may be from the middle between the two, as a share of their distance;
+        How far the target may be from the middle between the two, as a fraction of their distance;
         below 0.5, so that it is between them, and nearer to none than the rest of that.
     """
 
@@ -112,7 +112,7 @@ def surround(
 def _fitting(clip: Views, usable: list[int], seen: np.ndarray, rule: Rule) -> list[Pair]:
     """The pairs of usable views that fit the bounds, without targets, in order.
 
-    Row a, column b of ``seen``: the share of the one that the other sees.
+    Row a, column b of ``seen``: the fraction of the one that the other sees.
     """
     bounds = rule.bounds
     n = len(usable)

@@ -23,7 +23,7 @@ CANDIDATES = 200
 """Most views of a clip that are considered: of each stretch of frames the sharpest."""
 
 DARK, BRIGHT = 0.08, 0.92
-"""Mean grey, as a share of white, outside of which a photograph is badly exposed."""
+"""Mean grey, as a fraction of white, outside of which a photograph is badly exposed."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,16 @@ class Bounds:
     Attributes
     ----------
     min_overlap, max_overlap : float
-        Share of each context view that the other sees, the smaller of the two, if all of it lies
+        Fraction of each context view that the other sees, the smaller of the two, if all of it lies
         at the view's typical depth.
     min_baseline, max_baseline : float
-        Distance between the two cameras as a share of that depth. Too far apart, and what overlaps
-        in space may be hidden, or seen from another side.
+        Distance between the two cameras as a fraction of that depth. Too far apart, and what
+        overlaps in space may be hidden, or seen from another side.
     max_blur : float
         By how much a view may be more blurred than the median view of its clip, on the scale of
         :func:`slgaussian.datasets.sharpness.blur`.
     max_clipped : float
-        Share of pixels that may be black or white.
+        Fraction of pixels that may be black or white.
     most : int
         Samples of a clip at most, 0 for as many as there are.
     """
@@ -171,24 +171,24 @@ def choose(clip: Views, bounds: Bounds) -> list[Pair]:
 def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
     """:func:`slgaussian.scene.shared_view` of every view in every other, float64 [N, N].
 
-    Row a, column b: the share of a's image that lands inside b if all of it lies at ``depths[a]``.
+    Row a, column b: the fraction of a's image that lands inside b if it all lies at ``depths[a]``.
     """
     return np.stack([s.mean(-1) for s in sightings(cameras, depths)])
 
 
 def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
-    """Of one view after the other, where in it every view looks, bool [N, 81].
+    """Yield for one view after the other where in it every view looks, bool [N, 81].
 
     Row b: which pixels of a regular grid over the image land inside b if all of it lies at its
     depth.
     """
     grid = (np.arange(9) + 0.5) / 9
-    shares = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    fractions = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     ends = np.array([(c.width, c.height) for c in cameras], np.float64)
     w2c = np.stack([c.w2c for c in cameras])
     K = np.stack([c.K for c in cameras])
     for camera, end, depth in zip(cameras, ends, depths, strict=True):
-        pixels = np.concatenate([shares * end, np.ones((len(shares), 1))], 1)
+        pixels = np.concatenate([fractions * end, np.ones((len(fractions), 1))], 1)
         local = depth * pixels @ np.linalg.inv(camera.K).T
         world = local @ camera.c2w[:3, :3].T + camera.center
         there = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
@@ -200,7 +200,7 @@ def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndar
 
 
 def beside_each_other(pairs: Sequence[Pair]) -> list[Pair]:
-    """Those of the pairs that together score most, no two of which share a frame, in order.
+    """The pairs that together score most and of which no two share a frame, in order.
 
     Weighted interval scheduling (Kleinberg and Tardos, "Algorithm Design", section 6.1).
     """
@@ -226,7 +226,7 @@ def _sharpest_of_stretches(usable: np.ndarray, blur: np.ndarray) -> np.ndarray:
 
 
 def _quarters(frames: np.ndarray) -> tuple[int, ...]:
-    """Of five or more ascending frames those near the quarters between the first and the last."""
+    """The frames, of five or more in ascending order, near the quarters from first to last."""
     between = frames[1:-1]
     chosen: list[int] = []
     for mark in np.linspace(frames[0], frames[-1], TARGETS + 2)[1:-1]:

@@ -14,7 +14,7 @@ from slgaussian.formats.images import opened, unreadable
 from slgaussian.scene import Camera, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
-"""Of photographs, in the order in which they are tried where a name leaves its extension out."""
+"""Endings of photographs, tried in this order where a name leaves its own out."""
 
 OPAQUE = 128
 """Least alpha, of 255, of a pixel that shows something."""

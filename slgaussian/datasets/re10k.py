@@ -4,7 +4,7 @@ A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
 row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
-axes; the intrinsics are shares of width and height. The raw camera files of
+axes; the intrinsics are fractions of width and height. The raw camera files of
 https://google.github.io/realestate10k/ have the clip's address in their first line, then a row a
 frame: the timestamp and the same 18 numbers.
 
@@ -286,8 +286,8 @@ def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
 def row_of(camera: Camera) -> np.ndarray:
     """Inverse of :func:`camera_of`, float32 [18]; a skew of K is not kept."""
     K, size = camera.K, (camera.width, camera.height)
-    shares = [K[0, 0] / size[0], K[1, 1] / size[1], K[0, 2] / size[0], K[1, 2] / size[1]]
-    return np.array([*shares, 0, 0, *camera.w2c[:3].ravel()], np.float32)
+    fractions = [K[0, 0] / size[0], K[1, 1] / size[1], K[0, 2] / size[0], K[1, 2] / size[1]]
+    return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
 
 
 def clip_of(scene: Scene) -> Clip:

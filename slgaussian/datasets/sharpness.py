@@ -58,8 +58,8 @@ def small(image: np.ndarray) -> np.ndarray:
 def blur(grey: np.ndarray) -> float:
     """How blurred an image uint8 [h, w] is, from 0, sharp, to 1; without any edge 1.
 
-    The share of its edges that survive another blur, in the worse of the two directions (Crete et
-    al., "The blur effect", 2007). Unlike the variance of the Laplacian it hardly depends on how
+    The fraction of its edges that survive another blur, in the worse of the two directions (Crete
+    et al., "The blur effect", 2007). Unlike the variance of the Laplacian it hardly depends on how
     much there is to see: a sharp photograph of a blank door counts as sharp.
     """
     if min(grey.shape) < REBLUR:
@@ -68,6 +68,6 @@ def blur(grey: np.ndarray) -> float:
 
 
 def exposure(grey: np.ndarray) -> tuple[float, float]:
-    """Mean of an image uint8 [h, w], 0 to 1, and the share of pixels that are clipped."""
+    """Mean of an image uint8 [h, w], 0 to 1, and the fraction of pixels that are clipped."""
     clipped = (grey <= CLIPPED) | (grey >= 255 - CLIPPED)
     return float(grey.mean() / 255), float(clipped.mean())

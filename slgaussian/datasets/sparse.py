@@ -72,7 +72,7 @@ class SparseModel:
 
 
 def model_files(folder: Path) -> list[Path]:
-    """Those of its three files that a folder has, all of one kind; none if cameras or images lack.
+    """The files of the model in a folder, all of one kind; none if cameras or images lack.
 
     Points may be missing: a reconstruction without them still has poses.
     """

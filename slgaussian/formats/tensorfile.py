@@ -17,7 +17,7 @@ LONGEST = 200
 """Letters of the longest name of code that is looked at: torch takes the square of them in time."""
 
 PICKLES = 5
-"""Of a file that is no zip archive: three of them about the format, the content, its tensors."""
+"""Pickles in a file that is no zip archive: three about the format, the content, its tensors."""
 
 
 class CodeError(ValueError):

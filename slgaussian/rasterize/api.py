@@ -31,8 +31,8 @@ MOST_LABELS = 2**24
 """Labels are compared side by side with their weights, in float32, which is exact below this."""
 
 FRUSTUM_MARGIN = 0.3
-"""The affine approximation is evaluated at most this share of half the image size outside the
-image; further off it explodes (Kerbl et al. 2023 and gsplat take the same share)."""
+"""The affine approximation is evaluated at most this fraction of half the image size outside the
+image; further off it explodes (Kerbl et al. 2023 and gsplat take the same fraction)."""
 
 
 @dataclass(frozen=True, eq=False)

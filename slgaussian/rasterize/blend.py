@@ -73,8 +73,8 @@ def draw(
     most = fullest(bins)
     counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
     for _worker in numba.prange(WORKERS):
-        share = take(counter)
-        if share * STRIP >= tiles:
+        strip = take(counter)
+        if strip * STRIP >= tiles:
             continue
         work = make_workspace(most, channels - 1)
         sums = np.empty((channels + 3) * LANES, np.float32)
@@ -83,8 +83,8 @@ def draw(
         heard = np.empty(most_label + 1, np.int32)
         votes = np.empty((most_label + 1) * LANES, np.float32)
         elected = np.empty(4 * LANES, np.float32)
-        while share * STRIP < tiles:
-            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+        while strip * STRIP < tiles:
+            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, values, work)
                 for block in range(TILE_BLOCKS):
                     x0, y0 = corner_of(block, left, top)
@@ -113,7 +113,7 @@ def draw(
                                 label[y, x] = elected[lane]
                                 for k in range(3):
                                     label_weights[y, x, k] = elected[(k + 1) * LANES + lane]
-            share = take(counter)
+            strip = take(counter)
     return image, alpha, depth, median, label, label_weights
 
 
@@ -144,14 +144,14 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
     most = fullest(bins)
     counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
     for _worker in numba.prange(WORKERS):
-        share = take(counter)
-        if share * STRIP >= tiles:
+        strip = take(counter)
+        if strip * STRIP >= tiles:
             continue
         work = make_workspace(most, channels - 1)
         totals = np.empty(most * sums * LANES, np.float32)
         upstream = np.empty((channels + 1) * LANES, np.float32)
-        while share * STRIP < tiles:
-            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+        while strip * STRIP < tiles:
+            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, values, work)
                 start = bins.starts[tile]
                 n = bins.starts[tile + 1] - start
@@ -178,7 +178,7 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
                     place += tile % bins.across - x0
                     for m in range(sums):
                         grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
-            share = take(counter)
+            strip = take(counter)
     return grads
 
 

@@ -136,12 +136,12 @@ def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members
     most = fullest(bins)
     counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
     for _worker in numba.prange(WORKERS):
-        share = take(counter)
-        if share * STRIP >= tiles:
+        strip = take(counter)
+        if strip * STRIP >= tiles:
             continue
         work = make_workspace(most, 0)
-        while share * STRIP < tiles:
-            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+        while strip * STRIP < tiles:
+            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, nothing, work)
                 for block in range(TILE_BLOCKS):
                     x0, y0 = corner_of(block, left, top)
@@ -154,7 +154,7 @@ def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members
                         _write(block, count, work, alpha_max, width - x0, height - y0,
                                cursors[place], entries, members, alphas)  # fmt: skip
                     cursors[place] += count
-            share = take(counter)
+            strip = take(counter)
 
 
 # A function of its own: from inside a prange, Numba would leave out the call of weigh_block, whose

@@ -148,13 +148,13 @@ def _weigh(
     most = fullest(bins)
     counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
     for _worker in numba.prange(WORKERS):
-        share = take(counter)
-        if share * STRIP >= tiles:
+        strip = take(counter)
+        if strip * STRIP >= tiles:
             continue
         work = make_workspace(most, 0)
         solids = np.empty(LANES, np.float32)
-        while share * STRIP < tiles:
-            for tile in range(share * STRIP, min(tiles, (share + 1) * STRIP)):
+        while strip * STRIP < tiles:
+            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, values, work)
                 for block in range(TILE_BLOCKS):
                     x0, y0 = corner_of(block, left, top)
@@ -179,12 +179,12 @@ def _weigh(
                             found += 1
                     if not write:
                         starts[place] = found
-            share = take(counter)
+            strip = take(counter)
 
 
 @numba.njit(cache=True)
 def _turn(starts, members, weights, count):
-    """The same entries Gaussian by Gaussian: where each starts, their blocks and weights."""
+    """The entries, Gaussian by Gaussian: where each one starts, their blocks and weights."""
     begins = np.zeros(count + 1, np.int64)
     for member in members:
         begins[member + 1] += 1

@@ -76,8 +76,8 @@ class Eye(NamedTuple):
     alpha_min: float
     cut: float
     """The log2 of alpha_min."""
-    share: float
-    """The log2 of the share of its opacity below which a splat is also cut."""
+    fraction: float
+    """The log2 of the fraction of its opacity below which a splat is also cut."""
 
 
 def eye_of(camera: Camera, settings: Settings) -> Eye:
@@ -104,7 +104,7 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
         compensate=settings.compensate,
         alpha_min=settings.alpha_min,
         cut=math.log2(settings.alpha_min) if settings.alpha_min > 0 else -math.inf,
-        share=-HALF_LOG2_E * settings.sigmas**2,
+        fraction=-HALF_LOG2_E * settings.sigmas**2,
     )
 
 
@@ -202,7 +202,7 @@ def _project_vector(given, eye, made):
     yy = yy + eye.low_pass
     u, v = _to_pixel(x, y, eye)
     power = vwiden(vlog2(vnarrow(opacity)))
-    cut = power + eye.share
+    cut = power + eye.fraction
     cut = vwhere(cut > eye.cut, cut, eye.cut)
     shown = (z > eye.near) & (opacity > eye.alpha_min)
     # In variances; rounded, it may lack a millionth.
@@ -295,12 +295,12 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
             # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
             xx, xy, yy, det = _covariance(px, py)
             wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
-            share = math.sqrt(det / wide)
-            d_share = d_opacity * opacities[i]
-            d_opacity *= share
-            if share > 0:
-                d_det = d_share / (2 * share) * (wide - det) / (wide * wide)
-                d_trace = -d_share / (2 * share) * det / (wide * wide) * eye.low_pass
+            fraction = math.sqrt(det / wide)
+            d_fraction = d_opacity * opacities[i]
+            d_opacity *= fraction
+            if fraction > 0:
+                d_det = d_fraction / (2 * fraction) * (wide - det) / (wide * wide)
+                d_trace = -d_fraction / (2 * fraction) * det / (wide * wide) * eye.low_pass
                 dxx += d_det * yy + d_trace
                 dxy -= d_det * 2 * xy
                 dyy += d_det * xx + d_trace

@@ -242,13 +242,13 @@ class _Scene:
         """Try pairs in their order; a Gaussian that ``changed`` is not tried again."""
         if not len(pairs):
             return
-        shape, share = _join(self.gaussians, pairs)
+        shape, fraction = _join(self.gaussians, pairs)
         solid = np.ones(len(pairs), np.float32)
         nothing = np.empty((len(pairs), 0), np.float32)
         seen = [project(*shape, solid, nothing, eye)[:2] for eye in self.eyes]
         splats, boxes = (np.stack(arrays) for arrays in zip(*seen, strict=True))
         opacities, shifts = _merge(
-            pairs, share, splats, boxes, self.lists, self.values, self.reference, self.frozen,
+            pairs, fraction, splats, boxes, self.lists, self.values, self.reference, self.frozen,
             self.limits, self.kept.numpy(), changed,
         )  # fmt: skip
         done = torch.from_numpy(opacities > 0)
@@ -256,7 +256,7 @@ class _Scene:
         mine = self.gaussians
         for name, arrays in zip(GEOMETRY, (*shape, opacities), strict=True):
             getattr(mine, name)[j] = torch.from_numpy(arrays)[done]
-        part, shifts = torch.from_numpy(share)[done], torch.from_numpy(shifts)[done]
+        part, shifts = torch.from_numpy(fraction)[done], torch.from_numpy(shifts)[done]
         part = part[:, None]
         mine.sh[j] = part[..., None] * mine.sh[i] + (1 - part[..., None]) * mine.sh[j]
         mine.sh[j, 0] += shifts[:, :3] / SH_C0
@@ -267,27 +267,27 @@ class _Scene:
 
 
 def _join(gaussians: Gaussians, pairs: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Means, scales and quaternions float32 of one Gaussian a pair, and the first one's share."""
+    """Means, scales and quaternions float32 of a Gaussian a pair, and the first one's fraction."""
     i, j = (gaussians[torch.from_numpy(pairs[:, k].copy())] for k in (0, 1))
     area_i, area_j = (
         one.opacities.double() * one.scales.double().sort(1).values[:, 1:].prod(1).clamp_min(1e-30)
         for one in (i, j)
     )
-    share = (area_i / (area_i + area_j).clamp_min(1e-60))[:, None]
+    fraction = (area_i / (area_i + area_j).clamp_min(1e-60))[:, None]
     apart = i.means.double() - j.means.double()
-    means = share * i.means.double() + (1 - share) * j.means.double()
+    means = fraction * i.means.double() + (1 - fraction) * j.means.double()
     covariance_i, covariance_j = (
         covariances(replace(one, scales=one.scales.double(), quats=one.quats.double()))
         for one in (i, j)
     )
-    within = share[..., None] * covariance_i + (1 - share[..., None]) * covariance_j
-    between = (share * (1 - share))[..., None] * apart[:, :, None] * apart[:, None, :]
+    within = fraction[..., None] * covariance_i + (1 - fraction[..., None]) * covariance_j
+    between = (fraction * (1 - fraction))[..., None] * apart[:, :, None] * apart[:, None, :]
     variances, axes = np.linalg.eigh((SPREAD * (within + between)).numpy())
     axes *= np.sign(np.linalg.det(axes))[:, None, None]
     quats = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
     scales = np.sqrt(np.maximum(variances, 0))
     shape = [array.astype(np.float32) for array in (means.numpy(), scales, quats)]
-    return shape, share[:, 0].numpy().astype(np.float32)
+    return shape, fraction[:, 0].numpy().astype(np.float32)
 
 
 class _Limits(NamedTuple):
@@ -367,7 +367,7 @@ def _beyond(change, limit):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _merge(pairs, share, splats, boxes, lists, values, reference, frozen, limits, kept, changed):
+def _merge(pairs, fraction, splats, boxes, lists, values, reference, frozen, limits, kept, changed):
     """Put one Gaussian in the place of two where no pixel changes by more than the limit.
 
     Its opacity is what fits the light that is left behind, its values what fits the pictures, by
@@ -375,7 +375,7 @@ def _merge(pairs, share, splats, boxes, lists, values, reference, frozen, limits
 
     Parameters
     ----------
-    pairs, share : int64 [P, 2], float32 [P]
+    pairs, fraction : int64 [P, 2], float32 [P]
         Gaussians i and j, and the part of i in the one that takes the place of j.
     splats, boxes : float64 [V, P, 8], int32 [V, P, 4]
         That one in each view, with opacity 1.
@@ -426,7 +426,7 @@ def _merge(pairs, share, splats, boxes, lists, values, reference, frozen, limits
         for view in range(views):
             for c in range(channels):
                 mine = values[view, j, c]
-                mixed[view, c] = mine + share[p] * (values[view, i, c] - mine)
+                mixed[view, c] = mine + fraction[p] * (values[view, i, c] - mine)
         shifts[p] = 0
         down = 0.0
         for k in range(count):

@@ -52,8 +52,8 @@ def project(
         # The determinant before the low-pass as a sum of squares (Cauchy and Binet): no noise where
         # the Gaussian is a line.
         sharp = torch.linalg.cross(axes[:, 0], axes[:, 1]).square().sum(-1)
-        share = sharp / torch.linalg.det(cov)
-        opacities = opacities * share.clamp_min(1e-30).sqrt()
+        fraction = sharp / torch.linalg.det(cov)
+        opacities = opacities * fraction.clamp_min(1e-30).sqrt()
     return torch.stack([fx * x + skew * y + cx, fy * y + cy], -1), cov, opacities, depth
 
 

@@ -24,9 +24,9 @@ class Lifting(Protocol):
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """The same Gaussians with ``features`` [N, D + 1]: code times weight, and the weight.
 
-        The weight is the share of the Gaussian that belongs to a known object, so that a rendered
-        feature divided by its last channel is a mixture of codes only: what is unlabelled, and
-        what is empty, does not pull it towards the code (0, 0, 0).
+        The weight is the fraction of the Gaussian that belongs to a known object, so that a
+        rendered feature divided by its last channel is a mixture of codes only: what is unlabelled,
+        and what is empty, does not pull it towards the code (0, 0, 0).
 
         In a bank without codes (D = 0) it is [N, 1]: the number of the object's row in the bank,
         from 1, and 0 for no object. Such features are not mixed: they are votes.

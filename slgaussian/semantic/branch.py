@@ -7,7 +7,7 @@ without a network, :class:`slgaussian.semantic.hard.HardIndex`.
 
 One that also sees the other views (:mod:`slgaussian.semantic.others`) is given label images in
 which pixels without an object took that of their other, and what the others say beside them, which
-it may take a share of. Untrained, it is :class:`slgaussian.semantic.filled.Filled`. That is beyond
+it may take a part of. Untrained, it is :class:`slgaussian.semantic.filled.Filled`. That is beyond
 the paper.
 """
 
@@ -65,7 +65,7 @@ class Architecture:
 
     @property
     def channels(self) -> int:
-        """Of the input: a view's own code image and, if wanted, what others say about it."""
+        """Channels of the input: a view's own code image and, if wanted, what others say of it."""
         return 2 * OWN + 2 if self.others else OWN
 
 
@@ -93,7 +93,7 @@ class Branch(nn.Module):
         """Features float [V, H, W, 4] of input images float [V, H, W, C], of any size.
 
         C is :attr:`Architecture.channels`, the first 4 of them the view's own. Features are linear
-        shares of light like any other, and not held to [0, 1].
+        fractions of light like any other, and not held to [0, 1].
         """
         stacked = images.permute(0, 3, 1, 2)
         mixed = stacked + self.convolutions(stacked)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 ERODED = 0.02
-"""How much is eroded, as a share of the shorter image side."""
+"""How much is eroded, as a fraction of the shorter image side."""
 
 LEAST = 0.001
 """Objects that fill less of a view than this are left alone there."""
@@ -59,7 +59,7 @@ KINDS: dict[str, Callable[[np.ndarray, int, int, np.random.Generator], None]] = 
 def corrupt(
     labels: np.ndarray,
     rng: np.random.Generator,
-    share: float = 0.3,
+    fraction: float = 0.3,
     kinds: tuple[str, ...] = tuple(KINDS),
 ) -> np.ndarray:
     """A copy of label maps in which some objects are harmed, each in one view.
@@ -70,7 +70,7 @@ def corrupt(
         Object ids; 0 is unassigned.
     rng : numpy Generator
         Decides which objects, in which view, and how.
-    share : float
+    fraction : float
         Probability of each object to be harmed.
     kinds : tuple of str
         Keys of :data:`KINDS`, equally likely.
@@ -85,6 +85,6 @@ def corrupt(
     for ident, views in shown.items():
         # The same numbers are drawn whatever comes of them, so that objects do not share a fate.
         hit, which, kind = rng.random(), rng.random(), rng.integers(len(kinds))
-        if hit < share and views:
+        if hit < fraction and views:
             KINDS[kinds[kind]](labels, views[int(which * len(views))], ident, rng)
     return labels

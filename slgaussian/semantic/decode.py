@@ -19,14 +19,14 @@ from slgaussian.language.nearest import distance, find, make_lookup
 from slgaussian.rasterize import Render
 
 VISIBLE = 0.5
-"""A pixel has an object when at least this share of its light comes from labelled Gaussians."""
+"""A pixel has an object when at least this fraction of its light comes from labelled Gaussians."""
 
 CLOSE = 0.25
-"""A settled pixel is off its code by at most this share of the distance from that code to the next:
-half would be safe if nothing were mixed in."""
+"""A settled pixel is off its code by at most this fraction of the distance from that code to the
+next: half would be safe if nothing were mixed in."""
 
 AGREE = 4
-"""Of the 3x3 pixels around a settled one, itself included, at least as many are close to its code.
+"""At least so many of the 3x3 pixels around a settled one, itself included, are close to its code.
 A line of mixtures that crosses a third code is thinner than that mostly."""
 
 REACH = 2
@@ -62,11 +62,11 @@ class Decoder:
         ids : int32 [H, W]
             Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
         confidence : float32 [H, W]
-            About the share of the pixel's light by which its object leads the next one, in [0, 1]:
-            the weight times ``1 - 2 d / g`` at a settled pixel, ``d`` from its code and ``g`` from
-            there to the next code, and times ``(e - d) / (e + d)`` at others, ``e`` from the next
-            object that it could choose. A mixture of two objects, s of the second, is s of the way
-            from code to code, so both are ``1 - 2 s`` or less. 0 where there is no object, and
+            About the fraction of the pixel's light by which its object leads the next one, from 0
+            to 1: the weight times ``1 - 2 d / g`` at a settled pixel, ``d`` from its code and ``g``
+            from there to the next code, and times ``(e - d) / (e + d)`` at others, ``e`` from the
+            next object that it could choose. A mixture of two objects, s of the second, is s of the
+            way from code to code, so both are ``1 - 2 s`` or less. 0 where there is no object, and
             where nothing near tells how good the choice was.
 
         Raises
@@ -168,10 +168,10 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
             row, d = find(x, y, z, codes, across, down, deep, starts, members)
             at_x, at_y, at_z = codes[row, 0], codes[row, 1], codes[row, 2]
             near, per_gap = 0.499999 * gaps[row], 1 / gaps[row]
-        share = d * per_gap
+        fraction = d * per_gap
         rows[u] = row
-        lead[u] = max(0.0, 1 - 2 * share)
-        if share <= CLOSE:
+        lead[u] = max(0.0, 1 - 2 * fraction)
+        if fraction <= CLOSE:
             close[u + 1] = row
     return bad
 

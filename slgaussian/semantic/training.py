@@ -54,7 +54,7 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
 
 HARMED = 0.5
-"""Share of the objects that are harmed where context labels are corrupted."""
+"""Fraction of the objects that are harmed where context labels are corrupted."""
 
 LEARNT = ("missing", "eroded")
 """How they are harmed. Not by wrong or merged ids: where two views disagree little tells which is
@@ -62,7 +62,7 @@ right, and the mean of both codes, which is best in the square, reads as a third
 ids learnt too, IoU where ids are merged was lower by 0.02 after 450 steps, by 0.03 after 1000."""
 
 WARM_UP = 0.05
-"""Share of the steps in which the learning rate rises; it then falls to zero as a cosine."""
+"""Fraction of the steps in which the learning rate rises; it then falls to zero as a cosine."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class TrainingSettings:
     targets : int
         Target views a step, chosen at random where a lesson has more.
     corrupted : float
-        Share of the steps in which context labels are corrupted.
+        Fraction of the steps in which context labels are corrupted.
     codes : str
         Code strategy by name, as fields will have.
     every : int
@@ -299,7 +299,7 @@ def _step(
 
 
 def _schedule(done: float) -> float:
-    """Share of the highest learning rate when a share ``done`` of the steps is."""
+    """Fraction of the highest learning rate when a fraction ``done`` of the steps is."""
     if done < WARM_UP:
         return done / WARM_UP
     return 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP)))

@@ -36,14 +36,14 @@ def check_url(url: str | os.PathLike[str], name: str) -> None:
         What it is of, to begin the message with.
     """
     text = os.fspath(url)
-    if masked(text) != text:
+    if redacted(text) != text:
         raise InputError(
-            f"{name} {masked(text)}: found credentials in the URL, expected none; take them out "
+            f"{name} {redacted(text)}: found credentials in the URL, expected none; take them out "
             f"and give them by the environment ({_LOGINS}, or what else its file system reads)"
         )
 
 
-def masked(text: str) -> str:
+def redacted(text: str) -> str:
     """``text`` with ``***`` for logins and keys in its URLs."""
     return _QUERY.sub(r"\1***", _LOGIN.sub("://***@", text))
 
@@ -94,7 +94,7 @@ def explained(error: Exception, path: str = "") -> str:
     kind = type(error).__name__
     if isinstance(error, OSError) and error.strerror and not isinstance(error, PermissionError):
         return error.strerror
-    said = masked(" ".join(str(error).split())) or kind
+    said = redacted(" ".join(str(error).split())) or kind
     if kind in _NO_CREDENTIALS or kind == "ProfileNotFound":
         return f"no credentials: {said}; set {_LOGINS}"
     if isinstance(error, FileNotFoundError) and "bucket" in said:

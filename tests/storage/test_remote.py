@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.storage.remote import check_url, masked
+from slgaussian.storage.remote import check_url, redacted
 from slgaussian.storage.store import ArtifactStore
 
 SECRETS = [
@@ -40,7 +40,7 @@ def test_a_url_with_credentials_is_refused_and_not_repeated(url):
 @pytest.mark.parametrize("url", PLAIN)
 def test_other_urls_are_left_as_they_are(url):
     check_url(url, "store")
-    assert masked(f"cannot read {url}: why") == f"cannot read {url}: why"
+    assert redacted(f"cannot read {url}: why") == f"cannot read {url}: why"
 
 
 @given(
@@ -48,5 +48,5 @@ def test_other_urls_are_left_as_they_are(url):
     st.text("abcXYZ019", min_size=1),
 )
 def test_no_password_survives_masking(password, user):
-    shown = masked(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
+    shown = redacted(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
     assert shown == "could not reach s3://***@bucket/x, nor gs://other/y"

@@ -3,8 +3,9 @@
 The rules are those of objects (:class:`slgaussian.language.query.Rules`), with pixels in place of
 them. A pixel's gap is its cosine with the text less that with the best rival, as ever:
 
-- ``near-best``: pixels with a gap above 0 and at least a share of the best gap. The best is not the
-  greatest of all, which single pixels on borders would set, but what :data:`BEST_SHARE` reach.
+- ``near-best``: pixels with a gap above 0 and at least a fraction of the best gap. The best is not
+  the greatest of all, which single pixels on borders would set, but what :data:`BEST_FRACTION`
+  reach.
 - ``threshold``: pixels whose relevancy is above it.
 - ``langsplat``: by the smoothed relevancy image; see :mod:`slgaussian.language.langsplat`.
 
@@ -31,8 +32,8 @@ from slgaussian.language import langsplat
 from slgaussian.language.locate import central_point
 from slgaussian.language.query import Rules, TextReader
 
-BEST_SHARE = 0.01
-"""Of the pixels; the gap that as many reach is the best one. On the office set and procedural
+BEST_FRACTION = 0.01
+"""The best gap is the one that this fraction of the pixels reach. On the office set and procedural
 rooms each of the methods here finds more by it than by the greatest gap, or the gap at the point:
 LangSplat-like 0.345 IoU on office against 0.26 and 0.337, LERF-like 0.287 against 0.228, 0.25."""
 
@@ -147,7 +148,7 @@ class DenseResult:
     seen : bool [H, W]
     rules : Rules
     closed : bool
-        Whether rivals are a closed list.
+        Whether what texts compete with is a closed list.
     """
 
     text: str
@@ -181,7 +182,7 @@ class DenseResult:
         fits = self.seen & (self.gap > 0)
         if self.closed or not fits.any():
             return fits
-        best = np.quantile(self.gap[self.seen], 1 - BEST_SHARE)
+        best = np.quantile(self.gap[self.seen], 1 - BEST_FRACTION)
         return fits & (self.gap >= self.rules.share * best)
 
     @property

@@ -17,8 +17,9 @@ TOGETHER = 64
 """Numbers a Gaussian that are drawn in one pass: 490,000 Gaussians take 125 MB of memory then."""
 
 MOST_NUMBERS = 2**26
-"""Of a feature image, 256 MB in float32; a larger one is drawn at a half or a quarter ... of the
-resolution. Vectors of 58 numbers at three scales fit at 416 x 576, of 512 at one scale a half."""
+"""Most numbers of a feature image, 256 MB in float32; a larger one is drawn at a half or a quarter
+... of the resolution. Vectors of 58 numbers at three scales fit at 416 x 576, of 512 at one scale a
+half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ def draw_vectors(
     image: np.ndarray,
 ) -> None:
     """Composite what the source pixels of the Gaussians carry: sums over what is there, each times
-    its share of the light.
+    its fraction of the light.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class Inputs:
 
     @property
     def encoder(self) -> Encoder:
-        """Of regions and texts."""
+        """The encoder of regions and texts."""
         return self.field.encoder
 
     @cached_property

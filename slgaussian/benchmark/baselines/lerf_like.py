@@ -74,6 +74,6 @@ class _Pyramid:
 
 
 def _tiling(scale: float, height: int) -> Tiling:
-    share = float(np.interp(scale, (0.05, 0.15), (1.0, 0.5)))
+    fraction = float(np.interp(scale, (0.05, 0.15), (1.0, 0.5)))
     side = max(round(scale * height), 1)
-    return Tiling(side, max(round(share * side), 1))
+    return Tiling(side, max(round(fraction * side), 1))

@@ -16,7 +16,7 @@ from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera, Scene, View
 
 FOCAL = 0.9
-"""Focal length as a share of the longer image side: a phone's main camera held level."""
+"""Focal length as a fraction of the longer image side: a phone's main camera held level."""
 
 
 def read(
@@ -50,7 +50,7 @@ def read(
         Distance in metres between the first and the last camera, which stand some 3.3 m from the
         room's middle; at most 2.
     noise : float
-        Standard deviation of the sensor noise, as a share of full scale.
+        Standard deviation of the sensor noise, as a fraction of full scale.
     exposure : float
         Standard deviation of the natural logarithm of each view's exposure.
 
@@ -78,16 +78,16 @@ def read(
     start, lift, distance = arc.uniform((-0.12, 1.25, 3.15), (0.12, 1.55, 3.4))
     half = math.asin(baseline / 2 / distance)
 
-    def camera(share: float, h: int, w: int) -> Camera:
-        """The camera at ``share`` (-1 to 1) of the arc."""
-        angle = start + share * half
+    def camera(fraction: float, h: int, w: int) -> Camera:
+        """The camera at ``fraction`` (-1 to 1) of the arc."""
+        angle = start + fraction * half
         eye = FOCUS + [distance * math.sin(angle), -distance * math.cos(angle), lift - FOCUS[2]]
         focal = FOCAL * max(h, w)
         K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1.0]])
         return Camera(K, _look_at(eye, FOCUS), w, h)
 
     # Judged on small images of one shape, so that the room is the same at any resolution.
-    ends = [camera(share, 52, 72) for share in (-1, 1)]
+    ends = [camera(fraction, 52, 72) for fraction in (-1, 1)]
     room = furnish(rng_for(seed, name, f"room {objects} {float(baseline)}"), objects, ends)
     cameras = {
         f"view_{i:02d}": camera(2 * i / (views - 1) - 1, height, width) for i in range(views)

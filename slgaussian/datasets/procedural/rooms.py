@@ -25,7 +25,7 @@ _WIDTH, _BACK, _FRONT, _HEIGHT = 2.3, 1.7, -4.2, 2.7  # half width, y of the wal
 _STAGE = (1.55, -1.05, 1.25)  # objects stand in |x| < .., y between
 _GAP = 0.04
 _THICK = 0.012  # of a carpet
-_SEEN = 0.0035  # smallest share of each end view that an object must fill
+_SEEN = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])
 """What the cameras look at."""
@@ -125,14 +125,14 @@ def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) ->
     owners, solids = room.owners(), room.solids()
     for camera in cameras:
         _, index = raycast.cast(solids, camera.center, camera.rays())
-        share = np.bincount(owners[index].ravel(), minlength=len(things) + 1) / index.size
-        if (share[fixed + 1 :] < _SEEN).any():
+        fraction = np.bincount(owners[index].ravel(), minlength=len(things) + 1) / index.size
+        if (fraction[fixed + 1 :] < _SEEN).any():
             return False
     return True
 
 
 def _paler(material: Material) -> Material:
-    """The same paint, thinned: walls are large, and strong colours on them drown all else."""
+    """The material, its paint thinned: walls are large, and strong colours there drown all else."""
     if material.pattern == textures.BRICK:
         return material
     r, g, b = (0.88 * value + 0.12 * 0.8 for value in material.first)

@@ -27,7 +27,7 @@ are grey close-ups of a material, tinted by the colour of whatever they cover.""
 
 PHOTO_SIZE = 256
 FRAME = 0.06
-"""Width of a picture's frame, as a share of the picture."""
+"""Width of a picture's frame, as a fraction of the picture."""
 
 
 RGB = tuple[float, float, float]
@@ -208,8 +208,8 @@ def _surface(kind, size, x, y, z, nx, ny, nz, cell, rows):
     v = _fit(z, size[1], cell)
     width = size[0]
     if kind == CONE and rows:
-        share = (math.floor(v) + 0.5) / max(1.0, round(2 * size[1] / cell))
-        return turn * max(1.0, round(2 * math.pi * width * (1 - share) / cell)), v
+        fraction = (math.floor(v) + 0.5) / max(1.0, round(2 * size[1] / cell))
+        return turn * max(1.0, round(2 * math.pi * width * (1 - fraction) / cell)), v
     return turn * _even(2 * math.pi * width / cell), v
 
 
