@@ -47,7 +47,7 @@ PARTS = 16
 """Parts in which splats are counted and listed side by side."""
 
 MOST_BITS = 11
-"""Bits of depth that a pass of the sort looks at: most tiles need two, and with eight bits three."""
+"""Bits of depth that a pass of the sort looks at: most tiles need two, with eight bits three."""
 
 AHEAD = 12
 """Splats between what is read and what is asked for."""
