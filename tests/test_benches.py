@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jinja2
 import pytest
 
-from benches.common import photograph_pairs
+from benches.common import pages, photograph_pairs
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
@@ -68,3 +69,30 @@ def test_commands_that_pages_and_benches_name_are_there():
     named = set(re.findall(r"python -m\s+(benches[\w.]*\w)", text))
     assert len(named) > 20
     assert named <= set(map(module, BENCHES))
+
+
+@pytest.mark.parametrize(
+    "template", sorted((ROOT / "benches").rglob("*.j2")), ids=lambda file: file.stem
+)
+def test_templates_of_pages_can_be_read(template):
+    pages.environment().get_template(template.relative_to(ROOT / "benches").as_posix())
+
+
+def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(pages, "machine", lambda: "a machine")
+    rows = [
+        {
+            **dict.fromkeys(("precision", "candidates"), "auto"),
+            **dict.fromkeys(("load", "seconds", "cpu", "share", "peak"), 1234.5),
+            **dict.fromkeys(("distance_mean", "distance_greatest", "pixel_mean"), 0.00123),
+        }
+    ]
+    results = {"rows": rows, "weights": "weights", "command": "a command"}
+    pages.publish("predict/mvsplat.md.j2", tmp_path / "new" / "mvsplat.md", **results)
+    text = (tmp_path / "new" / "mvsplat.md").read_text()
+    assert capsys.readouterr().out == f"{text}\n"
+    assert "\nMade by `a command` on a machine.\n" in text
+    last = [cell.strip() for cell in text.splitlines()[-1].split("|")[1:-1]]
+    assert last == ["auto"] * 2 + ["1234.50"] * 4 + ["1,234"] + ["1.2e-3"] * 3 + [""]
+    with pytest.raises(jinja2.UndefinedError, match="weights"):
+        pages.page("predict/mvsplat.md.j2", rows=rows, command="a command")

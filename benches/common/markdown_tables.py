@@ -1,40 +1,51 @@
 """Rows of numbers as Markdown tables that read well in a terminal too."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+Show = str | Callable
+"""How a value is printed: a format specification such as ``.2f``, or what makes a string of it."""
+
+
+def show(value: object, how: Show) -> str:
+    return how(value) if callable(how) else format(value, how)
+
+
+def table(rows: Sequence[Mapping], columns: Mapping[str, tuple[str, Show]]) -> str:
+    """A Markdown table of ``rows``.
+
+    ``columns`` says for each key of the rows what its heading is and how it is printed; a row
+    without the key has an empty cell there. Numbers are aligned on the right, ``str`` on the left.
+    """
+    heads = [heading for heading, _ in columns.values()]
+    cells = [
+        [show(row[key], how) if key in row else "" for key, (_, how) in columns.items()]
+        for row in rows
+    ]
+    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
+    right = [how is not str for _, how in columns.values()]
+    rule = ["-" * (width - r) + ":" * r for width, r in zip(widths, right, strict=True)]
+    lines = [
+        [
+            cell.rjust(width) if r else cell.ljust(width)
+            for cell, width, r in zip(line, widths, right, strict=True)
+        ]
+        for line in [heads, rule, *cells]
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 @dataclass(frozen=True)
 class Table:
-    """The form of a table: its title, and what a reader must know to read it.
-
-    ``columns`` says for each key of the rows what its heading is and how it is printed; a row
-    without the key has an empty cell there.
-    """
+    """The form of a table: its title, what a reader must know to read it, and its columns."""
 
     title: str
     about: str
-    columns: dict[str, tuple[str, Callable]]
+    columns: dict[str, tuple[str, Show]]
 
-    def markdown(self, rows: list[dict]) -> str:
-        heads = [heading for heading, _ in self.columns.values()]
-        cells = [
-            [show(row[key]) if key in row else "" for key, (_, show) in self.columns.items()]
-            for row in rows
-        ]
-        widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-        right = [show is not str for _, show in self.columns.values()]
-        rule = ["-" * (width - r) + ":" * r for width, r in zip(widths, right, strict=True)]
-        lines = [
-            [
-                cell.rjust(width) if r else cell.ljust(width)
-                for cell, width, r in zip(line, widths, right, strict=True)
-            ]
-            for line in [heads, rule, *cells]
-        ]
-        table = [f"| {' | '.join(line)} |" for line in lines]
-        return "\n".join([f"## {self.title}", "", self.about, "", *table, ""])
+    def markdown(self, rows: Sequence[Mapping]) -> str:
+        return f"## {self.title}\n\n{self.about}\n\n{table(rows, self.columns)}\n"
 
 
 def count(value: float) -> str:
@@ -54,6 +65,19 @@ def ms(seconds: float) -> str:
     value = 1e3 * seconds
     decimals = 2 - math.floor(math.log10(value)) if value > 0 else 0
     return f"{value:,.{max(0, min(decimals, 2))}f}"
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def per_cent(share: float) -> str:
+    """Of a column whose heading or text says the unit."""
+    return f"{100 * share:.2f}"
+
+
+def interval(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:+.3f} to {ends[1]:+.3f}"
 
 
 def error(value: float) -> str:

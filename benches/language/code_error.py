@@ -20,10 +20,10 @@ import numpy as np
 import torch
 from scipy.stats import rankdata
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.paired_timing import race
 from benches.common.photograph_pairs import DATA_HELP, labelled, load_samples
-from benches.language import code_tables
+from benches.language.code_chart import picture as chart
 from benches.language.many_object_rooms import SIZE, Room, make_rooms
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.build import label_views
@@ -331,11 +331,15 @@ def run(out: Path, rooms: int, data: Path | None, command: str) -> None:
     if data is not None:
         tables["office"] = office_rows(data)
     picture = out.with_suffix(".png")
-    picture.write_bytes(
-        code_tables.picture(tables["errors"], tables["times"], crops(made[TIMED][0]))
+    publish(
+        "language/codes.md.j2",
+        out,
+        rows=tables,
+        rooms=rooms,
+        command=command,
+        picture=picture.name,
     )
-    out.write_text(code_tables.page(tables, rooms, command, machine(), picture.name))
-    print(f"{out}, {picture}")
+    picture.write_bytes(chart(tables["errors"], tables["times"], crops(made[TIMED][0])))
 
 
 if __name__ == "__main__":

@@ -19,11 +19,10 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.paired_timing import race
 from benches.common.photograph_pairs import load_samples, photographs
 from benches.language.hard_texts import error_rows, text_rows, unit
-from benches.language.query_tables import TABLES, page
 from slgaussian.build import lift_field
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.gaussians import source_depths
@@ -36,7 +35,6 @@ from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample
 from slgaussian.semantic.decode import Decoder
-from slgaussian.storage.store import write_atomic
 
 OBJECTS, WIDTH, TEXTS = 60, 512, 100
 LAYERS = (3, 16, 32, 64, 128, 256, 256, WIDTH)
@@ -220,11 +218,9 @@ def run(options: argparse.Namespace) -> None:
         "errors": error_rows(options.data),
         "texts": list(text_rows(load_encoder("lexicon"))),
     }
-    if options.out is None:
-        print("\n".join(TABLES[key].markdown(found) for key, found in rows.items()))
-    else:
-        command = "python -m benches.language.query_cost DATA -o docs/measured"
-        write_atomic(options.out / "queries.md", page(rows, command, machine()).encode())
+    command = "python -m benches.language.query_cost DATA -o docs/measured"
+    file = options.out and options.out / "queries.md"
+    publish("language/queries.md.j2", file, rows=rows, command=command)
 
 
 if __name__ == "__main__":
@@ -233,7 +229,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("data", nargs="?", type=photographs, metavar="DATA")
     parser.add_argument(
-        "-o", dest="out", type=Path, metavar="FOLDER", help="write queries.md there, print nothing"
+        "-o", dest="out", type=Path, metavar="FOLDER", help="write queries.md there too"
     )
     threads.share(1)
     run(parser.parse_args())

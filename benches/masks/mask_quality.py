@@ -12,11 +12,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.photograph_pairs import DATA_HELP, labelled
 from benches.masks import id_consistency, mask_nms_cost, proposal_fit
 from benches.masks.mask_chart import chart, pairs_picture
-from benches.masks.mask_tables import page
 
 KEYS = {
     "trackers": ("tracker", "proposals", "way"),
@@ -31,6 +30,13 @@ def rows_of(table: str, cells: id_consistency.Cells) -> list[dict]:
     named = [dict(zip(KEYS[table], key, strict=True)) | cells[key].row() for key in cells]
     by = KEYS[table][1:] if table not in ("trackers", "labelled_pairs") else ()
     return sorted(named, key=lambda row: (row["tracker"], *(row[key] for key in by)))
+
+
+def unchanged(copies: list[dict]) -> list[str]:
+    """Trackers for which five copies give the same as one, to the last digit."""
+    keys = ("matched", "alone", "iou", "pieces", "pixels")
+    found = {(row["tracker"], row["copies"]): [row[key] for key in keys] for row in copies}
+    return [f"`{t}`" for t in ("geometric", "flow") if found[t, 1] == found[t, 5]]
 
 
 def main() -> None:
@@ -61,11 +67,15 @@ def main() -> None:
         f"--pairs {given.pairs}",
     ]
     command = " ".join([*words, "-o docs/measured"])
-    text = page(rows, given.pairs, command, machine())
-    print(text)
+    publish(
+        "masks/masks.md.j2",
+        given.out and given.out / "masks.md",
+        rows=rows,
+        pairs=given.pairs,
+        command=command,
+        unchanged=unchanged(rows["copies"]),
+    )
     if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-        (given.out / "masks.md").write_text(text)
         (given.out / "masks.svg").write_bytes(chart(rows))
         pairs_picture(list(pictured.values())).save(given.out / "masks.jpg", quality=85)
 

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, count, error, hundredths
+from benches.common.pages import publish
 from benches.common.photograph_pairs import SIZE
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
@@ -29,36 +28,11 @@ from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
-from slgaussian.storage.store import write_atomic
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")
 CANDIDATES = (128, 64, 32, "auto")
 TIMES = ("load", "seconds", "cpu")
-
-TABLE = Table(
-    "Settings",
-    f"Each in processes of its own, once in each of {ROUNDS} rounds. Times are the best of these: "
-    "on the clock, which says little where others share the machine; of all cores together (*CPU*, "
-    "where threads sleep when they wait); and the CPU time over that of the first row. *Load* is "
-    "reading the checkpoint, libraries included; *peak* "
-    "is the most memory that the process ever held, libraries and inputs included. Errors are "
-    "against the first row: of *distances* from the camera as a share of them, and of *pixels* in "
-    "[0, 1] drawn from halfway between the views.",
-    {
-        "precision": ("precision", str),
-        "candidates": ("candidates", str),
-        "load": ("load, s", hundredths),
-        "seconds": ("s", hundredths),
-        "cpu": ("CPU, s", hundredths),
-        "share": ("of first", hundredths),
-        "peak": ("peak, MB", count),
-        "distance_mean": ("distance: mean", error),
-        "distance_greatest": ("greatest", error),
-        "pixel_mean": ("pixel: mean", error),
-        "pixel_greatest": ("greatest", error),
-    },
-)
 
 
 def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
@@ -119,22 +93,6 @@ def errors(found: Path, exact: Path) -> dict[str, float]:
     }
 
 
-def page(table: str, weights: str, given: bool) -> str:
-    command = " ".join(
-        ["python -m benches.predict.mvsplat_cost", *["CHECKPOINT"] * given, "-o docs/measured"]
-    )
-    return f"""# MVSplat, measured
-
-Made by `{command}` on {machine()}.
-
-Two views of {SIZE[0]} x {SIZE[1]} pixels of a made-up room, with {weights}. `candidates` is how
-many disparities the views are compared at; the network was trained with 128, and fewer are
-interpolated to as many; `auto` takes one for each pixel of motion over the feature map, so it
-depends on the pair. In bfloat16, disparities, probabilities and geometry are still float32.
-
-{table}"""
-
-
 def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -144,8 +102,6 @@ def main(arguments: list[str]) -> None:
         "-o", dest="out", type=Path, metavar="FOLDER", help="write mvsplat.md there"
     )
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     weights = f"the weights of {Path(options.checkpoint or '').name}"
     with tempfile.TemporaryDirectory() as folder:
         checkpoint = options.checkpoint
@@ -157,11 +113,11 @@ def main(arguments: list[str]) -> None:
             )
             checkpoint = str(Path(folder) / "recipe.ckpt")
             torch.save(recipe_weights(), checkpoint)
-        table = TABLE.markdown(rows(checkpoint, Path(folder)))
-    made = page(table, weights, options.checkpoint is not None)
-    print(made)
-    if options.out is not None:
-        write_atomic(options.out / "mvsplat.md", made.encode())
+        measured = rows(checkpoint, Path(folder))
+    words = ["CHECKPOINT"] * (options.checkpoint is not None)
+    command = " ".join(["python -m benches.predict.mvsplat_cost", *words, "-o docs/measured"])
+    file = options.out and options.out / "mvsplat.md"
+    publish("predict/mvsplat.md.j2", file, rows=measured, weights=weights, command=command)
 
 
 if __name__ == "__main__":

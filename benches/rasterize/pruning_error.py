@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benches.common.markdown_tables import Table, count, error, fraction, hundredths, ms
+from benches.common.pages import page
 from benches.common.paired_timing import race
 from benches.common.photograph_pairs import load_samples, photographs
 from slgaussian.errors import InputError
@@ -23,36 +23,6 @@ from slgaussian.scene import Camera
 
 GREY = 1 / 255
 TOLERANCES = (GREY / 2, GREY, 2 * GREY, 4 * GREY)
-
-_COLUMNS = {
-    "tolerance": ("tolerance", fraction),
-    "gaussians": ("Gaussians", count),
-    "kept": ("remain", count),
-    "share": ("share", lambda share: f"{100 * share:.1f}%"),
-    "error": ("error", error),
-    "seconds": ("pruning, s", hundredths),
-    "before": ("before, ms", ms),
-    "after": ("after, ms", ms),
-    "held_out_error": ("unseen view, error", error),
-    "held_out_psnr": ("PSNR, dB", hundredths),
-}
-
-_READING = (
-    "*Error* is the greatest change of any channel of any pixel of the given views. Times are of "
-    "one picture of the first of them. The *unseen view* is between the others: the same error "
-    "there, and the PSNR of its colours, after against before."
-)
-
-TABLES = {
-    "scenes": Table(
-        "Pruning every scene",
-        f"Tolerance {fraction(GREY)}; given are the views listed. {_READING}",
-        {"scene": ("scene", str), "views": ("given", str)} | _COLUMNS,
-    ),
-    "tolerances": Table(
-        "Pruning at other tolerances", f"Given are the two context views. {_READING}", _COLUMNS
-    ),
-}
 
 
 def sweep(
@@ -119,8 +89,7 @@ def run(data: Path | None) -> None:
         rows["scenes"] += scene_rows(name, gaussians, contexts, target)
         if not rows["tolerances"]:
             rows["tolerances"] = sweep(gaussians, contexts, TOLERANCES, target)
-    for key, table in TABLES.items():
-        print(table.markdown(rows[key]))
+    print(page("rasterize/pruning.md.j2", rows=rows))
 
 
 if __name__ == "__main__":

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import torch
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
 from benches.rasterize import fresh_process, parameter_sweeps, pruning_error
 from benches.rasterize.parameter_sweeps import Subject
 from benches.rasterize.rasterizer_chart import picture
-from benches.rasterize.rasterizer_tables import TABLES, page
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
@@ -62,13 +61,10 @@ def subject_of(name: str, sample: Sample) -> Subject:
 
 
 def run(options: argparse.Namespace) -> None:
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     samples = load_samples(options.data)
     chosen = options.scene or next(iter(samples))
     if chosen not in samples:
         raise InputError(f"--scene: found {chosen!r}, expected one of {', '.join(samples)}")
-    print(f"On {machine()}; scene {chosen}\n", flush=True)
     rows = {"scenes": [], "pruned": []}
     for name, sample in samples.items():
         subject = subject_of(name, sample)
@@ -79,27 +75,20 @@ def run(options: argparse.Namespace) -> None:
         rows["pruned"] += [{"scene": name, "views": "contexts", **row} for row in pruned]
         if name == chosen:
             swept = subject
-    for key, found in rows.items():
-        print(TABLES[key].markdown(found), flush=True)
     for key, measure in MEASURES.items():
         rows[key] = measure(swept)
-        print(TABLES[key].markdown(rows[key]), flush=True)
-    if options.out is not None:
-        write(options, rows, chosen)
-
-
-def write(options: argparse.Namespace, rows: dict[str, list[dict]], chosen: str) -> None:
-    shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
-    drawn = picture(*(rows[key] for key in shown))
+        print(f"{key} done", file=sys.stderr, flush=True)
     words = [
         "python -m benches.rasterize.speed_and_error",
         *["DATA"] * bool(options.data),
         "-o docs/measured",
     ]
-    made = page(rows, chosen, " ".join(words), machine())
-    write_atomic(options.out / "rasterizer.svg", drawn)
-    write_atomic(options.out / "rasterizer.md", made.encode())
-    print(f"wrote {options.out / 'rasterizer.md'} and .svg")
+    file = options.out and options.out / "rasterizer.md"
+    publish("rasterize/rasterizer.md.j2", file, rows=rows, scene=chosen, command=" ".join(words))
+    if options.out is not None:
+        shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
+        drawn = picture(*(rows[key] for key in shown))
+        write_atomic(options.out / "rasterizer.svg", drawn)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, count, hundredths, thousandths
+from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
@@ -34,40 +33,7 @@ from slgaussian.predict import load_predictor
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and what the table calls them."""
 
-SCORES = {
-    "iou": ("IoU", thousandths),
-    "ends": ("interval", str),
-    "hit_mask": ("point", hundredths),
-    "miou": ("mIoU", thousandths),
-}
-ANSWERS = Table(
-    "Answers",
-    "Means over scenes of each scene's mean, by the protocol `slgaussian` and default rules: IoU "
-    "with its 95 % interval of a bootstrap over scenes, share of points in the mask, and the IoU "
-    "of the closed-set segmentation by all queries. The report has the other protocols, and paired "
-    "differences, which tell more than these intervals.",
-    {"method": ("method", str)}
-    | {
-        f"{dataset}_{score}": (f"{name} {heading}" if score == "iou" else heading, show)
-        for dataset, name in SETS.items()
-        for score, (heading, show) in SCORES.items()
-    },
-)
-COSTS = Table(
-    "Costs",
-    "Seconds, medians over the scenes, of which two were worked on at a time. *Prepare* is what a "
-    "method does beyond the field; *first query* is rendering a new view and one text; *further* "
-    "is each text after that; *10 queries* are all three for one view. *Memory* is what a process "
-    "comes to hold beyond the field at most, MB, while it prepares and answers one office scene.",
-    {
-        "method": ("method", str),
-        "prepare": ("prepare, s", thousandths),
-        "first_query": ("first query, s", thousandths),
-        "further_query": ("further, s", "{:.4f}".format),
-        "ten": ("10 queries, s", hundredths),
-        "memory": ("memory, MB", count),
-    },
-)
+SCORES = ("iou", "hit_mask", "miou")
 
 
 def answers_of(out: Path) -> dict[str, dict]:
@@ -151,28 +117,16 @@ def main() -> None:
         memory = {"memory": memory_of(name, given.data)}
         rows.append({"method": name} | answers[name] | costs[name] | memory)
     manifest = json.loads((given.run / "manifest.json").read_text())
-    about, sets = manifest["settings"], [of["dataset"] for of in manifest["data"].values()]
-    fast, slow = (costs[name]["first_query"] for name in ("slgaussian", "query-2d"))
-    lines = [
-        "# Methods, measured",
-        "Made by `slgaussian benchmark --data DATA/office --pairs DATA/office/pairs.json --labels "
-        "DATA/office/labels --rooms 0-19 --against all -o OUT` and "
-        "`python -m benches.scores.baseline_comparison OUT "
-        f"DATA -o docs/measured` on {machine()}: {sets.count('office')} office pairs, "
-        f"{sets.count('procedural')} procedural rooms, photographs of at most 416 x 576, encoder "
-        f"`{about['encoder']}`, proposer `{about['proposer']}`.",
-        "**Query times side by side**: a first query in a new view takes "
-        f"`slgaussian` {fast:.3f} s and `query-2d`, the paper's 2D query, {slow:.2f} s, "
-        f"{slow / fast:.0f} times as long; the paper has 0.011 s and 18 s, on its GPU, with SAM "
-        f"and CLIP in the 2D query. One text more in the same view takes "
-        f"{1e3 * costs['slgaussian']['further_query']:.1f} ms.",
-        ANSWERS.markdown(rows),
-        COSTS.markdown(rows),
-    ]
-    page = "\n\n".join(lines)
-    print(page)
-    if given.out:
-        (given.out / "methods.md").write_text(page.rstrip("\n") + "\n")
+    sets = [of["dataset"] for of in manifest["data"].values()]
+    publish(
+        "scores/methods.md.j2",
+        given.out and given.out / "methods.md",
+        rows=rows,
+        costs=costs,
+        settings=manifest["settings"],
+        office=sets.count("office"),
+        rooms=sets.count("procedural"),
+    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from flows.demo import ROOMS, demo_scenes
 from flows.labelled import labelled_scenes
@@ -174,11 +174,9 @@ def over_seeds(rows: Sequence[Mapping[str, Any]], name: str, key: str) -> list[f
     return [float(np.mean([row[key] for row in own if row["seed"] == seed])) for seed in seeds]
 
 
-def table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
-    lines = [
-        "| scenes | constants chosen on it | metric | seeds | mean | deviation | least | most |",
-        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str, Any]:
+    """What the template of the page is given."""
+    shown = []
     for name in names:
         for metric in METRICS:
             values = over_seeds(rows, name, metric.key)
@@ -186,40 +184,16 @@ def table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
                 continue
             digits = metric.digits + 1 if metric.key != "bad2" else 4
             numbers = (np.mean(values), np.std(values, ddof=1), min(values), max(values))
-            shown = " | ".join(f"{value:.{digits}f}" for value in numbers)
-            chosen = "yes" if SETS[name].chosen else "no"
-            lines.append(
-                f"| {SETS[name].title} | {chosen} | {metric.title} | {len(values)} | {shown} |"
+            shown.append(
+                {
+                    "set": SETS[name],
+                    "metric": metric,
+                    "seeds": len(values),
+                    "numbers": [f"{value:.{digits}f}" for value in numbers],
+                }
             )
-    return lines
-
-
-def page(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
-    commands = [f"- {SETS[name].title}: `{SETS[name].command}`" for name in names]
-    metrics = [f"- {m.title}: {m.help}" for m in METRICS if m.key in SHOWN]
-    return "\n".join(
-        [
-            "# What another seed changes",
-            "",
-            f"Made by `python -m benches.scores.seed_spread DATA -o docs/measured` on {machine()}.",
-            "",
-            "Two things are drawn at random: the planes that fill depth where matching gives",
-            "none, and the ID codes of objects. Both depend on `--seed` and on what the",
-            "photographs show, never on the name of a scene. A number of one run is one draw. The",
-            "table gives, for the mean over the scenes of a set, the mean, the standard deviation",
-            "and the extremes over seeds 0, 1, 2, ... The deviation says how far chance moves a",
-            "score; it says nothing of how far other photographs would.",
-            "",
-            *table(rows, names),
-            "",
-            "The means of one seed K are what these commands print:",
-            "",
-            *commands,
-            "",
-            *metrics,
-            "",
-        ]
-    )
+    metrics = [metric for metric in METRICS if metric.key in SHOWN]
+    return {"rows": shown, "sets": [SETS[name] for name in names], "metrics": metrics}
 
 
 SHEETS = ("office/pairs.json", *(f"places/{name}/pairs.json" for name in PLACES))
@@ -241,11 +215,9 @@ def main() -> None:
         rows = measure(given.data, given.only, given.rows, given.workers)
     except InputError as error:
         parser.error(str(error))
-    text = page(rows, [name for name in given.only if over_seeds(rows, name, "psnr")])
-    if given.out is None:
-        print(text)
-    else:
-        (given.out / "seeds.md").write_text(text)
+    names = [name for name in given.only if over_seeds(rows, name, "psnr")]
+    file = given.out and given.out / "seeds.md"
+    publish("scores/seeds.md.j2", file, **results(rows, names))
 
 
 if __name__ == "__main__":

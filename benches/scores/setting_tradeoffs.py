@@ -3,7 +3,7 @@
     python -m benches.scores.setting_tradeoffs DATA [-o docs/measured]
 
 DATA holds ``office``. One setting is changed at a time, from the defaults; a few rows change
-several. The presets are picked among the rows by the rules of ``tradeoff_tables``. Two processes
+several. The presets are picked among the rows by the rules of ``tradeoff_summary``. Two processes
 share the scenes, one thread each. Seconds are those of the processor, after a small run that does
 not count. A stage is computed once for all rows that need the same of it, and they all say what it
 took then. Needs Linux, which says how much memory a process held at most.
@@ -31,9 +31,10 @@ import cv2
 import numpy as np
 import torch
 
-from benches.common.machine import machine
+from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
-from benches.scores.tradeoff_tables import DEFAULT, NOISE, PRUNED, chart, page
+from benches.scores.tradeoff_chart import chart
+from benches.scores.tradeoff_summary import DEFAULT, NOISE, PRUNED, results
 from flows.settings import PRESETS, Method, Settings, make_settings
 from slgaussian import datasets
 from slgaussian.benchmark import metrics
@@ -482,10 +483,9 @@ def main() -> None:
         "python -m benches.scores.setting_tradeoffs DATA "
         f"--scenes {given.scenes} --rooms {given.rooms}"
     )
-    text = page(made, command, machine())
-    print(text)
+    file = given.out and given.out / "tradeoffs.md"
+    publish("scores/tradeoffs.md.j2", file, command=command, **results(made))
     if given.out:
-        (given.out / "tradeoffs.md").write_text(text)
         (given.out / "tradeoffs.svg").write_bytes(chart(made))
 
 

@@ -15,8 +15,7 @@ import numba
 import numpy as np
 import torch
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, ms, thousandths
+from benches.common.pages import publish
 from benches.common.photograph_pairs import DATA_HELP, photographs
 from benches.semantic.branch_rooms import HELD_OUT, TRAINING, Rooms, real_lessons
 from slgaussian.benchmark.statistics import compare
@@ -62,69 +61,6 @@ def spent(work: Callable[[], object]) -> tuple[float, object]:
         made = work()
         seconds.append(time.process_time() - begun)
     return min(seconds), made
-
-
-def signed(value: float) -> str:
-    return f"{value:+.3f}"
-
-
-IOU = {
-    "labels": ("labels", str),
-    "lifting": ("lifting", str),
-    "iou": ("IoU", thousandths),
-    "gain": ("over hard", signed),
-    "low": ("from", signed),
-    "high": ("to", signed),
-}
-TABLES = {
-    "rooms": Table(
-        "Rooms that no training saw",
-        f"{len(HELD_OUT)} procedural rooms of 256x256, two context views and four targets between; "
-        "mean IoU of the objects in the targets, against the true ones. *True* labels, *masks* "
-        "of `regions` and `geometric`, each named for the object that most of it is, and true "
-        "labels of which 30 % of the objects are harmed in one view. *From*, *to*: 95 % of a "
-        "paired bootstrap over rooms.",
-        IOU,
-    ),
-    "real": Table(
-        "Real pairs",
-        "Photographs of 416x576, two context views and a target between. Labels are those that "
-        "masks make of all three together, *as found* or harmed in the same ways; nobody has drawn "
-        "the truth, so what masks take for one object in the target is.",
-        IOU,
-    ),
-    "parts": Table(
-        "A training step",
-        "CPU milliseconds on one core, two context views of 256x256 and four targets; the least of "
-        f"{ROUNDS} rounds. *Others* are the neighbours in space, *backward* that of network and "
-        "splat.",
-        {
-            "widths": ("widths", str),
-            "others": ("others", ms),
-            "codes": ("codes and images", ms),
-            "forward": ("network", ms),
-            "plan": ("four plans", ms),
-            "splat": ("four splats", ms),
-            "backward": ("backward", ms),
-            "step": ("AdamW", ms),
-            "all": ("all", ms),
-            "half": ("network both ways, bfloat16", ms),
-            "whole": ("float32", ms),
-        },
-    ),
-    "costs": Table(
-        "Cost",
-        "Of training: steps, CPU minutes. Of use: CPU milliseconds to lift one room, beside the "
-        "second or two that its Gaussians take; the size of the weights.",
-        {
-            "lifting": ("lifting", str),
-            "steps": ("steps", str),
-            "minutes": ("CPU minutes", lambda v: f"{v:.1f}"),
-            "lift": ("lift, ms", ms),
-            "kilobytes": ("weights, kB", lambda v: f"{v:.0f}"),
-        },
-    ),
-}
 
 
 def trained_liftings(
@@ -253,10 +189,7 @@ def main() -> None:
         "parts": parts(held_out[0]),
         "costs": [{**cost, "lift": lifting_times[cost["lifting"]]} for cost in costs],
     }
-    tables = {name: table.markdown(rows[name]) for name, table in TABLES.items()}
-    text = (Path(__file__).parent / "branch.md").read_text("utf-8")
-    page = text.format(machine=machine(), count=len(rooms), **tables)
-    given.output.write_text(page.rstrip() + "\n", "utf-8")
+    publish("semantic/branch.md.j2", given.output, rows=rows, count=len(rooms))
 
 
 if __name__ == "__main__":
