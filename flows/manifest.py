@@ -17,7 +17,6 @@ from slgaussian import __version__
 from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.kernels import threads
-from slgaussian.parts.identity import DIGESTS
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.stage import Stage
 
@@ -43,11 +42,9 @@ def manifest(
     shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
     own = {name: shown[name] for name in shown if name not in TABLES} | settings.identity
     weights = {
-        f"{part}.{key}": digest
-        for part, table in settings.identity.items()
-        if isinstance(table, Mapping)
-        for key, digest in table.items()
-        if key in DIGESTS and digest is not None
+        f"{part.name}.{key}": known.digest
+        for part in settings.built_by.parts
+        for key, known in part.files.items()
     }
     return {
         "slgaussian": __version__,

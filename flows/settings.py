@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property, reduce
+from operator import or_
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -14,16 +18,17 @@ from pydantic import (
     Field,
     StringConstraints,
     ValidationError,
+    create_model,
 )
 from pydantic_core import PydanticCustomError
 
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
-from slgaussian.parts import registry
 from slgaussian.parts.method import Method as BuildMethod
 from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS
+from slgaussian.parts.registry import KINDS, find_part, names_of
+from slgaussian.parts.settings import Setting, settings_of
 from slgaussian.storage.remote import check_url
 
 SIDES = range(16, 8193)
@@ -92,158 +97,83 @@ def _parse_runner(value: Any) -> str:
 
 Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
-Count = Annotated[int | Literal["auto"], BeforeValidator(_parse_count)]
-
-
-FLOATS = ["float32", "bfloat16"]
-
 
 class PartTable(BaseModel):
     """Settings of one part: the table of its name in a file, options ``--NAME-KEY`` of a command.
 
-    For settings of another part, make a subclass of this, and in :class:`Method` a field with the
-    part's name, hyphens as underscores. Types are checked here, values by the part itself. A
-    ``checkpoint`` or ``table`` is a file, a ``model`` or ``tokenizer`` a folder, a file or a name
-    on the Hugging Face hub, a ``folder`` one of data, ``weights`` a file or a folder of versions:
-    in cache keys and artifacts a SHA-256 of the
-    content stands for them.
+    It is made of what the part's class declares (:mod:`slgaussian.parts.settings`). Types are
+    checked here, values by the part itself.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class PlaneSweepTable(PartTable):
-    """Those of the predictor ``planesweep``."""
+def _table_of(part: str) -> str:
+    return part.replace("-", "_")
 
-    depth_candidates: int = Field(
-        144,
-        description="Most depths that planesweep compares, 8 to 512; a pair gets no more than it "
-        "needs.",
+
+def _annotation(declared: Setting) -> Any:
+    """The type of a setting in a file: plain values, and of what may be a name the text."""
+    if declared.words:
+        return Annotated[int | Literal[declared.words], BeforeValidator(_parse_count)]
+    plain = [m for m in declared.members if m in (bool, int, float, str, Path, NoneType)]
+    return reduce(or_, (m for m in plain if m is not Path or declared.is_path))
+
+
+def _table(name: str, settings: Mapping[str, Setting]) -> type[PartTable]:
+    """The table of a part of these settings."""
+    fields: dict[str, Any] = {
+        key: (
+            _annotation(declared),
+            Field(
+                declared.default,
+                description=declared.help,
+                examples=list(declared.choices) or None,
+                json_schema_extra=_bounds(declared),
+            ),
+        )
+        for key, declared in settings.items()
+    }
+    about = f"Settings of the part ``{name}``."
+    return create_model(_table_of(name), __base__=PartTable, __doc__=about, **fields)
+
+
+def _bounds(declared: Setting) -> dict[str, Any]:
+    bounds = {"minimum": declared.low, "maximum": declared.high, "enum": list(declared.choices)}
+    return {name: bound for name, bound in bounds.items() if bound not in (None, [])}
+
+
+def _declared() -> Iterator[tuple[str, str, dict[str, Setting]]]:
+    """Kind, name and settings of every part that has some; of those that can be imported."""
+    for kind in KINDS:
+        for name in names_of(kind):
+            # What is wrong with a part of another package is said when it is asked for.
+            with suppress(InputError):
+                if settings := settings_of(find_part(kind, name)):
+                    yield kind, name, settings
+
+
+DECLARED = {name: (kind, settings) for kind, name, settings in _declared()}
+"""The kind and the settings of each part that has some, by its name."""
+
+TABLES = {_table_of(name): _table(name, settings) for name, (_, settings) in DECLARED.items()}
+"""The settings that are the table of a part, by its name."""
+
+
+def tables_of(*kinds: str) -> tuple[str, ...]:
+    """The tables of the parts of these kinds, of all kinds if none is given."""
+    return tuple(
+        _table_of(name) for name, (kind, _) in DECLARED.items() if kind in (kinds or KINDS)
     )
 
 
-class MVSplatTable(PartTable):
-    """Those of the predictor ``mvsplat``."""
-
-    checkpoint: Path | None = Field(None, description="Weights of mvsplat, such as re10k.ckpt.")
-    precision: str = Field(
-        "float32", examples=FLOATS, description="Of mvsplat's layers: float32 or bfloat16."
-    )
-    depth_candidates: Count = Field(
-        128,
-        description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
-    )
-
-
-class AutomaticTable(PartTable):
-    """Those of the proposers that prompt a pretrained model."""
-
-    model: str | None = Field(
-        None, description="Pretrained model: folder, or name on the Hugging Face hub."
-    )
-    preset: str = Field(
-        "grouping",
-        examples=["sam", "sam2", "langsplat", "grouping"],
-        description="Which masks are asked and kept: sam, sam2, langsplat or grouping.",
-    )
-    points: int | None = Field(
-        None, description="Points prompted along each side, if not as many as the preset says."
-    )
-    level: str = Field(
-        "all",
-        examples=["s", "m", "l", "all"],
-        description="Which masks of a point: s (parts), m (objects), l (groups) or all.",
-    )
-    batch: int = Field(16, description="Points prompted together: memory goes with it.")
-
-
-class SamTable(AutomaticTable):
-    """Those of the proposer ``sam``."""
-
-
-class Sam2Table(AutomaticTable):
-    """Those of the proposer ``sam2``."""
-
-
-class Sam2VideoTable(PartTable):
-    """Those of the tracker ``sam2-video``."""
-
-    model: str | None = Field(
-        None, description="Pretrained model: folder, or name on the Hugging Face hub."
-    )
-    batch: int = Field(16, description="Objects tracked together: memory goes with it.")
-
-
-class PrecomputedTable(PartTable):
-    """Those of the tracker ``precomputed``."""
-
-    folder: Path | None = Field(None, description="Folder of id maps made elsewhere, PNG or NPY.")
-
-
-class LexiconTable(PartTable):
-    """Those of the encoder ``lexicon``."""
-
-    synonyms: str | None = Field(
-        None,
-        description="Model that finds known words for unknown ones, such as all-MiniLM-L6-v2: "
-        "folder, or name on the Hugging Face hub.",
-    )
-
-
-class ClipTable(PartTable):
-    """Those of the encoder ``clip``."""
-
-    model: str = Field(
-        "laion/CLIP-ViT-B-16-laion2B-s34B-b88K",
-        description="CLIP: folder, name on the Hugging Face hub, or open_clip's file or folder.",
-    )
-    tokenizer: str | None = Field(
-        None, description="CLIP's tokenizer if not beside its model: folder, or name on the hub."
-    )
-    crops: str = Field(
-        "masked",
-        examples=["masked", "context"],
-        description="What CLIP sees of a region: masked, itself on black, or context, also what is "
-        "around it.",
-    )
-    batch: int = Field(4, description="Regions encoded together: memory goes with it.")
-    precision: str = Field(
-        "float32",
-        examples=FLOATS,
-        description="Of CLIP's image tower on a CPU: float32 or bfloat16.",
-    )
-
-
-class NamedTable(PartTable):
-    """Those of the encoder ``named``."""
-
-    table: Path | None = Field(None, description="Names and vectors, .npz.")
-
-
-class GridTable(PartTable):
-    """Those of the codes ``grid``."""
-
-    dimension: int = Field(3, description="Numbers a code, 1 to 3.")
-
-
-class SeparatedTable(PartTable):
-    """Those of the codes ``separated``."""
-
-    dimension: Count = Field(
-        3, description="Numbers a code, 1 to 3, or 'auto': as few as the scene needs."
-    )
-    error: float = Field(
-        0.01, description="With 'auto': mixtures of neighbours that may read as a third object."
-    )
-
-
-class BranchTable(PartTable):
-    """Those of the lifting ``branch``."""
-
-    weights: str | None = Field(
-        None,
-        description="Weights of the branch: file that `train` wrote, or folder of versions that "
-        "`retrain` keeps.",
+def files_of(*kinds: str) -> tuple[str, ...]:
+    """As ``table.key``, the settings that are files, folders or models of parts of these kinds."""
+    return tuple(
+        f"{_table_of(name)}.{key}"
+        for name, (kind, settings) in DECLARED.items()
+        for key, declared in settings.items()
+        if kind in kinds and declared.content is not None
     )
 
 
@@ -253,7 +183,7 @@ PRESETS = ("fast", "balanced", "accurate")
 """Named settings, each a file in `presets`. `benches/scores/setting_tradeoffs.py` measures them and
 picks them by the rules that `docs/measured/tradeoffs.md` states."""
 
-PARTS = set(registry.PARTS)
+PARTS = set(KINDS)
 """The settings that name a part of the method."""
 
 
@@ -301,7 +231,11 @@ RULES = set(QueryRules.model_fields)
 """The settings of a query."""
 
 
-class Method(QueryRules):
+def _kind(kind: str) -> Any:
+    return Field(KINDS[kind].default, description=KINDS[kind].help)
+
+
+class MethodSettings(QueryRules):
     """The parts of the method and their settings: what a result depends on."""
 
     model_config = ConfigDict(
@@ -319,36 +253,18 @@ class Method(QueryRules):
         description="Least depth, in scene units; found from the photographs if left out.",
     )
     far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
-    predictor: str = Field(
-        "planesweep",
-        description="What makes Gaussians of photographs.",
-    )
-    proposer: str = Field("regions", description="What finds object masks in a photograph.")
-    tracker: str = Field("geometric", description="What carries masks from view to view.")
-    encoder: str = Field("lexicon", description="What turns regions and words into vectors.")
-    codes: str = Field(
-        "separated",
-        description="How objects get ID codes (grid as in the paper, exact without any).",
-    )
-    lifting: str = Field("hard", description="What gives Gaussians their ID codes.")
+    predictor: str = _kind("predictor")
+    proposer: str = _kind("proposer")
+    tracker: str = _kind("tracker")
+    encoder: str = _kind("encoder")
+    codes: str = _kind("codes")
+    lifting: str = _kind("lifting")
     trust_cameras: bool = Field(
         False,
         description="Go on even if the matches between the photographs contradict their cameras.",
     )
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     seed: int = Field(0, ge=0, description="Seed of everything random.")
-    planesweep: PlaneSweepTable = PlaneSweepTable()
-    mvsplat: MVSplatTable = MVSplatTable()
-    sam: SamTable = SamTable()
-    sam2: Sam2Table = Sam2Table()
-    sam2_video: Sam2VideoTable = Sam2VideoTable()
-    precomputed: PrecomputedTable = PrecomputedTable()
-    lexicon: LexiconTable = LexiconTable()
-    clip: ClipTable = ClipTable()
-    named: NamedTable = NamedTable()
-    grid: GridTable = GridTable()
-    separated: SeparatedTable = SeparatedTable()
-    branch: BranchTable = BranchTable()
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -387,16 +303,13 @@ class Method(QueryRules):
         return self.built_by.identity()
 
 
-TABLES: dict[str, type[PartTable]] = {
-    name: field.annotation
-    for name, field in Method.model_fields.items()
-    if isinstance(field.annotation, type) and issubclass(field.annotation, PartTable)
-}
-"""The settings that are the table of a part, by its name."""
-
-
-def _table_of(part: str) -> str:
-    return part.replace("-", "_")
+Method = create_model(
+    "Method",
+    __base__=MethodSettings,
+    __doc__=MethodSettings.__doc__,
+    **{table: (model, model()) for table, model in TABLES.items()},
+)
+"""The parts of the method, and a table of settings for each that has some."""
 
 
 class SceneSettings(BaseModel):
@@ -588,9 +501,9 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
-        table = _anchored(values[name], ("checkpoint", "folder", "table"), folder)
-        # These may be names as well.
-        for key in ("model", "tokenizer", "synonyms", "weights"):
+        own = _settings_in(name)
+        table = _anchored(values[name], [key for key in own if own[key].is_path], folder)
+        for key in (key for key in own if own[key].content is not None):  # or a name
             place = table.get(key) if isinstance(table, dict) else None
             if isinstance(place, str) and (folder / place).exists():
                 table[key] = str(folder / place)
@@ -598,7 +511,11 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     return values
 
 
-def refuse_idle(given: dict[str, Any], settings: Method, source: str) -> None:
+def _settings_in(table: str) -> dict[str, Setting]:
+    return next(settings for name, (_, settings) in DECLARED.items() if _table_of(name) == table)
+
+
+def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """InputError if ``given`` has the table of a part that the settings do not choose."""
     used = set(map(_table_of, settings.part_settings()))
     for name in TABLES:
@@ -610,7 +527,7 @@ def refuse_idle(given: dict[str, Any], settings: Method, source: str) -> None:
             )
 
 
-def _anchored(table: Any, keys: tuple[str, ...], folder: Path) -> Any:
+def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
     if not isinstance(table, dict):
         return table  # which is said where settings are checked
     places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}

@@ -12,40 +12,34 @@ from flows.cli.options import with_options
 from flows.cli.store_commands import store_app
 from flows.corpus_settings import CorpusSettings, IndexSettings, PackSettings
 from flows.runners.display import Waiting
+from flows.settings import files_of, tables_of
 from flows.training_settings import RetrainSettings, TrainSettings
 from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.kernels import compiling
+from slgaussian.parts.registry import KINDS
 
-METHOD = (
-    "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker", "encoder", "codes",
-    "lifting", "replicas", "protocol", "threshold", "share", "temperature", "canonical", "absent",
-    "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video", "precomputed", "lexicon", "clip",
-    "named", "grid", "separated", "branch",
-)  # fmt: skip
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
-PLACES = ("lexicon.synonyms", "clip.model", "clip.tokenizer", "named.table")
-FILES = (
-    "predictor", "proposer", "tracker", "encoder", "lifting", "mvsplat.checkpoint", "sam.model",
-    "sam2.model", "sam2_video.model", "precomputed.folder", *PLACES, "branch.weights",
+METHOD = (
+    "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", *tables_of(),
 )  # fmt: skip
+PLACES = files_of("encoder")
+FILES = (*(kind for kind in KINDS if files_of(kind)), *files_of(*KINDS))
 BUILD = ("preset", *(name for name in METHOD if name not in RULES))
 RUN = ("preset", *METHOD, "store", "runner", "workers", "method")
 INGEST = (
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
     "most", "store", "runner", "workers",
 )  # fmt: skip
-SUPERVISE = (
-    "size", "near", "far", "predictor", "proposer", "tracker", "replicas", "seed",
-    "planesweep", "mvsplat", "sam", "sam2", "sam2_video", *INGEST,
-)  # fmt: skip
+LABEL = ("predictor", "proposer", "tracker")
+SUPERVISE = ("size", "near", "far", *LABEL, "replicas", "seed", *tables_of(*LABEL), *INGEST)
 MASKS = (
-    "preset", "size", "near", "far", "trust_cameras", "predictor", "proposer", "tracker",
-    "replicas", "seed", "planesweep", "mvsplat", "sam", "sam2", "sam2_video",
+    "preset", "size", "near", "far", "trust_cameras", *LABEL, "replicas", "seed",
+    *tables_of(*LABEL),
 )  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
-PARTS = ("predictor", "proposer", "tracker", "encoder")
+PARTS = (*LABEL, "encoder")
 ENGINE = ("store", "runner", "workers")
 COMMON = {
     "demo": ("preset", "size", *PARTS, "seed", *ENGINE),

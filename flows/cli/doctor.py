@@ -24,10 +24,11 @@ from packaging.requirements import Requirement
 from flows.runners.environment import home_of, orchestration
 from flows.settings import Settings
 from slgaussian import __version__
-from slgaussian.errors import InputError, SLGaussianError, did_you_mean, one_line
+from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.kernels import threads
 from slgaussian.parts.extras import PACKAGE, install_line, requirements
-from slgaussian.parts.registry import names_of
+from slgaussian.parts.registry import KINDS, find_part
+from slgaussian.parts.settings import Setting, settings_of
 from slgaussian.storage.remote import redacted
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
@@ -43,9 +44,6 @@ ROOM = 2**30
 
 ANSWER = 10.0
 """Seconds to wait for a server that is said to run."""
-
-OPTIONAL = {"synonyms", "tokenizer"}
-"""Of the settings that name files, those that may be left out."""
 
 
 @dataclass(frozen=True)
@@ -231,50 +229,58 @@ def _runner(settings: Settings, store: Any) -> Findings:
 
 def _models(settings: Settings) -> Findings:
     """The files that the chosen parts need, as far as their headers."""
-    from slgaussian.parts.identity import DIGESTS
-
+    declared = {}
     for kind, part in settings.part_names().items():
-        known = names_of(kind)
-        if part not in known:
-            said = f"found {part!r}, expected one of {', '.join(sorted(known))}"
-            yield Finding(kind, said + did_you_mean(part, known), False)
+        try:
+            declared[part] = settings_of(find_part(kind, part))
+        except InputError as error:
+            unknown = f"unknown {KINDS[kind].called} {part!r}: "
+            said = str(error)
+            if said.startswith(unknown):
+                said = f"found {part!r}, {said.removeprefix(unknown)}"
+            yield Finding(kind, said, False)
     for part, own in settings.part_settings().items():
-        for name in DIGESTS.keys() & own.keys():
+        for name, setting in declared[part].items():
             place = own[name]
-            if place is not None:
-                yield from _tried(part, lambda p=part, n=name, w=place: _file(p, n, w))
-            elif name not in OPTIONAL:
-                advice = f"give --{part}-{name} PLACE"
-                yield Finding(part, f"its {name} is not given; {advice}", False)
+            if setting.content is not None and place is not None:
+                yield from _tried(part, lambda p=part, s=setting, w=place: _file(p, s, w))
+            elif setting.content is not None and not setting.optional:
+                yield Finding(part, f"its {name} is not given; give --{part}-{name} PLACE", False)
 
 
-def _file(part: str, name: str, place: str | Path) -> Findings:
-    """A file of a part, or a folder of some, by the name of the setting."""
+def _file(part: str, setting: Setting, place: str | Path) -> Findings:
+    """A file of a part, or a folder of some, by what it is known by."""
+    from slgaussian.masks.precomputed import folder_digest
     from slgaussian.parts import pretrained
-    from slgaussian.predict.mvsplat.checkpoint import read_state
-    from slgaussian.semantic.branch import find_weights
+    from slgaussian.semantic.trained import weights_digest
 
-    place = str(place)
-    if name == "checkpoint":
+    name, place, good = setting.name, str(place), True
+    if part == "mvsplat":
+        from slgaussian.predict.mvsplat.checkpoint import read_state
+
         files, said = [], f"{len(read_state(place))} tensors"
-    elif name == "weights":
+    elif setting.content is weights_digest:
+        from slgaussian.semantic.branch import find_weights
+
         files, said = [find_weights(place)], "weights"
-    elif name in ("model", "synonyms"):
+    elif setting.content is pretrained.model_digest:
         import transformers  # noqa: F401  that it is there
 
         files = list(pretrained.find_model(_here(place)).files)
         said = "a model"
-    elif name == "tokenizer":
+    elif setting.content is pretrained.tokenizer_digest:
         pretrained.find_tokenizer(_here(place))
         files, said = [], "a tokenizer"
-    elif name == "folder":
+    elif setting.content is folder_digest:
         files = [file for file in Path(place).iterdir() if file.is_file()][:1]
         said = "id maps" if files else "no file; give the folder of the id maps"
+        good = bool(files)
     else:
-        files, said = [Path(place)], "a table"
+        files = [] if Path(place).is_dir() else [Path(place)]
+        said = "a table" if name == "table" else "is there"
     read = sum(_readable(file) for file in files)
     amount = f", {read / 2**20:.0f} MiB" if read >= 2**20 else ""
-    yield Finding(part, f"{name} {place}: {said}{amount}", bool(files) or name != "folder")
+    yield Finding(part, f"{name} {place}: {said}{amount}", good)
 
 
 def _here(place: str) -> str:

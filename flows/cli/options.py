@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from flows.settings import TABLES, Settings
-from slgaussian.parts.registry import PARTS, names_of
+from slgaussian.parts.registry import KINDS, names_of
 
 
 def with_options(
@@ -75,7 +75,7 @@ def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> ins
     kind = kinds.get(field.annotation, str)
     help_text = field.description
     choices = field.examples or []
-    if name in PARTS and not choices:
+    if name in KINDS and not choices:
         choices = names_of(name)
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
     value = field.default
@@ -101,7 +101,7 @@ def _heading(path: tuple[str, ...], of: type[BaseModel]) -> str:
     """Which part a key of a table belongs to, or what the model that declares a setting is of."""
     if len(path) > 1:
         part = path[0].replace("_", "-")
-        kind = next(kind for kind in PARTS if part in names_of(kind))
+        kind = next(kind for kind in KINDS if part in names_of(kind))
         return f"{kind.capitalize()} {part}"
     owner = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
     return owner.model_config["title"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.registry import find_part
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
@@ -61,7 +61,7 @@ class Encoder(Protocol):
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
     """Make the encoder called ``name``; raises InputError if there is none."""
-    return resolve("encoder", ENCODERS, name)(**settings)
+    return find_part("encoder", name)(**settings)
 
 
 class CodeStrategy(Protocol):
@@ -77,4 +77,4 @@ class CodeStrategy(Protocol):
 
 def load_codes(name: str = "separated", **settings: Any) -> CodeStrategy:
     """Make the ID-code strategy called ``name``; raises InputError if there is none."""
-    return resolve("code strategy", CODES, name)(**settings)
+    return find_part("codes", name)(**settings)

@@ -8,13 +8,15 @@ them are chosen at random; a rendered vector means the object whose code is near
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from slgaussian.errors import InputError
-from slgaussian.labels import LabelMaps
 from slgaussian.parts.settings import check_settings, setting
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from slgaussian.labels import LabelMaps
 
 MOST_DIMENSIONS = 3
 """Most numbers a code: channels that are rendered."""
@@ -113,6 +115,8 @@ class Exact:
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`; float32 [N, 0]."""
+        import numpy as np
+
         return np.empty((count_objects(label_maps), 0), np.float32)
 
 
@@ -140,6 +144,8 @@ def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarr
     InputError
         If ``n`` is less than 1.
     """
+    import numpy as np
+
     if n < 1:
         raise InputError(f"ID codes: asked for {n}, expected at least one object")
     k = _ceil_root(n, dimension)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.formats.brief import brief
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.registry import find_part
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
@@ -83,9 +83,9 @@ class MaskTracker(Protocol):
 
 def load_proposer(name: str = "regions", **settings: Any) -> MaskProposer:
     """Make the mask proposer called ``name``; raises InputError if there is none."""
-    return resolve("mask proposer", PROPOSERS, name)(**settings)
+    return find_part("proposer", name)(**settings)
 
 
 def load_tracker(name: str = "geometric", **settings: Any) -> MaskTracker:
     """Make a fresh, empty tracker called ``name``; raises InputError if there is none."""
-    return resolve("mask tracker", TRACKERS, name)(**settings)
+    return find_part("tracker", name)(**settings)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways, pixel_grid
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from slgaussian.scene import View
 
 AGREE_PIXELS = 2.0
@@ -35,6 +35,7 @@ class FlowTracker(MemoryTracker):
     def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
         """Add SIFT keypoints; see :meth:`slgaussian.masks.memory.MemoryTracker.describe`."""
         import cv2
+        import numpy as np
 
         frame = super().describe(view, labels, depth)
         gray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)
@@ -45,6 +46,8 @@ class FlowTracker(MemoryTracker):
 
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
+        import numpy as np
+
         warp = _homography(new, old)
         there = _flow(new.gray, old.gray, warp)
         back = _flow(old.gray, new.gray, np.linalg.inv(warp))
@@ -57,6 +60,7 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
     It need not be exact: it only has to bring most of the image within reach of the flow.
     """
     import cv2
+    import numpy as np
 
     if min(len(a.points), len(b.points)) < 2:
         return np.eye(3)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from slgaussian.errors import InputError
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from slgaussian.scene import View
 
 AGREE_PIXELS = 4.0
@@ -43,6 +43,8 @@ class GeometricTracker(MemoryTracker):
 
 def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
     """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
+    import numpy as np
+
     pixels, z = other.view.camera.project(frame.view.camera.unproject(frame.depth))
     pixels[(frame.depth <= 0) | (z <= 0)] = np.nan
     return pixels - 0.5

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
+
+if TYPE_CHECKING:
+    import numpy as np
 
 LEVELS = ("s", "m", "l")
 
@@ -61,6 +63,8 @@ class Regions:
         InputError
             If image, ``where`` or ``depth`` have the wrong type or size, or depth is not finite.
         """
+        import numpy as np
+
         from slgaussian.masks.flatten import CRUMB_SHARE
         from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
         from slgaussian.masks.segmentation import CUES, check_image, grow_trees

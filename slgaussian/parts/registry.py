@@ -1,8 +1,15 @@
-"""Find the implementation that a name stands for, importing it only then."""
+"""Find the implementation that a name stands for, importing it only then.
+
+Parts of this package stand in tables, those of others are their entry points.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from slgaussian.errors import InputError, did_you_mean
@@ -16,6 +23,8 @@ class Kind:
     ----------
     table : str
         ``"package.module:NAME"`` of the table of its built-in parts.
+    group : str
+        The group of entry points by which other packages bring such parts.
     called : str
         In sentences.
     default : str
@@ -25,6 +34,7 @@ class Kind:
     """
 
     table: str
+    group: str
     called: str
     default: str
     help: str
@@ -33,36 +43,42 @@ class Kind:
 KINDS = {
     "predictor": Kind(
         "slgaussian.predict:PREDICTORS",
+        "slgaussian.predictors",
         "predictor",
         "planesweep",
         "What makes Gaussians of photographs.",
     ),
     "proposer": Kind(
         "slgaussian.masks:PROPOSERS",
+        "slgaussian.proposers",
         "mask proposer",
         "regions",
         "What finds object masks in a photograph.",
     ),
     "tracker": Kind(
         "slgaussian.masks:TRACKERS",
+        "slgaussian.trackers",
         "mask tracker",
         "geometric",
         "What carries masks from view to view.",
     ),
     "encoder": Kind(
         "slgaussian.language:ENCODERS",
+        "slgaussian.encoders",
         "encoder",
         "lexicon",
         "What turns regions and words into vectors.",
     ),
     "codes": Kind(
         "slgaussian.language:CODES",
+        "slgaussian.codes",
         "code strategy",
         "separated",
         "How objects get ID codes (grid as in the paper, exact without any).",
     ),
     "lifting": Kind(
         "slgaussian.semantic:LIFTINGS",
+        "slgaussian.liftings",
         "lifting",
         "hard",
         "What gives Gaussians their ID codes.",
@@ -70,13 +86,10 @@ KINDS = {
 }
 """The kinds of parts of the method, in the order in which they work."""
 
-PARTS = {kind: known.table for kind, known in KINDS.items()}
-"""The parts of the method, each with the table of its implementations."""
 
-
-def names_of(part: str) -> tuple[str, ...]:
-    """The implementations that there are of one of :data:`PARTS`; none of them is imported."""
-    return tuple(_table(part))
+def names_of(kind: str) -> tuple[str, ...]:
+    """The parts that there are of one of :data:`KINDS`; none of them is imported."""
+    return tuple({**_table(kind), **brought(KINDS[kind].group)})
 
 
 def find_part(kind: str, name: str) -> Any:
@@ -85,27 +98,63 @@ def find_part(kind: str, name: str) -> Any:
     Raises
     ------
     InputError
-        As :func:`resolve`.
+        As :func:`resolve`, or if a part of another package has the name of one that is built in.
     """
-    return resolve(KINDS[kind].called, _table(kind), name)
+    known = KINDS[kind]
+    if name in brought(known.group):
+        taken = next((k for k in KINDS if name in _table(k)), None)
+        if taken is not None:
+            raise InputError(
+                f"{known.called} {name!r}: the package {_owner(brought(known.group)[name])} brings "
+                f"one, but a {KINDS[taken].called} of this name is built in; remove that package, "
+                "or have its entry point renamed"
+            )
+    return resolve(known.called, _table(kind), name, known.group)
 
 
-def resolve(kind: str, table: Mapping[str, str], name: str) -> Any:
+def resolve(called: str, table: Mapping[str, str], name: str, group: str | None = None) -> Any:
     """Return the object that ``table[name]`` (``"package.module:attribute"``) points to.
+
+    Or else that of this name among the entry points of ``group``, if one is given.
 
     Raises
     ------
     InputError
-        If ``name`` is not in the table; the message lists the names that are, and says which of
-        them is nearest.
+        If there is none: the message lists the names that are, and says which of them is nearest.
+        If an entry point cannot be imported.
     """
-    if name not in table:
-        known = ", ".join(sorted(table))
+    others = {} if group is None else brought(group)
+    if name in table:
+        module, attribute = table[name].split(":")
+        return getattr(import_module(module), attribute)
+    if name not in others:
+        known = {**table, **others}
         raise InputError(
-            f"unknown {kind} {name!r}: expected one of {known}{did_you_mean(name, table)}"
+            f"unknown {called} {name!r}: expected one of {', '.join(sorted(known))}"
+            f"{did_you_mean(name, known)}"
         )
-    module, attribute = table[name].split(":")
-    return getattr(import_module(module), attribute)
+    try:
+        return others[name].load()
+    except Exception as error:  # whatever another package does when it is imported
+        raise InputError(
+            f"{called} {name!r}: {others[name].value} of the package {_owner(others[name])} cannot "
+            f"be imported ({type(error).__name__}: {error}); repair or remove that package"
+        ) from error
+
+
+@cache
+def brought(group: str) -> Mapping[str, EntryPoint]:
+    """The entry points of a group by name, in alphabetical order; nothing is imported."""
+    return {found.name: found for found in sorted(_installed().select(group=group))}
+
+
+@cache
+def _installed() -> EntryPoints:
+    return entry_points()  # which reads a file of every package
+
+
+def _owner(found: EntryPoint) -> str:
+    return found.dist.name if found.dist is not None else found.module
 
 
 def _table(kind: str) -> Mapping[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.registry import find_part
 
 if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians
@@ -34,4 +34,4 @@ def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredict
     InputError
         If the name is unknown.
     """
-    return resolve("predictor", PREDICTORS, name)(**settings)
+    return find_part("predictor", name)(**settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.registry import find_part
 
 if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians
@@ -35,4 +35,4 @@ class Lifting(Protocol):
 
 def load_lifting(name: str = "hard", **settings: Any) -> Lifting:
     """Make the lifting called ``name``; raises InputError if there is none."""
-    return resolve("lifting", LIFTINGS, name)(**settings)
+    return find_part("lifting", name)(**settings)

@@ -13,7 +13,7 @@ from roads import calls_of, keyed
 
 from flows import pipeline
 from flows.jobs import scene_job
-from flows.settings import ClipTable, LexiconTable, NamedTable, Settings, make_settings, read_toml
+from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -324,7 +324,7 @@ def test_files_beside_the_configuration_are_found_and_a_name_is_left(tmp_path):
 
 
 def test_defaults_are_those_of_the_encoder():
-    for name, value in ClipTable():
+    for name, value in TABLES["clip"]():
         assert value == Clip.__dataclass_fields__[name].default
-    assert NamedTable().table is None
-    assert LexiconTable().synonyms is None
+    assert TABLES["named"]().table is None
+    assert TABLES["lexicon"]().synonyms is None

@@ -120,11 +120,11 @@ def test_choices_that_are_listed_are_those_that_are_taken():
 
     assert listed("protocol") == set(query.PROTOCOLS)
     assert listed("absent") == set(relevancy.ABSENT)
-    assert listed("preset", settings.SamTable) == set(prompted.PRESETS)
-    assert listed("level", settings.SamTable) == {*prompted.LEVELS, "all"}
+    assert listed("preset", TABLES["sam"]) == set(prompted.PRESETS)
+    assert listed("level", TABLES["sam"]) == {*prompted.LEVELS, "all"}
     for part, table in (
-        (clip.Clip, settings.ClipTable),
-        (predictor.MVSplat, settings.MVSplatTable),
+        (clip.Clip, TABLES["clip"]),
+        (predictor.MVSplat, TABLES["mvsplat"]),
     ):
         for name, declared in settings_of(part).items():
             if declared.choices:

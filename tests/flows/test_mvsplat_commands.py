@@ -13,7 +13,7 @@ from roads import calls_of, keyed
 from benches.predict.random_mvsplat_weights import recipe_weights
 from flows import pipeline
 from flows.jobs import scene_job
-from flows.settings import MVSplatTable, Settings, make_settings, read_toml
+from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -142,7 +142,7 @@ def test_a_table_has_its_paths_from_its_folder_and_options_win(tmp_path):
     table = '[mvsplat]\ncheckpoint = "weights/re10k.ckpt"\nprecision = "bfloat16"\n'
     path = toml(tmp_path, f'predictor = "mvsplat"\n{table}{SCENE}')
     read = read_toml(path, {"mvsplat": {"precision": "float32", "depth_candidates": "64"}})
-    assert read.mvsplat == MVSplatTable(
+    assert read.mvsplat == TABLES["mvsplat"](
         checkpoint=tmp_path / "weights/re10k.ckpt", precision="float32", depth_candidates=64
     )
     given = {"checkpoint": "elsewhere.ckpt"}
@@ -174,7 +174,7 @@ def test_a_slip_in_a_table_is_one_sentence(tmp_path, table, sentence):
 
 
 def test_defaults_are_those_of_the_predictor():
-    for name, value in MVSplatTable():
+    for name, value in TABLES["mvsplat"]():
         assert value == MVSplat.__dataclass_fields__[name].default
 
 

@@ -8,7 +8,6 @@ from command import run, said, save_photographs
 
 from flows import settings as settings_module
 from flows.settings import PRESETS, TABLES, Method, Settings, make_settings, read_toml
-from slgaussian.build import check_parts
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 
@@ -36,7 +35,7 @@ def test_a_preset_has_settings_of_the_method_alone_and_its_parts_take_them(name)
     chosen = make_settings({"preset": name}, "test")
     assert chosen.preset == name
     assert method_of({"preset": name}) == method_of(values)
-    check_parts(**chosen.part_names(), settings=chosen.part_settings())
+    chosen.built_by.check()
     # Nothing in it is idle.
     assert values.keys() & TABLES.keys() <= chosen.part_settings().keys()
 

@@ -10,7 +10,7 @@ from roads import calls_of, keyed
 
 from flows import pipeline
 from flows.jobs import scene_job
-from flows.settings import Sam2Table, SamTable, Settings, make_settings, read_toml
+from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -149,7 +149,7 @@ def test_a_folder_beside_the_configuration_is_found_and_a_name_is_left(tmp_path)
     assert read.sam2.model == "facebook/sam2.1-hiera-tiny"
 
 
-@pytest.mark.parametrize(("table", "part"), [(SamTable(), Sam), (Sam2Table(), Sam2)])
+@pytest.mark.parametrize(("table", "part"), [(TABLES["sam"](), Sam), (TABLES["sam2"](), Sam2)])
 def test_defaults_are_those_of_the_proposer(table, part):
     for name, value in table:
         assert value == part.__dataclass_fields__[name].default

@@ -6,7 +6,7 @@ from command import ROOM, room_sample, run, said
 from roads import calls_of, keyed
 
 from flows.jobs import scene_job
-from flows.settings import PrecomputedTable, Sam2VideoTable, make_settings, read_toml
+from flows.settings import TABLES, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.masks.precomputed import Precomputed, folder_digest
@@ -95,7 +95,7 @@ def test_a_run_that_cannot_be_does_not_begin(tmp_path, monkeypatch, capsys, word
 
 
 @pytest.mark.parametrize(
-    ("table", "part"), [(Sam2VideoTable(), Sam2Video), (PrecomputedTable(), Precomputed)]
+    ("table", "part"), [(TABLES["sam2_video"](), Sam2Video), (TABLES["precomputed"](), Precomputed)]
 )
 def test_defaults_are_those_of_the_tracker(table, part):
     for name, value in table:

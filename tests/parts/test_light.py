@@ -10,7 +10,8 @@ from slgaussian.parts.settings import settings_of
 for kind in KINDS:
     for name in names_of(kind):
         settings_of(find_part(kind, name))
-print(*({"torch", "numba", "cv2", "transformers", "scipy", "pyarrow"} & sys.modules.keys()))
+import flows.cli.app
+print(*({"torch", "numba", "cv2", "transformers", "numpy", "prefect"} & sys.modules.keys()))
 """
 
 
