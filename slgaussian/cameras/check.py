@@ -210,17 +210,17 @@ def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarr
 
 def _refusal(check: PairCheck) -> str:
     a, b = check.views
-    explained = f"{check.coarse:.0%} of the {check.matches} matches"
+    told = f"{check.coarse:.0%} of the {check.matches} matches"
     agreed = check.agreeing / check.matches
     if check.correction is None:
         return (
-            f"{a!r} and {b!r}: the cameras explain {explained} between the photographs to within "
+            f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
             f"{check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, and no "
             "usual mistake explains it; check that each photograph has its own pose and its own "
             "intrinsics (--trust-cameras goes on all the same)"
         )
     return (
-        f"{a!r} and {b!r}: the cameras explain {explained} between the photographs to within "
+        f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
         f"{check.pixels[0]:.1f} pixels, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
         f"{check.correction} (--trust-cameras goes on all the same)"
     )

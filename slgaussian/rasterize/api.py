@@ -42,8 +42,7 @@ class Render:
     Attributes
     ----------
     values : float [H, W, C]
-        Composited values, the background included. Without one they are premultiplied: divide by
-        ``alpha`` for the mean of what is there.
+        Composited values, premultiplied: divide by ``alpha`` for the mean of what is there.
     alpha : float [H, W]
         Accumulated opacity in [0, 1].
     depth : float [H, W]
@@ -67,6 +66,19 @@ class Render:
 
     __repr__ = brief
 
+    def over(self, background: torch.Tensor) -> Render:
+        """The picture with ``background`` float [C] seen through what is not opaque.
+
+        Differentiable in it. InputError if it has another shape.
+        """
+        if background.shape != self.values.shape[2:]:
+            raise InputError(
+                f"rasterize background: found shape {tuple(background.shape)}, expected "
+                f"({self.values.shape[2]},)"
+            )
+        behind = background.to(self.values) * (1 - self.alpha)[..., None]
+        return replace(self, values=self.values + behind)
+
 
 def rasterize(
     gaussians: Gaussians,
@@ -75,7 +87,6 @@ def rasterize(
     *,
     backend: str = "auto",
     settings: Settings | str = "fast",
-    background: torch.Tensor | None = None,
     median: bool = False,
     labels: torch.Tensor | None = None,
 ) -> Render:
@@ -99,8 +110,6 @@ def rasterize(
         that are on a GPU, else ``cpu``.
     settings : Settings or "fast", "exact", "3dgs"
         What is drawn and what is cut; see :mod:`slgaussian.rasterize.settings`.
-    background : float [C], optional
-        Seen through what is not opaque; nothing (zeros) if not given.
     median : bool
         Whether to find the median depth too.
     labels : int32 [N], optional
@@ -110,9 +119,8 @@ def rasterize(
     Raises
     ------
     InputError
-        If ``values``, ``background`` or ``labels`` has the wrong shape, a label or a parameter is
-        out of its range, NaN or infinite (named with its index), or the backend cannot do what is
-        asked.
+        If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out of its range,
+        NaN or infinite (named with its index), or the backend cannot do what is asked.
     """
     compiling.watch()
     settings = find_settings(settings)
@@ -122,22 +130,12 @@ def rasterize(
         raise InputError(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"
         )
-    if background is not None and background.shape != values.shape[1:]:
-        raise InputError(
-            f"rasterize background: found shape {tuple(background.shape)}, expected "
-            f"({values.shape[1]},)"
-        )
     if labels is not None:
         _check_labels(labels, len(gaussians))
     if backend == "auto":
         backend = "cuda" if gaussians.means.is_cuda else "cpu"
-    drawn = resolve("rasterizer", BACKENDS, backend)(
-        gaussians, values, camera, settings, median, labels
-    )  # fmt: skip
-    if background is None:
-        return drawn
-    behind = background.to(drawn.values) * (1 - drawn.alpha)[..., None]
-    return replace(drawn, values=drawn.values + behind)
+    draw = resolve("rasterizer", BACKENDS, backend)
+    return draw(gaussians, values, camera, settings, median, labels)
 
 
 def _check_labels(labels: torch.Tensor, n: int) -> None:

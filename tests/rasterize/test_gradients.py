@@ -77,13 +77,8 @@ def test_reference_background():
     behind = torch.tensor([0.3, -0.7], dtype=torch.float64)
 
     def draw(means, scales, quats, opacities, values, background):
-        return rasterize(
-            with_geometry(means, scales, quats, opacities),
-            values,
-            seen,
-            backend="reference",
-            background=background,
-        ).values
+        made = with_geometry(means, scales, quats, opacities)
+        return rasterize(made, values, seen, backend="reference").over(background).values
 
     inputs = [t.requires_grad_() for t in (*tiny(seen), behind)]
     assert torch.autograd.gradcheck(draw, inputs)
@@ -347,8 +342,7 @@ def test_background():
             camera(),
             backend=backend,
             settings=EXACT,
-            background=behind,
-        )
+        ).over(behind)
         drawn.values.square().sum().backward()
         found.append((opacities.grad, behind.grad))
     for fast, true in zip(*found, strict=True):

@@ -203,7 +203,7 @@ def test_background_is_seen_through_what_is_not_opaque(backend):
     made, values = cloud(40)
     behind = torch.tensor([0.1, 0.9, -2.0, 0.0, 1.0])
     without = rasterize(made, values, camera(), backend=backend)
-    drawn = rasterize(made, values, camera(), backend=backend, background=behind)
+    drawn = rasterize(made, values, camera(), backend=backend).over(behind)
     expected = without.values + (1 - without.alpha)[..., None] * behind.to(without.values)
     assert torch.equal(drawn.values, expected)
     assert torch.equal(drawn.alpha, without.alpha)
@@ -491,7 +491,7 @@ def test_inputs_need_not_be_contiguous():
 def test_inputs_are_left_alone():
     made, values = cloud(40)
     before = {name: t.clone() for name, t in [*made.items(), ("values", values)]}
-    rasterize(made, values, camera(), background=torch.ones(5), median=True)
+    rasterize(made, values, camera(), median=True).over(torch.ones(5))
     for name, t in [*made.items(), ("values", values)]:
         assert torch.equal(t, before[name]), name
 
@@ -546,7 +546,7 @@ def test_values_of_the_wrong_shape_are_refused(shape):
 def test_a_background_of_the_wrong_shape_is_refused(shape):
     made, values = cloud(5)
     with pytest.raises(InputError, match=r"rasterize background: found shape .*expected \(5,\)"):
-        rasterize(made, values, camera(), background=torch.zeros(shape))
+        rasterize(made, values, camera()).over(torch.zeros(shape))
 
 
 def test_unknown_names_are_refused_with_those_that_are_known():
