@@ -24,7 +24,7 @@ class Metrics:
         Scenes done a minute, cached ones too.
     left : float or None
         Seconds that the rest will take, if that can be known.
-    memory, peak : int or None
+    memory, peak : int
         Bytes of this process and all that it started, now and at most.
     """
 
@@ -38,8 +38,8 @@ class Metrics:
     cached: int
     rate: float
     left: float | None
-    memory: int | None
-    peak: int | None
+    memory: int
+    peak: int
 
     def cells(self) -> Iterator[tuple[str, str]]:
         """Heading and value of each column."""
@@ -52,9 +52,8 @@ class Metrics:
             yield "stages", f"{self.steps} of {self.stages}"
         yield "computed", str(self.computed)
         yield "cached", str(self.cached)
-        if self.memory is not None:
-            yield "memory", size(self.memory)
-            yield "peak", size(self.peak)
+        yield "memory", size(self.memory)
+        yield "peak", size(self.peak)
 
     def sentence(self) -> str:
         """The same in one line."""
@@ -65,8 +64,7 @@ class Metrics:
         told += [f"{self.cached} cached"] if self.cached else []
         told += [f"{self.rate:.3g} {self.unit} a minute"] if many and self.done else []
         told += [] if self.left is None else [f"about {duration(self.left)} left"]
-        if self.memory is not None:
-            told.append(f"{size(self.memory)} of memory, at most {size(self.peak)}")
+        told.append(f"{size(self.memory)} of memory, at most {size(self.peak)}")
         return ", ".join(told)
 
 

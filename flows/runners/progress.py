@@ -267,7 +267,7 @@ class Progress:
         logged = time.perf_counter()
         while not self.over.wait(TICK):
             self.memory = memory_in_use()
-            self.peak = max(self.memory or 0, self.peak or 0) or None
+            self.peak = max(self.memory, self.peak)
             self._status()
             if time.perf_counter() - logged > REMIND:
                 logged = time.perf_counter()
