@@ -16,7 +16,7 @@ import torch
 
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import Render, Settings, rasterize
-from slgaussian.rasterize.settings import find_settings
+from slgaussian.rasterize.render_settings import find_settings
 from slgaussian.scene import Camera
 
 

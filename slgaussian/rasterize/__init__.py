@@ -6,7 +6,7 @@ from types import ModuleType
 from slgaussian.rasterize.api import BACKENDS, Render, rasterize
 from slgaussian.rasterize.planned import SplatPlan, plan
 from slgaussian.rasterize.pruning import Pruned, prune
-from slgaussian.rasterize.settings import PRESETS, Settings
+from slgaussian.rasterize.render_settings import PRESETS, Settings
 
 __all__ = [
     "BACKENDS",

@@ -18,7 +18,7 @@ from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.kernels import compiling
 from slgaussian.parts.registry import resolve
 from slgaussian.rasterize.harmonics import colors
-from slgaussian.rasterize.settings import Settings, find_settings
+from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.scene import Camera
 
 BACKENDS = {
@@ -109,7 +109,7 @@ def rasterize(
         torch that leaves nothing out, slow, for comparison. ``auto`` takes ``cuda`` for tensors
         that are on a GPU, else ``cpu``.
     settings : Settings or "fast", "exact", "3dgs"
-        What is drawn and what is cut; see :mod:`slgaussian.rasterize.settings`.
+        What is drawn and what is cut; see :mod:`slgaussian.rasterize.render_settings`.
     median : bool
         Whether to find the median depth too.
     labels : int32 [N], optional

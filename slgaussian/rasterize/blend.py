@@ -47,7 +47,7 @@ def draw(
     values : float32 [N, C]
     bins : Bins
     alpha_max, pass_min : float32
-        See :class:`slgaussian.rasterize.settings.Settings`.
+        See :class:`slgaussian.rasterize.render_settings.Settings`.
     labels : int32 [N], from 0
     most_label : int
         The greatest of them, or -1 to find none.

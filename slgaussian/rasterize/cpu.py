@@ -17,7 +17,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.blend import draw, draw_backward
 from slgaussian.rasterize.project import Eye, eye_of, project, project_backward
-from slgaussian.rasterize.settings import Settings
+from slgaussian.rasterize.render_settings import Settings
 from slgaussian.rasterize.tiles import bin_splats, count_tiles
 from slgaussian.scene import Camera
 

@@ -22,7 +22,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.parts.extras import install_line
 from slgaussian.rasterize.api import Render, check_inputs
-from slgaussian.rasterize.settings import Settings
+from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
 LEAST_ALPHA_MAX = 0.99

@@ -21,7 +21,7 @@ from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.blend import STRIP, weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
 from slgaussian.rasterize.project import eye_of
-from slgaussian.rasterize.settings import Settings, find_settings
+from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import (
     BLOCK,
     TILE_BLOCKS,

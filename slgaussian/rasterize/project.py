@@ -31,7 +31,7 @@ from slgaussian.kernels.simd import (
 )
 from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.api import FRUSTUM_MARGIN
-from slgaussian.rasterize.settings import Settings
+from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
 U, V, ROOT, SLOPE, ROW_ROOT, POWER, CUT, Z = range(8)

@@ -33,7 +33,7 @@ from slgaussian.rasterize.lists import (
     replace_in,
 )
 from slgaussian.rasterize.project import Z, eye_of, project
-from slgaussian.rasterize.settings import Settings, find_settings
+from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import BLOCK
 from slgaussian.scene import Camera
 

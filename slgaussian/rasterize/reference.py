@@ -7,7 +7,7 @@ import torch
 
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.rasterize.api import FRUSTUM_MARGIN, Render, check_inputs
-from slgaussian.rasterize.settings import Settings
+from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
 PAIRS_AT_ONCE = 4_000_000

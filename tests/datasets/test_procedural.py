@@ -7,7 +7,8 @@ import pytest
 from implicit_solids import inside_below_zero
 
 from slgaussian.datasets import load
-from slgaussian.datasets.names import (
+from slgaussian.datasets.procedural import raycast, reader
+from slgaussian.datasets.procedural.names import (
     COLOURS,
     MATERIALS,
     PATTERNS,
@@ -16,7 +17,6 @@ from slgaussian.datasets.names import (
     VOCABULARY,
     look,
 )
-from slgaussian.datasets.procedural import raycast, reader
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 

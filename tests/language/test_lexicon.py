@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from slgaussian.datasets.names import VOCABULARY as PROCEDURAL_WORDS
+from slgaussian.datasets.procedural.names import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors

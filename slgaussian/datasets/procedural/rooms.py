@@ -8,8 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.datasets.names import COLOURS, MATERIALS, PATTERNS, SHAPES, jitter, look, material
 from slgaussian.datasets.procedural import raycast, textures
+from slgaussian.datasets.procedural.names import (
+    COLOURS,
+    MATERIALS,
+    PATTERNS,
+    SHAPES,
+    jitter,
+    look,
+    material,
+)
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, Solid
 from slgaussian.datasets.procedural.shading import Light
 from slgaussian.datasets.procedural.textures import Material
