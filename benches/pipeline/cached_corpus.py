@@ -17,8 +17,10 @@ import hashlib
 import shutil
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,14 +28,17 @@ import pyarrow as pa
 from benches.common.machine import machine
 from benches.common.markdown_tables import Table, count, hundredths
 from benches.common.process_cost import CLI, costing
-from flows.corpus import SUPERVISE, steps
+from benches.pipeline.chunk_stages import chunk_stages, settings_of
+from flows.corpus import SUPERVISE
 from flows.corpus_settings import CorpusSettings, make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
+from slgaussian.datasets.pairs import Bounds
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import SETTLED
+from tasks.chunks import SETTLED, Framing, known_chunk
+from tasks.stage import Stage
 
 CLIPS = 14
 """Of a chunk: 67,000 clips of RealEstate10K are 500 GB in chunks of 100 MB."""
@@ -77,7 +82,7 @@ class Filler:
     """Puts what a run would make of a chunk into the store."""
 
     def __init__(self, store: ArtifactStore, folder: Path) -> None:
-        self.store, self.settings = store, settings_of(folder)
+        self.store, self.settings = store, corpus_settings(folder)
         self.refs = self.kept(0, store)
         self.tables = {stage: store.get(ref) for stage, ref in self.refs.items()}
         self.lessons = {
@@ -88,18 +93,18 @@ class Filler:
     def kept(self, chunk: int, store: ArtifactStore) -> dict[str, ArtifactRef]:
         """What a run made of a chunk, by the records."""
         refs: dict[str, ArtifactRef] = {}
-        for step in steps(self.settings, name_of(chunk), SUPERVISE, store):
-            refs[step.stage] = Records(store).find(step.call(refs).key)
+        for stage, arguments in stages_of(self.settings, name_of(chunk), store, refs):
+            refs[stage.name] = Records(store).find(stage.key(arguments))
         return refs
 
     def fill(self, chunk: int) -> dict[str, ArtifactRef]:
         """What a run would make of it, were nothing seeded by the names of samples."""
         names = {key_of(i): key_of(chunk * CLIPS + i) for i in range(CLIPS)}
         refs: dict[str, ArtifactRef] = {}
-        for step in steps(self.settings, name_of(chunk), SUPERVISE, self.store):
-            stage = step.stage
+        for made, arguments in stages_of(self.settings, name_of(chunk), self.store, refs):
+            stage = made.name
             rows = renamed(self.tables[stage], names)
-            meta = {**self.refs[stage].meta, "settings": dict(step.settings)}
+            meta = {**self.refs[stage].meta, "settings": settings_of(made, arguments)}
             if stage == "lessons":
                 for old, row in zip(self.lessons, rows, strict=True):
                     arrays = {**self.lessons[old], "sample": np.array(row["sample"])}
@@ -108,7 +113,7 @@ class Filler:
                 meta["parts"] = [row["uri"] for row in rows] + meta["parts"][len(rows) :]
             table = pa.Table.from_pylist(rows, schema=load_spec(stage).schema)
             refs[stage] = self.store.put(stage, table, meta)
-            Records(self.store).keep(step.call(refs).key, refs[stage])
+            Records(self.store).keep(made.key(arguments), refs[stage])
         return refs
 
 
@@ -116,9 +121,18 @@ def name_of(chunk: int) -> str:
     return f"{chunk:06d}.torch"
 
 
-def settings_of(folder: Path) -> CorpusSettings:
+def corpus_settings(folder: Path) -> CorpusSettings:
     given = {**SETTINGS, "chunks": str(folder), "out": folder.parent / "corpus"}
     return make_corpus_settings(given, "bench")
+
+
+def stages_of(
+    settings: CorpusSettings, chunk: str, store: ArtifactStore, refs: dict[str, ArtifactRef]
+) -> Iterator[tuple[Stage, dict[str, Any]]]:
+    """The stages of a chunk, each with its arguments."""
+    known = known_chunk(store, f"{settings.chunks}/{chunk}")
+    framing = Framing(settings.size, settings.near, settings.far)
+    return chunk_stages(known, Bounds(**settings.bounds()), framing, settings.built_by, refs)
 
 
 def made(chunks: Path, store: Path) -> None:
@@ -175,11 +189,11 @@ def listing(work: Path) -> list[dict]:
     start = time.perf_counter()
     chunks = re10k.chunk_names(folder)
     rows = [{"what": f"list {len(chunks)} chunks", "wall": time.perf_counter() - start}]
-    settings, refs, keys = settings_of(folder), Filler(store, folder).refs, 0
+    settings, refs, keys = corpus_settings(folder), Filler(store, folder).refs, 0
     start = time.perf_counter()
     for chunk in chunks:
         # Digests of content are all of a ref that keys depend on; which one is the same to time.
-        keys += sum(bool(s.call(refs).key) for s in steps(settings, chunk, SUPERVISE, store))
+        keys += sum(bool(s.key(given)) for s, given in stages_of(settings, chunk, store, refs))
     return [*rows, {"what": f"compute {keys} keys", "wall": time.perf_counter() - start}]
 
 

@@ -44,13 +44,17 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
     settings = make_corpus_settings({"chunks": chunks, "out": out, "workers": workers}, "bench")
     begun = time.perf_counter()
     with orchestration(ArtifactStore(store)) as ready:
+        from benches.pipeline.chunk_stages import take_road
         from flows import corpus
+        from tasks.chunks import Framing
 
         ready()
         start_up = time.perf_counter() - begun
         wall, cpu = time.perf_counter(), time.process_time()
         before = peak_mb()
-        made = corpus.prepare(settings, ArtifactStore(store), stages)
+        framing = Framing(settings.size, settings.near, settings.far)
+        more = framing, settings.built_by, stages[-1]
+        made = corpus.prepare(settings, ArtifactStore(store), stages, take_road, more)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     last = [refs[stages[-1]].meta for refs in made.refs.values()]
     times: dict[str, float] = {}
