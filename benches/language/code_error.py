@@ -32,6 +32,7 @@ from slgaussian.language import load_codes
 from slgaussian.language.codes import Separated
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.separated import misread, neighbours
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera
@@ -262,10 +263,10 @@ def office_rows(folder: Path) -> list[dict]:
     An object stands for the category that most of its labelled pixels have, read exactly.
     """
     found: dict[str, list[dict]] = {name: [] for name in METHODS}
-    counts = []
+    default, counts = Method(), []
     for name, sample in load_samples(folder).items():
         gaussians = load_predictor("planesweep")(sample)
-        maps = label_views(sample, gaussians, "regions", "geometric", 5, {})
+        maps = label_views(sample, gaussians, default.proposer, default.tracker, default.replicas)
         target = sample.targets[0]
         room = Room(name, gaussians, maps, [target.camera], [])
         labels = room.rows

@@ -31,6 +31,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample
@@ -90,7 +91,7 @@ def make_field(sample: Sample) -> SemanticField:
     present = label_maps.areas() > 0
     features = (features * present[..., None]).astype(np.float32)
     bank = MemoryBank(label_maps.ids, codes, features, present)
-    lifted = lift_field(sample, gaussians, label_maps, bank, "hard", {})
+    lifted = lift_field(sample, gaussians, label_maps, bank, Method())
     return DrawnField(lifted.gaussians, bank, lifted.cameras, {})
 
 

@@ -28,6 +28,7 @@ from slgaussian.build import label_views, lift_field, remember
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 
 SETS = {"office": "office", "procedural": "rooms"}
@@ -70,11 +71,11 @@ def run_alone(name: str, data: Path) -> None:
     pair = read_index(data / "office" / "pairs.json").pairs[0]
     sample = scene.sample(list(pair.context), list(pair.targets))
     truth = read_truth(data / "office" / "labels", pair.categories, sample.targets).masks
+    method = Method()
     gaussians = load_predictor("planesweep")(sample)
-    label_maps = label_views(sample, gaussians, "regions", "geometric", 5, {})
-    bank = remember(sample, gaussians, label_maps, "lexicon", "separated", 0)
-    about = {"encoder": "lexicon", "codes": "separated", "lifting": "hard"}
-    field = lift_field(sample, gaussians, label_maps, bank, "hard", about)
+    label_maps = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, gaussians, label_maps, method.encoder, method.codes, method.seed)
+    field = lift_field(sample, gaussians, label_maps, bank, method)
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"), classes=classes)

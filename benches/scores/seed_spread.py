@@ -14,7 +14,7 @@ import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -35,7 +35,6 @@ from slgaussian.benchmark.summary import METRICS
 from slgaussian.build import label_views, lift_field, remember
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
-from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 
 PLACES = ("dining", "castle", "kitchen", "bonsai", "street", "lounge")
@@ -120,14 +119,13 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
         truth = truth_from_instances(sample)
     else:
         truth = read_truth(scene.labels, scene.categories, sample.targets)
-    predictor, proposer, tracker = settings.predictor, settings.proposer, settings.tracker
     found = []
     for seed in seeds:
-        gaussians = load_predictor(predictor)(sample, seed)
-        labels = label_views(sample, gaussians, proposer, tracker, settings.replicas, {})
-        bank = remember(sample, gaussians, labels, settings.encoder, settings.codes, seed)
-        about = settings.identity | {"scene": sample.scene, "seed": seed}
-        field = lift_field(sample, gaussians, labels, bank, settings.lifting, about)
+        method = replace(settings.built_by, seed=seed)
+        gaussians = method.predictor.load()(sample, seed)
+        labels = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
+        bank = remember(sample, gaussians, labels, method.encoder, method.codes, seed)
+        field = lift_field(sample, gaussians, labels, bank, method)
         result = evaluate(
             field,
             sample,

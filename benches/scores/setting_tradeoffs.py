@@ -48,8 +48,7 @@ from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
-from slgaussian.language import load_codes
-from slgaussian.predict import load_predictor
+from slgaussian.parts.part import Part
 from slgaussian.rasterize import prune
 from slgaussian.scene import Sample, Scene, Size, View
 
@@ -61,6 +60,7 @@ SEED = 100
 
 GREY = 1 / 255
 BUILDING = ("geometry", "masks", "supervision", "field")
+EXACT = Part.of("codes", "exact")
 
 
 @dataclass(frozen=True)
@@ -243,35 +243,32 @@ class Stages:
         return self._known[key]
 
     def build(self, row: Row) -> Built:
-        chosen, own = row.settings, row.settings.part_settings()
+        chosen, method = row.settings, row.settings.built_by
         sample = self.case.read(chosen.size)
         shape = sample.context[0].image.shape
-        predictor = chosen.predictor, own.get(chosen.predictor, {})
         gaussians, geometry = self.once(
-            ["geometry", shape, predictor],
-            lambda: load_predictor(predictor[0], **predictor[1])(sample, chosen.seed),
+            ["geometry", shape, method.predictor],
+            lambda: method.predictor.load()(sample, method.seed),
         )
-        masks_of = chosen.proposer, chosen.tracker, chosen.replicas
+        masks_of = method.proposer, method.tracker, method.replicas
         labels, masks = self.once(
-            ["masks", shape, predictor, masks_of],
-            lambda: label_views(sample, gaussians, *masks_of, own),
+            ["masks", shape, method.predictor, masks_of],
+            lambda: label_views(sample, gaussians, *masks_of),
         )
         # What is encoded depends on the labels alone, and codes take their part besides.
         same = hashlib.sha256(labels.labels.tobytes()).hexdigest()
         bare, encoding = self.once(
-            ["supervision", shape, predictor, same],
-            lambda: remember(sample, gaussians, labels, chosen.encoder, "exact", 0, own),
+            ["supervision", shape, method.predictor, same],
+            lambda: remember(sample, gaussians, labels, method.encoder, EXACT, 0),
         )
-        strategy = load_codes(chosen.codes, **own.get(chosen.codes, {}))
         codes, drawing = self.once(
-            ["codes", strategy, chosen.seed, same],
-            lambda: strategy(labels, rng_for(chosen.seed, sample.content, "codes")),
+            ["codes", method.codes, method.seed, same],
+            lambda: method.codes.load()(labels, rng_for(method.seed, sample.content, "codes")),
         )
         bank = replace(bare, codes=codes)
 
         def lift() -> SemanticField:
-            about = chosen.identity | {"scene": sample.scene}
-            made = lift_field(sample, gaussians, labels, bank, chosen.lifting, about)
+            made = lift_field(sample, gaussians, labels, bank, method)
             if row.keep is not None:
                 cameras = [view.camera for view in sample.context]
                 cameras += [trajectories.between(*cameras[:2], 0.5)] * row.between
