@@ -1,5 +1,6 @@
 """The words of the documentation against the repository: links, files, commands and options."""
 
+import ast
 import re
 import shlex
 import tomllib
@@ -86,6 +87,25 @@ def test_files_that_are_named_exist():
             if not any(ROOT.glob(found)) and not (file.parent / found).exists():
                 missing.setdefault(name(file), []).append(found)
     assert missing == {}
+
+
+def names_in(file: Path) -> set[str]:
+    defined = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    return {node.name for node in ast.walk(ast.parse(read(file))) if isinstance(node, defined)}
+
+
+def test_what_the_architecture_page_says_where_it_is_is_there():
+    page = read(ROOT / "docs" / "architecture.md")
+    table = page.partition("## Where is ...?")[2].partition("\n## ")[0]
+    rows = [line.split("|")[2:4] for line in table.splitlines() if line.startswith("| Where")]
+    assert len(rows) > 10
+    missing = []
+    for files, functions in rows:
+        defined = [names_in(ROOT / file) for file in re.findall("`([^`]+)`", files)]
+        for function in re.findall("`([^`]+)`", functions):
+            if not any(function in names for names in defined):
+                missing.append((files, function))
+    assert missing == []
 
 
 def commands(page: Path) -> list[str]:

@@ -172,10 +172,10 @@ def reference(case: Case, temperature: float) -> np.ndarray:
         for n, (views, held) in enumerate(zip(case.features, case.present, strict=True)):
             scores = [Decimal(0)] * len(queries)
             for view in (_decimals(v) for v, h in zip(views, held, strict=True) if h):
-                rivals = [(t * _dot(view, c)).exp() for c in canonical]
+                phrases = [(t * _dot(view, c)).exp() for c in canonical]
                 for q, query in enumerate(queries):
                     mine = (t * _dot(view, query)).exp()
-                    scores[q] = max(scores[q], min(mine / (mine + other) for other in rivals))
+                    scores[q] = max(scores[q], min(mine / (mine + other) for other in phrases))
             out[:, n] = [float(score) for score in scores]
         return out
 

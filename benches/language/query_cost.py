@@ -121,8 +121,8 @@ class LangSplatWay:
         out = torch.empty(len(features), len(texts))
         for block in range(0, len(features), BLOCK):
             part = features[block : block + BLOCK]
-            rival = (part @ self.canonical.T).amax(-1, keepdim=True)
-            out[block : block + BLOCK] = torch.sigmoid(10 * (part @ texts.T - rival))
+            strongest = (part @ self.canonical.T).amax(-1, keepdim=True)
+            out[block : block + BLOCK] = torch.sigmoid(10 * (part @ texts.T - strongest))
         return out
 
 

@@ -89,7 +89,7 @@ class Once:
 
 
 def true_masks(views: tuple[View, ...]) -> Callable[..., Proposals]:
-    """A proposer that knows: what is left to blame is the tracker."""
+    """A proposer that knows the truth: errors that are left are those of the tracker."""
     instances = {view.image.tobytes(): view.instances for view in views}
 
     def propose(image, where=None, depth=None):

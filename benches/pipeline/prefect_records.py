@@ -1,6 +1,6 @@
 """What a record of Prefect's own cache may do to who reads it, and what a cached task costs.
 
-python benches/pipeline/prefect_records.py
+    python -m benches.pipeline.prefect_records
 
 A task whose result is a small ref and whose serialiser is pinned to JSON is run twice: the second
 time its record is read. Then the record is changed as anybody could who may write to the store, and
