@@ -14,7 +14,7 @@ from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.datasets import lerf_ovs, ovs3d
 from slgaussian.datasets.around import Around, Rule, surround
-from slgaussian.datasets.pairs import Bounds, Views
+from slgaussian.datasets.pairs import Bounds, Pair, Views
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
@@ -94,7 +94,7 @@ def _surrounded(
             out[frame] = found.reason
         else:
             context = tuple(names[i] for i in found.pair.context)
-            out[frame] = context, (views[frame],), frames[frame], _measured(found)
+            out[frame] = context, (views[frame],), frames[frame], _measured(found, found.pair)
     order = [frame for frame in dict.fromkeys([*frames, *known]) if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
 
@@ -121,8 +121,7 @@ def _views_of(
     return views, out
 
 
-def _measured(found: Around) -> dict[str, float]:
-    pair = found.pair
+def _measured(found: Around, pair: Pair) -> dict[str, float]:
     values = {
         "overlap": pair.overlap,
         "baseline": pair.baseline,

@@ -44,7 +44,8 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
         if len(pairs) < len(index.pairs):
             gone = len(index.pairs) - len(pairs)
             said.append(f"not in {settings.data}: {gone} of the {len(index.pairs)} clips")
-    scenes = [found for pair in pairs if (found := _scene(pair, format, settings)) is not None]
+    tried = (_scene(pair, format, settings.data, settings.labels) for pair in pairs)
+    scenes = [scene for scene in tried if scene is not None]
     if len(scenes) < len(pairs):
         said.append(f"without labels: {len(pairs) - len(scenes)} of the {len(pairs)} clips there")
     if not scenes:
@@ -52,26 +53,25 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
     return scenes, said
 
 
-def _scene(pair: ScenePair, format: str, settings: Settings) -> SceneSettings | None:
+def _scene(pair: ScenePair, format: str, data: Path, own: Path | None) -> SceneSettings | None:
     """The scene of a pair; None if labels are given, but none of what it asks is labelled."""
     targets, categories = list(pair.targets), list(pair.categories)
-    labels: Path | None = (settings.labels or settings.data) / pair.labels
-    if not categories and settings.labels is None:
-        labels = None
-    elif not categories:
-        known = labelled_frames(labels) if labels.is_dir() else {}
+    place = (own or data) / pair.labels
+    labels = place if categories or own is not None else None
+    if not categories and own is not None:
+        known = labelled_frames(place) if place.is_dir() else {}
         targets = [name for name in targets if name in known]
         categories = list(dict.fromkeys(c for name in targets for c in known[name]))
         if not categories:
             return None
-    folder = settings.data.resolve()
+    folder = data.resolve()
     folder = folder.parent if folder.is_file() else folder
     return SceneSettings(
         name=pair.scene,
         dataset=folder.name,
         format=format,
         options=dict(pair.options),
-        path=settings.data,
+        path=data,
         context=list(pair.context),
         targets=targets,
         labels=labels,

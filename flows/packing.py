@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from flows.corpus_settings import PackSettings
@@ -95,7 +96,7 @@ def _scenes(
         else:
             path = Path(source)
             folder = path.parent if path.name == nerfstudio.FILE else path
-            named = {folder.resolve().name: lambda path=path: nerfstudio.read(path)}
+            named = {folder.resolve().name: partial(nerfstudio.read, path)}
         for name, load in named.items():
             if name in seen:
                 raise InputError(

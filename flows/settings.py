@@ -291,7 +291,7 @@ class MethodSettings(QueryRules):
     @cached_property
     def built_by(self) -> BuildMethod:
         """How a field is built, as the library takes it; InputError if files cannot be read."""
-        parts = {kind: self.part(kind) for kind in KINDS}
+        parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
         return BuildMethod(**parts, replicas=self.replicas, seed=self.seed)
 
     @cached_property
@@ -303,12 +303,8 @@ class MethodSettings(QueryRules):
         return self.built_by.identity()
 
 
-Method = create_model(
-    "Method",
-    __base__=MethodSettings,
-    __doc__=MethodSettings.__doc__,
-    **{table: (model, model()) for table, model in TABLES.items()},
-)
+_tables: dict[str, Any] = {table: (model, model()) for table, model in TABLES.items()}
+Method = create_model("Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **_tables)
 """The parts of the method, and a table of settings for each that has some."""
 
 
@@ -549,7 +545,8 @@ def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
-        model = {"scenes": SceneSettings, **TABLES}.get(place[0], whole)
+        models: dict[str, type[BaseModel]] = {"scenes": SceneSettings, **TABLES}
+        model = models.get(place[0], whole)
         listed = ", ".join(model.model_fields)
         near = did_you_mean(place[-1], model.model_fields)
         return f"unknown key {key!r}{near or f'; the keys are {listed}'}"

@@ -28,6 +28,11 @@ class Training(BaseModel):
     )
 
 
+# Settings that are those of other commands, declared there.
+_METHOD: dict[str, Any] = dict(Method.model_fields)
+_CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
+
+
 class TrainSettings(Training):
     """A training on lessons that are there already."""
 
@@ -38,8 +43,8 @@ class TrainSettings(Training):
         examples=["separated", "grid"],
         description="How ID codes are drawn: separated or grid.",
     )
-    seed: int = Method.model_fields["seed"]
-    store: str = CorpusSettings.model_fields["store"]
+    seed: int = _METHOD["seed"]
+    store: str = _CORPUS["store"]
     lessons: Path = Field(description="Folder that `supervise` wrote.")
     start: Path | None = Field(
         None, description="Weights to begin from: a file, or a folder of versions."

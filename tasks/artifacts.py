@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -240,6 +240,6 @@ def _pack(blobs: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:
     return ends, np.frombuffer(b"".join(blobs), np.uint8)
 
 
-def _unpack(ends: Sequence[int], data: np.ndarray) -> list[bytes]:
+def _unpack(ends: np.ndarray, data: np.ndarray) -> list[bytes]:
     starts = [0, *ends][:-1]
     return [data[a:b].tobytes() for a, b in zip(starts, ends, strict=True)]

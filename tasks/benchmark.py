@@ -64,7 +64,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
             asked.setdefault(row["query"], []).append(row)
-    found = []
+    found: list[tuple[bool, float, str, float | None]] = []
     for text, rows in asked.items():
         (gaps,) = field.reader.gaps([text], rules)
         here = gaps[field.bank.present[:, 0]].max(initial=-np.inf)

@@ -26,7 +26,7 @@ class StoredLessons(Sequence[Lesson]):
     def __len__(self) -> int:
         return len(self.refs)
 
-    def __getitem__(self, index: int) -> Lesson:
+    def __getitem__(self, index: int) -> Lesson:  # type: ignore[override]  # no slices are asked
         return Lesson.from_arrays(self.store.get(self.refs[index]))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -146,7 +146,7 @@ def _tiles(sample: Sample, lesson: Lesson) -> list[tuple[str, np.ndarray]]:
 class _Watch:
     """Seconds spent by part."""
 
-    spent: Counter = field(default_factory=Counter)
+    spent: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
 
     @contextmanager
     def __call__(self, part: str) -> Iterator[None]:

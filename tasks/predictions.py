@@ -64,12 +64,10 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
         If a view cannot be decoded, or the views do not make a sample.
     """
     height, width = framing.size
-    depth_range = {"near": framing.near, "far": framing.far}
-    known = {name: depth for name, depth in depth_range.items() if depth is not None}
 
     def views(role: str) -> tuple[View, ...]:
         names = [name for name in row if name.startswith(role)]
         found = [clip.view(row[name]).resized(height, width) for name in names]
-        return tuple(replace(v, camera=replace(v.camera, **known)) for v in found)
+        return tuple(replace(v, camera=v.camera.ranged(framing.near, framing.far)) for v in found)
 
     return Sample(row["sample"], views("context_"), views("target_") if targets else ())

@@ -14,6 +14,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
@@ -69,7 +70,8 @@ def examine(settings: Settings, runner: bool = False) -> Findings:
         Whether to look at the runner.
     """
     with ExitStack() as stack:
-        usable, begun = [], []
+        usable: list[Any] = []
+        begun: list[Callable[[], Findings]] = []
         store = list(_tried("store", lambda: _store(settings.store, usable)))
         if not usable or (usable[0].local and not home_of(usable[0]).exists()):
             # The server would leave its database in the store.
@@ -108,14 +110,14 @@ def _packages() -> Findings:
         said = "slgaussian itself is not installed; run `pip install -c constraints.txt .`"
         yield Finding("packages", said, False)
         return
-    good = {}
+    good: dict[str, str] = {}
     for needs in needed:
-        said = _wrong(needs)
-        if said is None:
+        wrong = _wrong(needs)
+        if wrong is None:
             good[needs.name] = version(needs.name)
         else:
             advice = f"run `pip install '{needs.name}{needs.specifier}'`"
-            yield Finding(needs.name, f"{said}; {advice}", False)
+            yield Finding(needs.name, f"{wrong}; {advice}", False)
     shown = ", ".join(f"{name} {good[name]}" for name in SHOWN if name in good)
     yield Finding("packages", f"{len(good)} of {len(needed)} as they must be: {shown}")
 
@@ -243,7 +245,7 @@ def _models(settings: Settings) -> Findings:
         for name, setting in declared[part].items():
             place = own[name]
             if setting.content is not None and place is not None:
-                yield from _tried(part, lambda p=part, s=setting, w=place: _file(p, s, w))
+                yield from _tried(part, partial(_file, part, setting, place))
             elif setting.content is not None and not setting.optional:
                 yield Finding(part, f"its {name} is not given; give --{part}-{name} PLACE", False)
 

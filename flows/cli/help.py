@@ -34,7 +34,9 @@ class App(typer.Typer):
             **settings,
         )
 
-    def command(self, *args: Any, **settings: Any) -> Callable[[Callable], Callable]:
+    def command(  # type: ignore[override]  # it takes what Typer's takes
+        self, *args: Any, **settings: Any
+    ) -> Callable[[Callable], Callable]:
         """As of Typer; ``rich_help_panel`` is the heading under which a group lists it."""
         return super().command(*args, cls=Command, **settings)
 
@@ -47,7 +49,7 @@ class Command(TyperCommand):
 
     _all: Any = None
 
-    def get_params(self, ctx: typer.Context) -> list:
+    def get_params(self, ctx: Any) -> list:
         """The command's own, `--help` and `--help-all`."""
         if self._all is None:
             self._all = copy.copy(self.get_help_option(ctx))
@@ -56,11 +58,11 @@ class Command(TyperCommand):
             self._all.callback = _show_all
         return [*super().get_params(ctx), self._all]
 
-    def collect_usage_pieces(self, ctx: typer.Context) -> list[str]:
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """`[OPTIONS]`, and the arguments by their names."""
         return ["[OPTIONS]", *map(_usage, self._arguments(ctx))]
 
-    def format_help_text(self, ctx: typer.Context, formatter: Any) -> None:
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """What the command does, then its examples: the lines that begin with the program."""
         paragraphs = inspect.cleandoc(self.help or "").split("\n\n")
         examples = [p for p in paragraphs if _is_example(p)]
@@ -71,7 +73,7 @@ class Command(TyperCommand):
             with formatter.section("Examples"):
                 formatter.write_text("\n\n".join(examples))
 
-    def format_options(self, ctx: typer.Context, formatter: Any) -> None:
+    def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments and options; with `--help-all` the special ones too, under their headings."""
         params = self.get_params(ctx)
         special = [param for param in params if _heading(param)]
@@ -84,55 +86,56 @@ class Command(TyperCommand):
             for heading, under in groupby(sorted(special, key=_order(special)), _heading):
                 _write(ctx, formatter, heading, under)
 
-    def format_epilog(self, ctx: typer.Context, formatter: Any) -> None:
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """How to see what is not shown."""
         hidden = sum(_heading(param) is not None for param in self.get_params(ctx))
         if hidden and not ctx.meta.get(ALL):
             formatter.write_paragraph()
             formatter.write_text(f"{hidden} more options: {ctx.command_path} {ALL}")
 
-    def _arguments(self, ctx: typer.Context) -> list:
+    def _arguments(self, ctx: Any) -> list:
         return [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
 
 
 class Group(TyperGroup):
     """A group that lists its commands under their headings, and knows the nearest name."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Show the help where no command is given."""
         if not args and self.no_args_is_help and not ctx.resilient_parsing:
             typer.echo(ctx.get_help(), err=True)
             ctx.exit(2)
         return super().parse_args(ctx, args)
 
-    def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple:
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple:
         """The command of that name; a usage error that says which is nearest if there is none."""
         if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
             ctx.fail(f"no such command {args[0]!r}{did_you_mean(args[0], self.commands)}")
         return super().resolve_command(ctx, args)
 
-    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
         """The first sentence of each command, whole."""
         shown = [command for command in self.commands.values() if not command.hidden]
-        wide = max(len(command.name) for command in shown)
+        wide = max(len(command.name or "") for command in shown)
         for heading, under in groupby(sorted(shown, key=_order(shown)), _heading):
             with formatter.section(heading or "Commands"):
-                rows = [(c.name.ljust(wide), c.get_short_help_str(1000)) for c in under]
+                rows = [((c.name or "").ljust(wide), c.get_short_help_str(1000)) for c in under]
                 formatter.write_dl(rows)
 
 
 def told(error: TyperException) -> str:
     """A usage error as one sentence, with the command whose help says more."""
     said = error.format_message().removesuffix(".")
-    context = getattr(error, "ctx", None)
+    context: Any = getattr(error, "ctx", None)
     if hasattr(error, "possibilities"):
         names = [n for p in context.command.get_params(context) for n in (*p.opts,)]
-        said = f"no such option {error.option_name}{did_you_mean(error.option_name, names)}"
+        name = error.option_name  # type: ignore[attr-defined]  # what has possibilities has it
+        said = f"no such option {name}{did_you_mean(name, names)}"
     said = re.sub(r"^\w|: [A-Z]", lambda begin: begin[0].lower(), said)
     return said if context is None else f"{said} (see `{context.command_path} --help`)"
 
 
-def _show_all(ctx: typer.Context, _: Any, value: bool) -> None:
+def _show_all(ctx: Any, _: Any, value: bool) -> None:
     if value and not ctx.resilient_parsing:
         ctx.meta[ALL] = True
         typer.echo(ctx.get_help())
@@ -158,7 +161,7 @@ def _order(shown: Iterable[Any]) -> Callable[[Any], int]:
     return lambda one: headings.index(_heading(one))
 
 
-def _write(ctx: typer.Context, formatter: Any, heading: str | None, params: Iterable[Any]) -> None:
+def _write(ctx: Any, formatter: Any, heading: str | None, params: Iterable[Any]) -> None:
     rows = []
     for param in params:
         names, said = param.get_help_record(ctx) or ("", "")

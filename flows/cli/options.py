@@ -31,7 +31,7 @@ def with_options(
     file would have them; the others are left out of it, so that defaults and such files have their
     say.
     """
-    fields = {}
+    fields: dict[tuple[str, ...], FieldInfo] = {}
     for name in names:
         if name in TABLES:
             for key, field in TABLES[name].model_fields.items():
@@ -61,7 +61,8 @@ def with_options(
         for path, field in fields.items():
             rare = common is not None and ".".join(path) not in common
             extra.append(_option(path, field, _heading(path, of) if rare else None))
-        wrapper.__signature__ = own.replace(parameters=[*kept, *extra])
+        signature = own.replace(parameters=[*kept, *extra])
+        wrapper.__signature__ = signature  # type: ignore[attr-defined]  # inspect looks for it
         hints = {p.name: p.annotation for p in (*kept, *extra)}
         wrapper.__annotations__ = {**hints, "return": None}
         return wrapper
@@ -71,10 +72,11 @@ def with_options(
 
 def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> inspect.Parameter:
     name = "_".join(path)
-    kinds = {bool: bool, int: int, int | None: int, float: float, float | None: float}
+    kinds: dict[Any, type] = {bool: bool, int: int, float: float}
+    kinds |= {int | None: int, float | None: float}
     kind = kinds.get(field.annotation, str)
-    help_text = field.description
-    choices = field.examples or []
+    help_text = field.description or ""
+    choices: Sequence[str] = field.examples or ()
     if name in KINDS and not choices:
         choices = names_of(name)
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
@@ -103,7 +105,7 @@ def _heading(path: tuple[str, ...], of: type[BaseModel]) -> str:
         part = path[0].replace("_", "-")
         kind = next(kind for kind in KINDS if part in names_of(kind))
         return f"{kind.capitalize()} {part}"
-    owner = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
+    owner: Any = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
     return owner.model_config["title"]
 
 

@@ -250,7 +250,7 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "text": hit.text,
         "found": hit.found,
         "score": hit.score,
-        "point": list(hit.point) if hit.found else None,
+        "point": list(hit.point) if hit.found and hit.point is not None else None,
         "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
         "pixels": int(hit.mask.sum()),
         "read_as": hit.understood.read_as,
@@ -262,9 +262,9 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
 
 
 def _refusal(text: str, why: str) -> dict[str, Any]:
-    nothing = {"found": False, "score": None, "point": None, "objects": [], "pixels": 0}
-    words = {"read_as": None, "unknown": [], "unused": {}, "taken_for": {}}
-    return {"text": text, **nothing, **words, "refused": why}
+    answer: dict[str, Any] = {"text": text, "found": False, "score": None, "point": None}
+    answer |= {"objects": [], "pixels": 0, "read_as": None}
+    return answer | {"unknown": [], "unused": {}, "taken_for": {}, "refused": why}
 
 
 def _of_words(answer: Mapping[str, Any]) -> list[str]:

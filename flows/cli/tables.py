@@ -56,8 +56,8 @@ def _scenes_table(results: Sequence[SceneResult]) -> str:
     shown = [m for m in METRICS if any(m.key in r.scene_metrics for r in results)]
     rows = [["scene", *(m.title for m in shown)]]
     for result in results:
-        values = (result.scene_metrics.get(m.key) for m in shown)
-        rows.append([result.scene, *map(_number, values, (m.digits for m in shown))])
+        numbers = (_number(result.scene_metrics.get(m.key), m.digits) for m in shown)
+        rows.append([result.scene, *numbers])
     means = []
     for m in shown:
         values = [r.scene_metrics[m.key] for r in results if m.key in r.scene_metrics]

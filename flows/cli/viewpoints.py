@@ -78,6 +78,7 @@ class Choice:
         return self._among(self._listed(), points)
 
     def _listed(self) -> Scene:
+        assert self.file is not None  # where a field's own cameras are not asked for
         return _scene(str(self.file), cameras_in(self.file))
 
     def _among(self, scene: Scene, points: np.ndarray) -> list[Viewpoint]:

@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from flows.runners import child
 from flows.runners.server import LOOPBACK
@@ -47,6 +48,7 @@ def local_cluster(kind: str, workers: int) -> Iterator[str]:
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C is for the run, which then stops the cluster
     )
+    assert process.stdin is not None and process.stdout is not None  # they are pipes
     try:
         told = json.loads(process.stdout.readline() or '{"error": "its process ended"}')
         if "error" in told:
@@ -107,7 +109,7 @@ def _ray(workers: int) -> Iterator[str]:
 
     # Its path is short, as sockets are in it.
     with tempfile.TemporaryDirectory(prefix="slg-ray-", ignore_cleanup_errors=True) as folder:
-        context = ray.init(
+        context: Any = ray.init(
             "local",
             num_cpus=workers,
             include_dashboard=False,
@@ -115,7 +117,7 @@ def _ray(workers: int) -> Iterator[str]:
             _temp_dir=folder,
             # Nothing large goes through it, and it would take a third of the memory.
             object_store_memory=100 * 2**20,
-            logging_level="CRITICAL",
+            logging_level=logging.CRITICAL,
         )
         yield context.address_info["gcs_address"]
         ray.shutdown()

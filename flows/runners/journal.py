@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from slgaussian.errors import SLGaussianError
 
@@ -106,7 +106,7 @@ class _File(logging.Handler):
         super().__init__()
         self.path, self.about = out / FILE, about
         self.run = uuid.uuid4().hex[:12]
-        self.stream = None
+        self.stream: TextIO | None = None
         self.lost = False
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -148,6 +148,7 @@ class _File(logging.Handler):
         return fields
 
     def _write(self, fields: Mapping[str, Any]) -> None:
+        assert self.stream is not None  # begun with the first record
         self.stream.write(json.dumps(fields, ensure_ascii=False, default=str) + "\n")
         self.stream.flush()
 

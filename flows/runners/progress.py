@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TextIO
+from typing import Any, TextIO
 
 from flows.runners.display import Display
 from flows.runners.journal import log
@@ -113,8 +113,8 @@ class Progress:
     def _finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
         """A stage of a scene is done, or was found done."""
         told = f"{scene}  {stage}  {'cached' if cached else f'{seconds:.1f} s'}"
-        facts = {"scene": scene, "stage": stage, "seconds": round(seconds, 3), "cached": cached}
-        log(logging.DEBUG if cached else logging.INFO, "finished", told, **facts)
+        level, took = logging.DEBUG if cached else logging.INFO, round(seconds, 3)
+        log(level, "finished", told, scene=scene, stage=stage, seconds=took, cached=cached)
         with self.lock:
             self.active.pop(scene, None)
             self.steps += 1
@@ -157,7 +157,7 @@ class Progress:
     def _failed(self, scene: str, stage: str, reason: str, trace: str) -> None:
         """A scene is taken out."""
         told = f"{scene}  left out at {stage}: {reason}"
-        more = {"traceback": trace} if trace else {}
+        more: dict[str, Any] = {"traceback": trace} if trace else {}
         log(logging.ERROR, "failed", told, scene=scene, stage=stage, reason=reason, **more)
         with self.lock:
             self.active.pop(scene, None)
@@ -222,8 +222,8 @@ class Progress:
         told = [" · ".join(f"{stage} {seconds:.1f} s" for stage, seconds in computed)]
         told += [f"{rest} stages cached"] if rest else []
         said = f"{scene}  {' · '.join(filter(None, told))}"
-        facts = {"seconds": round(sum(seconds for _, seconds, _ in mine), 3)}
-        log(logging.INFO, "done", said, scene=scene, **facts, computed=len(computed), cached=rest)
+        took, worked = round(sum(seconds for _, seconds, _ in mine), 3), len(computed)
+        log(logging.INFO, "done", said, scene=scene, seconds=took, computed=worked, cached=rest)
         if not self.verbose and self.scenes > 1:
             self.display.line(said)
 
@@ -276,5 +276,7 @@ class Progress:
     def _log_metrics(self) -> None:
         with self.lock:
             metrics, working = self.metrics(), dict(self.active)
-        facts = {k: round(v, 1) if type(v) is float else v for k, v in vars(metrics).items()}
+        facts: dict[str, Any] = {
+            k: round(v, 1) if type(v) is float else v for k, v in vars(metrics).items()
+        }
         log(logging.INFO, "metrics", metrics.sentence(), **facts, working=working)

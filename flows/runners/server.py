@@ -85,7 +85,8 @@ class LocalServer:
     def stop(self) -> None:
         """Close the pipe and wait for the server to leave."""
         if self.process is not None:
-            self.process.stdin.close()
+            if self.process.stdin is not None:
+                self.process.stdin.close()
             self.process.wait(timeout=10)
             self.process = None
 

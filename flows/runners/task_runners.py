@@ -17,6 +17,7 @@ from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
 from types import ModuleType
+from typing import Any
 from urllib.parse import urlsplit
 
 from prefect.events.worker import EventsWorker
@@ -69,7 +70,7 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
 
 
 @contextmanager
-def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRunner]:
+def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRunner[Any]]:
     """The task runner of a name, for a flow; its cluster, if it is ours, runs within the block.
 
     Parameters
@@ -129,6 +130,7 @@ def become_worker() -> None:
         send_no_events()
     set_api_log_sink(None)
     parent = multiprocessing.parent_process()
+    assert parent is not None  # a process of a pool has one
 
     def watch() -> None:
         wait([parent.sentinel])
@@ -140,8 +142,9 @@ def become_worker() -> None:
 class _Threads(ThreadPoolTaskRunner):
     def abandon(self) -> None:
         """Have its end not wait for the threads, which end with what they are at."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        self._executor = None
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+            self._executor = None
 
 
 class _Processes(ProcessPoolTaskRunner):
@@ -151,7 +154,7 @@ class _Processes(ProcessPoolTaskRunner):
 
 
 @contextmanager
-def _dask(address: str, workers: int) -> Iterator[TaskRunner]:
+def _dask(address: str, workers: int) -> Iterator[TaskRunner[Any]]:
     from distributed.comm import connect
     from prefect_dask import DaskTaskRunner
 
@@ -172,7 +175,7 @@ def _dask(address: str, workers: int) -> Iterator[TaskRunner]:
 
 
 @contextmanager
-def _ray(address: str, workers: int) -> Iterator[TaskRunner]:
+def _ray(address: str, workers: int) -> Iterator[TaskRunner[Any]]:
     import ray
     from prefect_ray import RayTaskRunner
     from prefect_ray.context import remote_options
@@ -187,7 +190,7 @@ def _ray(address: str, workers: int) -> Iterator[TaskRunner]:
             # Workers of a cluster of ours have it all.
             runtime_env={"env_vars": variables} if address else None,
             log_to_driver=False,
-            logging_level="CRITICAL",
+            logging_level=logging.CRITICAL,
         )
         try:
             with _own_signals(), _elsewhere(), warnings.catch_warnings(action="ignore"):

@@ -78,7 +78,9 @@ class WorkerPool:
 
     def __init__(self, store: ArtifactStore, workers: int) -> None:
         self.store, self.workers = store, workers
-        self.runner = FlowRunContext.get().task_runner
+        context = FlowRunContext.get()
+        assert context is not None  # a pool is made inside a flow
+        self.runner = context.task_runner
         self.news: queue.SimpleQueue[Event | PrefectFuture] = queue.SimpleQueue()
         self.running: dict[PrefectFuture, tuple[TaskRunner, list[Job]]] = {}
         self.stop = threading.Event()

@@ -76,7 +76,7 @@ def _points(hexes: list[str], darkest: float) -> np.ndarray:
 
 
 def _weighted_lab(rgb: np.ndarray) -> np.ndarray:
-    return to_lab(rgb)[0] * np.float32([LIGHTNESS_WEIGHT, 1, 1])
+    return to_lab(rgb)[0] * np.array([LIGHTNESS_WEIGHT, 1, 1], np.float32)
 
 
 def _distance2(points: np.ndarray, swatches: np.ndarray) -> np.ndarray:

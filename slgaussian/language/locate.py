@@ -109,7 +109,7 @@ def _deepest(inside: np.ndarray) -> tuple[int, int]:
             continue
         j = 0
         while j < w:
-            reach = np.float64(upright[i, j])
+            reach = float(upright[i, j])
             if reach > root:
                 squared = _squared_distance(upright[i], j)
                 reach = math.sqrt(squared)
@@ -120,7 +120,7 @@ def _deepest(inside: np.ndarray) -> tuple[int, int]:
 
 
 @numba.njit(cache=True)
-def _squared_distance(upright: np.ndarray, column: int) -> int:
+def _squared_distance(upright: np.ndarray, column: int) -> np.int64:
     """To the nearest pixel outside, by its distances along every column of the pixel's row."""
     nearest = np.int64(upright[column]) ** 2
     step = np.int64(1)

@@ -82,7 +82,8 @@ def make_lookup(codes: np.ndarray) -> Lookup:
         kept = np.empty(divided[-1], np.int32)
         _divide(padded, cells, axes, starts, members, divided, kept)
         starts, members = divided, kept
-    return Lookup(padded, tuple(cells.tolist()), starts, members)
+    x, y, z = cells.tolist()
+    return Lookup(padded, (x, y, z), starts, members)
 
 
 def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:

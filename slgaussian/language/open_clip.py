@@ -81,6 +81,7 @@ def load_open_clip(found: ModelFiles) -> Any:
     for file in found.files:
         if file.name == OPEN_CLIP_CONFIG:
             config = _read_config(file)
+    assert found.checkpoint is not None  # a folder's model is loaded as it is, not converted
     return convert(_read_tensors(found.checkpoint), config, str(found.checkpoint))
 
 
@@ -230,7 +231,7 @@ def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
         if file.suffix == ".safetensors":
             from safetensors.torch import load_file
 
-            content = load_file(file)
+            content: Any = load_file(file)
         else:
             content = tensorfile.load(file)
     except Exception as problem:  # a damaged file raises almost anything

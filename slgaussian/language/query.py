@@ -181,8 +181,12 @@ class TextReader:
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         encoder = self.encoder
         vector = encoder.encode_text([text])[0]
-        said = (encoder.read_as, encoder.unknown_words, encoder.unused_words, encoder.taken_for)
-        return vector, Understood(*(one(text) for one in said))
+        return vector, Understood(
+            encoder.read_as(text),
+            encoder.unknown_words(text),
+            encoder.unused_words(text),
+            encoder.taken_for(text),
+        )
 
 
 class BankReader(TextReader):
@@ -354,7 +358,7 @@ def ask(
         ranked = visible[np.argsort(-gaps[visible], kind="stable")]
         ranked = ranked[gaps[ranked] > -np.inf]
         best = gaps[ranked[0]] if len(ranked) else np.inf
-        as_good = np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best))
+        as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
         if rules.threshold is not None:
             chosen = gaps > logit(rules.threshold) / rules.temperature
         else:

@@ -110,7 +110,7 @@ def _points(n: int, dimension: int) -> np.ndarray:
     side = 1
     while True:
         side += 1
-        grid = np.stack(np.indices((side,) * dimension), -1).reshape(-1, dimension)
+        grid = np.stack([*np.indices((side,) * dimension)], -1).reshape(-1, dimension)
         # Between no two corners of the cube is there a third, so few objects get corners.
         if dimension > 1 and side > 2:
             grid = grid[grid.sum(1) % 2 == 0]

@@ -107,8 +107,9 @@ class Vocabulary:
         spelled, places = self._take_phrases(spelled)
         end = next((i for i, s in enumerate(spelled) if s in self.relations), len(spelled))
         meant = [s for s in spelled[:end] if s not in self.stop]
-        guesses = {s: guess(s) for s in meant if guess and not self._look_up(s)}
-        guesses = {s: found for s, found in guesses.items() if found}
+        guesses = {
+            s: found for s in meant if guess and not self._look_up(s) and (found := guess(s))
+        }
         known = [(s, guesses[s][0] if s in guesses else self._look_up(s)) for s in meant]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
         # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
@@ -125,16 +126,17 @@ class Vocabulary:
         left_out = [(s, word) for s, word in known if word is None or word.name not in words]
         elsewhere = [s for s in spelled[end:] if s not in self.stop]
         if not words:
-            unused = _short(", ".join([s for s, _ in left_out] + elsewhere))
+            idle = _short(", ".join([s for s, _ in left_out] + elsewhere))
             raise InputError(
                 f"query {_short(text)!r}: none of its words can be used "
-                f"({unused or 'they carry no meaning here'}); use the lexicon's words, which "
+                f"({idle or 'they carry no meaning here'}); use the lexicon's words, which "
                 "`slgaussian words` lists"
             )
         # A guess that does not count leaves its word as unknown as it was.
         unknown = [s for s, word in left_out if word is None or s in guesses]
+        sought = "" if head is None else known[head][0]
         unused = {
-            s: f"another thing, while {known[head][0]!r} is looked for"
+            s: f"another thing, while {sought!r} is looked for"
             for s, _ in left_out
             if s not in unknown
         }
@@ -162,7 +164,9 @@ class Vocabulary:
         on the left") a phrase may be said of the other object, and before "of" ("to the left of the
         door") it is a relation itself.
         """
-        left, found, start = [], [], 0
+        left: list[str] = []
+        found: list[Word] = []
+        start = 0
         while start < len(spelled):
             word, length = self._phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]

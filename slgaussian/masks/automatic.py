@@ -61,12 +61,12 @@ def all_masks(
     ``encode`` makes ready an image or a crop of one; for the rest see
     :class:`slgaussian.masks.prompted.AutomaticProposer`. The best score comes first.
     """
-    size = image.shape[:2]
+    height, width = size = image.shape[:2]
     if where is None:
         where = np.ones(size, bool)
     wanted = [LEVELS.index(level) for level in levels]
     found = []
-    for crop in crop_boxes(*size, settings.crops):
+    for crop in crop_boxes(height, width, settings.crops):
         left, top, right, bottom = crop
         points = point_grid(bottom - top, right - left, settings.points)
         column, row = points.astype(int).T
@@ -174,7 +174,7 @@ def _cut_off(
     far = np.array([right - left, bottom - top])
     to_crop = np.concatenate([boxes[:, :2], far - boxes[:, 2:]], 1)
     to_image = to_crop + [left, top, size[1] - right, size[0] - bottom]
-    return ((to_crop <= EDGE) & (to_image > EDGE)).any(1)
+    return np.any((to_crop <= EDGE) & (to_image > EDGE), axis=1)
 
 
 def _thin(candidates: _Candidates, settings: Automatic, order: np.ndarray) -> np.ndarray:
@@ -212,11 +212,12 @@ def _sieve(found: list[_Candidates], settings: Automatic, size: tuple[int, int])
     scores = candidates.predicted_iou * candidates.stability
     kept = np.flatnonzero(scores >= settings.score)
     candidates, masks, scores = candidates[kept], masks[kept], scores[kept]
-    if settings.mask_iou is not None:
+    mask_iou = settings.mask_iou
+    if mask_iou is not None:
         kept = _by_level(
             candidates.level,
             settings.apart,
-            lambda rows: mask_nms(masks[rows], scores[rows], settings.mask_iou, settings.nested),
+            lambda rows: mask_nms(masks[rows], scores[rows], mask_iou, settings.nested),
         )
         candidates, masks, scores = candidates[kept], masks[kept], scores[kept]
     if settings.visible is not None:

@@ -20,7 +20,7 @@ def mask_boxes(masks: np.ndarray) -> np.ndarray:
     """
     sides = []
     for axis in (1, 2):
-        hit = masks.any(axis)
+        hit = np.any(masks, axis=axis)
         first, last = hit.argmax(1), hit.shape[1] - hit[:, ::-1].argmax(1)
         sides.append(np.where(hit.any(1), (first, last), 0))
     (left, right), (top, bottom) = sides
@@ -105,8 +105,8 @@ def mask_intersections(masks: np.ndarray) -> np.ndarray:
     number = torch.float32 if pixels < 1 << 24 else torch.float64
     step = max(1, BLOCK // (8 * count))
     for start in range(0, len(kinds), step):
-        part = np.unpackbits(kinds[start : start + step], axis=1, count=count)
-        part = torch.from_numpy(part).to(number)
+        bits = np.unpackbits(kinds[start : start + step], axis=1, count=count)
+        part = torch.from_numpy(bits).to(number)
         weight = torch.from_numpy(weights[start : start + step]).to(number)
         out += part.T @ (part * weight[:, None])
     return out.numpy()

@@ -79,7 +79,7 @@ class VideoMemory:
 
     def _tracked(self, features: dict[str, Any]) -> dict[int, torch.Tensor]:
         """Logits float32 [h, w] of every remembered object in a new frame."""
-        found = {}
+        found: dict[int, torch.Tensor] = {}
         for shown, numbers in self._groups().items():
             for start in range(0, len(numbers), self.batch):
                 batch = numbers[start : start + self.batch]

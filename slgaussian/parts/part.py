@@ -108,8 +108,9 @@ class Part:
         """The settings, files by place; InputError as :meth:`load`."""
         declared = settings_of(self.implementation)
         files = {
-            key: known.checked(key, declared[key].content, otherwise)
+            key: known.checked(key, content, otherwise)
             for key, known in self.files.items()
+            if (content := declared[key].content) is not None
         }
         return {**self.settings, **files}
 

@@ -111,7 +111,7 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
 @lru_cache(maxsize=4)
 def _loaded(found: ModelFiles, digest: str, family: Family, device: str) -> Any:
     """The model of :func:`load_pretrained`; a few are kept, as a run uses for all its scenes."""
-    if found.checkpoint is None:
+    if found.checkpoint is None or family.convert is None:
         loaded = _load_folder(found.folder, family)
     else:
         loaded = family.convert(found)

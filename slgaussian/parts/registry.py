@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from slgaussian.errors import InputError, did_you_mean
@@ -149,7 +149,7 @@ def brought(group: str) -> Mapping[str, EntryPoint]:
 
 
 @cache
-def _installed() -> EntryPoints:
+def _installed() -> Any:  # what it is called depends on the version of Python
     return entry_points()  # which reads a file of every package
 
 

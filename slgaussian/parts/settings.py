@@ -109,7 +109,8 @@ class Setting:
             return True
         if not isinstance(value, Real) or (float not in self.members and value % 1 != 0):
             return False
-        return (low is None or value >= low) and (high is None or value <= high)
+        number: Any = value  # Real is a class of numbers that compare, which its hints do not say
+        return (low is None or number >= low) and (high is None or number <= high)
 
 
 def setting(

@@ -74,7 +74,8 @@ def blend(
     mixed = []
     for i, sources in enumerate(links):
         H, W = inverse_depths[i].shape
-        weight = _say(*np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), W, H)
+        u, v = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
+        weight = _say(u, v, W, H)
         total = images[i] * weight[..., None]
         for link in sources:
             other = inverse_depths[link.source]

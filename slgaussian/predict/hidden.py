@@ -80,9 +80,11 @@ def hidden(
         scales = width[:, None] * (1, 1, THICKNESS)
         source = (i * camera.height + row) * camera.width + column
         fields = (means, scales, np.tile(turn, (len(means), 1)), opacity, rgb)
-        kept = [torch.from_numpy(f[unseen].astype(np.float32)) for f in fields]
+        place, size, quats, light, colours = (
+            torch.from_numpy(f[unseen].astype(np.float32)) for f in fields
+        )
         labels = torch.from_numpy(source[unseen].astype(np.int32))
-        parts.append(Gaussians(*kept[:4], rgb_to_sh(kept[4]), labels))
+        parts.append(Gaussians(place, size, quats, light, rgb_to_sh(colours), labels))
     return concatenate(parts)
 
 
@@ -102,8 +104,8 @@ def _behind(color: np.ndarray, inverse_depth: np.ndarray, edge: float) -> tuple[
     """Blocks at depth edges, likewise; their pixels are the farthest of the nine blocks around."""
     H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
     ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
-    tiles = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
-    tiles = tiles.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
+    padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
+    tiles = padded.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
     farthest = tiles.argmin(-1)
     rows, columns = np.arange(H)[:, None], np.arange(W)
     least = tiles.min(-1)

@@ -123,7 +123,7 @@ class _Grey:
 
     @cached_property
     def content(self) -> tuple[tuple[int, ...], bytes]:
-        return self.pixels.shape, hashlib.sha256(np.ascontiguousarray(self.pixels)).digest()
+        return self.pixels.shape, hashlib.sha256(np.ascontiguousarray(self.pixels).data).digest()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Grey) and self.content == other.content
@@ -146,8 +146,8 @@ def _sift_matches(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
     similarity = a @ b.T
     best, back = similarity.argmax(1), similarity.argmax(0)
     top = np.partition(similarity, -2, axis=1)[:, -2:]
-    first, second = (np.sqrt(np.maximum(2 - 2 * top[:, k], 0)) for k in (1, 0))
-    keep = (back[best] == np.arange(len(a))) & (first < 0.8 * second)
+    nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * top[:, k], 0)) for k in (1, 0))
+    keep = (back[best] == np.arange(len(a))) & (nearest < 0.8 * next_nearest)
     if not keep.any():
         return none
     # OpenCV counts pixel centres at 0.

@@ -159,8 +159,8 @@ class ArtifactStore:
             self.cache.put(uri, data)
         return ArtifactRef(spec, uri, digest, dict(meta or {}))
 
-    def get(self, ref: ArtifactRef) -> Arrays | pa.Table:
-        """Read an artifact, checked against its spec and its digest.
+    def get(self, ref: ArtifactRef) -> Any:
+        """Read an artifact, arrays by name or a table, checked against its spec and its digest.
 
         Raises
         ------

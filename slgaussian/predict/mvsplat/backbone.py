@@ -20,10 +20,8 @@ class ResidualBlock(nn.Module):
         super().__init__()
         self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, padding=1, bias=False)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride))
-        else:
-            self.downsample = None
+        alike = stride == 1 and inputs == outputs
+        self.downsample = None if alike else nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """[V, inputs, H, W] to [V, outputs, H / stride, W / stride]."""

@@ -97,7 +97,8 @@ def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str)
         )
     state = {name: state[name].to(torch.float32, copy=True) for name in shared}
     network.load_state_dict(state, assign=True)
-    return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+    network.eval().requires_grad_(False)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def _is_plain(value: object) -> bool:

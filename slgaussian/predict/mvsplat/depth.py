@@ -157,6 +157,7 @@ class DepthPredictor(nn.Module):
     def raw_gaussians(self, x: torch.Tensor) -> torch.Tensor:
         """[1, C, H, W] to [1, H, W, 9 + 16 * 3]."""
         first, activation, last = self.to_gaussians
+        assert isinstance(last, nn.Conv2d) and last.bias is not None  # as it was made
         weight, bias = last.weight[self.kept], last.bias[self.kept]
         # Zeros up to the next multiple: the convolution is twice as fast with whole vectors.
         padding = -len(weight) % VECTOR

@@ -67,8 +67,8 @@ def _predict(
     predictor: MVSplat, views: Sequence[View], cameras: Sequence[Camera], near: float, far: float
 ) -> Gaussians:
     """In the units of ``cameras``; ``source`` counts the cropped pixels."""
-    images = np.stack([view.image for view in views])
-    images = torch.from_numpy(images).permute(0, 3, 1, 2).to(predictor.device)
+    stacked = np.stack([view.image for view in views])
+    images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(predictor.device)
     candidates = predictor.depth_candidates
     if candidates == "auto":
         candidates = needed_candidates(cameras, near, far, predictor.config.candidates)

@@ -73,14 +73,14 @@ class Attention(nn.Module):
             message[:, tokens] = found[:, 0]
         message = self.norm1(self.merge(message)).view_as(x)
         if self.mlp is not None:
-            message = self._feed_forward(x, message)
+            message = self._feed_forward(self.mlp, x, message)
         return x + message
 
-    def _feed_forward(self, x: torch.Tensor, message: torch.Tensor) -> torch.Tensor:
+    def _feed_forward(self, mlp: nn.Module, x: torch.Tensor, message: torch.Tensor) -> torch.Tensor:
         """The new message [V, h, w, C], for a part of the tokens at a time."""
         rows = (t.flatten(0, -2).to(message.dtype).split(TOKENS) for t in (x, message))
         pairs = (torch.cat(pair, -1) for pair in zip(*rows, strict=True))
-        return torch.cat([self.norm2(self.mlp(pair)) for pair in pairs]).view_as(x)
+        return torch.cat([self.norm2(mlp(pair)) for pair in pairs]).view_as(x)
 
 
 class Block(nn.Module):
@@ -95,8 +95,9 @@ class Block(nn.Module):
         """[V, h, w, C] to the same, in ``count`` x ``count`` windows."""
         views, h, w, _ = x.shape
         itself = torch.arange(views, device=x.device)[:, None]
-        others = [[j for j in range(views) if j != i] for i in range(views)]
-        others = torch.tensor(others, device=x.device)
+        others = torch.tensor(
+            [[j for j in range(views) if j != i] for i in range(views)], device=x.device
+        )
         within = parts(h, w, count, shifted, 1, x.device)
         between = parts(h, w, count, shifted, views - 1, x.device)
         return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, others, between)

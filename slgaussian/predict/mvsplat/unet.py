@@ -41,9 +41,7 @@ class ResBlock(nn.Module):
         super().__init__()
         self.in_layers = normed(inputs, outputs)
         self.out_layers = normed(outputs, outputs)
-        self.skip_connection = nn.Identity()
-        if inputs != outputs:
-            self.skip_connection = nn.Conv2d(inputs, outputs, 1)
+        self.skip_connection = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """[V, inputs, H, W] to [V, outputs, H, W]."""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from tests.test_harmonics import scipy_basis
 
 from slgaussian.gaussians import Gaussians, covariances
 from slgaussian.predict.mvsplat import adapter
@@ -14,6 +13,7 @@ from slgaussian.predict.mvsplat.config import PUBLISHED
 from slgaussian.rasterize import harmonics
 from tests.predict.mvsplat.make_reference import digest, places
 from tests.predict.textured_planes import camera
+from tests.rasterize.test_harmonics import scipy_basis
 
 STAGES = (
     "cnn_features",
