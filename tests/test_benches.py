@@ -10,6 +10,8 @@ import jinja2
 import pytest
 
 from benches.common import pages, photograph_pairs
+from benches.predict import depth_error
+from slgaussian.predict import sweep
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
@@ -96,3 +98,9 @@ def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monk
     assert last == ["auto"] * 2 + ["1234.50"] * 4 + ["1,234"] + ["1.2e-3"] * 3 + [""]
     with pytest.raises(jinja2.UndefinedError, match="weights"):
         pages.page("predict/mvsplat.md.j2", rows=rows, command="a command")
+
+
+def test_stages_that_the_bench_of_depth_times_are_called_where_it_looks():
+    assert [
+        stage for stage in depth_error.STAGES if not callable(getattr(sweep, stage, None))
+    ] == []

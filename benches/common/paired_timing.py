@@ -10,7 +10,7 @@ LEAST = 3
 SECONDS = 8.0
 
 
-def race(
+def paired_times(
     contenders: dict[str, Callable[[], object]],
     clock: Callable[[], float] = time.perf_counter,
     pick: Callable = np.median,

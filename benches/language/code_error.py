@@ -21,7 +21,7 @@ import torch
 from scipy.stats import rankdata
 
 from benches.common.pages import publish
-from benches.common.paired_timing import race
+from benches.common.paired_timing import paired_times
 from benches.common.photograph_pairs import DATA_HELP, labelled, load_samples
 from benches.language.code_chart import picture as chart
 from benches.language.many_object_rooms import SIZE, Room, make_rooms
@@ -201,7 +201,7 @@ def error_rows(rooms: dict[int, list[Room]]) -> tuple[list[dict], list[dict]]:
 
 
 def time_rows(room: Room) -> list[dict]:
-    """Seconds of a core to draw a view of ``room``, and to read it, by method; one race each."""
+    """Seconds of a core to draw a view of ``room``, and to read it, by method; timed in turn."""
     numba.set_num_threads(1)
     labels, camera = room.rows, room.cameras[0]
     drawing: dict[str, Callable[[], object]] = {
@@ -221,7 +221,7 @@ def time_rows(room: Room) -> list[dict]:
         reading[f"read {name}"] = lambda d=decoder, f=features: d(f)
         reading[f"all {name}"] = lambda image=image, bank=bank: compare_all(image, bank)
         reading[f"table {name}"] = lambda bank=bank: Decoder(bank)
-    drew, read = race(drawing, time.thread_time), race(reading, time.thread_time)
+    drew, read = paired_times(drawing, time.thread_time), paired_times(reading, time.thread_time)
     threads.share()
     rows = [{"method": "colours alone", "draw": drew["colours alone"]}]
     for name in METHODS:

@@ -20,7 +20,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from benches.common.pages import publish
-from benches.common.paired_timing import race
+from benches.common.paired_timing import paired_times
 from benches.common.photograph_pairs import load_samples, photographs
 from benches.language.hard_texts import error_rows, text_rows, unit
 from slgaussian.build import lift_field
@@ -172,7 +172,7 @@ def speed_rows(field: SemanticField, camera: Camera) -> list[dict]:
         "new": new,
     }
     clocks = time.perf_counter, time.process_time
-    ours_found = [race(ours, clock, min) for clock in clocks]
+    ours_found = [paired_times(ours, clock, min) for clock in clocks]
 
     # Ours is done by now: threads that PyTorch keeps spinning, waiting for work, would slow it.
     other = LangSplatWay(field.encoder)
@@ -200,7 +200,7 @@ def speed_rows(field: SemanticField, camera: Camera) -> list[dict]:
         "segment": f"one image of the best of {TEXTS} texts",
         "new": "new view rendered and queried",
     }
-    theirs_found = [race(theirs, clock, min) for clock in clocks]
+    theirs_found = [paired_times(theirs, clock, min) for clock in clocks]
     rows = []
     for key, what in names.items():
         row = {"what": what, "asked": ASKED.get(key, "")}

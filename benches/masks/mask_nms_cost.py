@@ -8,13 +8,13 @@ pixels, is the worst case.
 """
 
 import multiprocessing
-import resource
 import time
 
 import cv2
 import numpy as np
 import torch
 
+from benches.common.resident_memory import held
 from slgaussian.kernels import threads
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_intersections, mask_nms, mostly_visible
 
@@ -68,16 +68,16 @@ def measure(name, call, answer):
     masks = SETS[name]()
     scores = np.random.default_rng(1).random(len(masks))
     CALLS[call](masks[:2], scores[:2])
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = held("VmHWM")
     times = []
     for _ in range(REPEATS):
         wall, cpu = time.perf_counter(), time.process_time()
         found = CALLS[call](masks, scores)
         times.append((time.perf_counter() - wall, time.process_time() - cpu))
-    extra = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    extra = held("VmHWM") - before
     if call == "plain product" and not np.array_equal(found, mask_intersections(masks)):
         raise SystemExit(f"{name}: intersections differ")
-    answer.put((*np.min(times, 0).tolist(), extra / 1024))
+    answer.put((*np.min(times, 0).tolist(), extra / 2**20))
 
 
 def rows():

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from benches.common.machine import machine
 from benches.common.markdown_tables import Table, count, hundredths
+from benches.common.resident_memory import held
 
 COPIES = 10
 """Of the walk, which make about 100 MB."""
@@ -51,7 +52,7 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         ready()
         start_up = time.perf_counter() - begun
         wall, cpu = time.perf_counter(), time.process_time()
-        before = peak_mb()
+        before = held("VmHWM") / 2**20
         framing = Framing(settings.size, settings.near, settings.far)
         more = framing, settings.built_by, stages[-1]
         made = corpus.prepare(settings, ArtifactStore(store), stages, take_road, more)
@@ -69,7 +70,7 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         "all_work": sum(
             refs[stage].meta["seconds"] for refs in made.refs.values() for stage in stages
         ),
-        "peak": peak_mb(),
+        "peak": held("VmHWM") / 2**20,
         "idle": before,
         "items": sum(meta.get("views", meta.get("samples")) for meta in last),
         "times": times,
@@ -99,21 +100,12 @@ def learning(chunks: str, store: str, out: str, workers: int) -> dict:
         "wall": wall,
         "cpu": cpu,
         "start_up": start_up,
-        "peak": peak_mb(),
+        "peak": held("VmHWM") / 2**20,
         "items": made.rows["lessons"],
         "said": learnt.said,
         "counts": counts,
         "failures": len(made.failures),
     }
-
-
-def peak_mb() -> float:
-    """Most memory that this process ever held, megabytes.
-
-    Not ``getrusage``, whose peak a process has from the one that started it.
-    """
-    status = Path("/proc/self/status").read_text()
-    return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 def apart(what: Callable[..., dict], *words: object) -> dict:

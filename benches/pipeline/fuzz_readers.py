@@ -41,6 +41,7 @@ import pyarrow as pa
 import torch
 from PIL import Image
 
+from benches.common.resident_memory import forget_peak, held
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
@@ -704,11 +705,11 @@ def trial(name: str, number: int, seed: int, folder: Path) -> None:
 
 
 def measured(name: str, number: int, seed: int, folder: Path) -> Found:
-    _reset_peak()
-    before, begun = _memory("VmRSS"), time.process_time()
+    forget_peak()
+    before, begun = held("VmRSS"), time.process_time()
     kind, said = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun
-    return Found(number, kind, said, seconds, max(0, _memory("VmHWM") - before))
+    return Found(number, kind, said, seconds, max(0, held("VmHWM") - before))
 
 
 def verdict(name: str, number: int, seed: int, folder: Path) -> tuple[str, str]:
@@ -739,15 +740,6 @@ def _wrong(said: str, folder: Path) -> str | None:
     return None if elsewhere or str(folder) in said else "names no file"
 
 
-def _memory(field: str) -> int:
-    text = Path("/proc/self/status").read_text()
-    return int(re.search(rf"{field}:\s+(\d+) kB", text)[1]) * 1024
-
-
-def _reset_peak() -> None:
-    Path("/proc/self/clear_refs").write_text("5")
-
-
 def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int) -> None:
     """Read the files from ``first`` on and write a line on each; the process ends here."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -755,7 +747,7 @@ def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int)
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)  # decoders have much to say about damaged files
     warnings.simplefilter("ignore")
-    most = _memory("VmSize") + ROOM
+    most = held("VmSize") + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(out, "w") as lines:

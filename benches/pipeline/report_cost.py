@@ -6,7 +6,6 @@ The answers of the room are those of every scene and method, their IoUs drawn; o
 anything. Prints CPU seconds, the most memory of the process, and the bytes of the page.
 """
 
-import resource
 import sys
 import tempfile
 import time
@@ -14,6 +13,7 @@ import time
 import numpy as np
 
 from benches.common.machine import machine
+from benches.common.resident_memory import held
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
 from slgaussian.labels import LabelMaps
@@ -32,14 +32,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = ArtifactStore(folder)
         given = make(store, scenes, methods)
-        before = peak()
+        before = held("VmHWM")
         start = time.process_time()
         ref = report.work(Worksite(store), given, {}, ())
         seconds = time.process_time() - start
         sizes = {name: array.size / 1e6 for name, array in store.get(ref).items()}
     print(machine())
     print(f"{scenes} scenes, {methods} methods: {seconds:.1f} CPU s")
-    print(f"memory: {peak():.2f} GiB at the most, {before:.2f} before")
+    print(f"memory: {held('VmHWM') / 2**30:.2f} GiB at the most, {before / 2**30:.2f} before")
     print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))
 
 
@@ -88,11 +88,6 @@ def renamed(result: SceneResult, scene: str, method: str, rng: np.random.Generat
         times={},
         method=method,
     )
-
-
-def peak() -> float:
-    """The most memory that the process has had so far, GiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ memory.
 """
 
 import json
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -22,10 +21,12 @@ import numpy as np
 
 import slgaussian.kernels.threads
 from benches.common.photograph_pairs import photographs
+from benches.common.resident_memory import held
 from slgaussian import datasets
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import planesweep
+from slgaussian.predict import sweep
 from slgaussian.predict.links import INLIER, link_views
+from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.pose import sift_matches
 from slgaussian.scene import Sample, View
 
@@ -88,7 +89,7 @@ def run(sample: Sample) -> tuple[np.ndarray, float, float]:
     walls, seconds = [], []
     for _ in range(3):
         wall, start = time.perf_counter(), time.process_time()
-        gaussians = planesweep.PlaneSweep()(sample)
+        gaussians = PlaneSweep()(sample)
         seconds.append(time.process_time() - start)
         walls.append(time.perf_counter() - wall)
     depths = source_depths(gaussians, [v.camera for v in sample.context])
@@ -132,11 +133,11 @@ def pairs(folder: Path) -> None:
 if __name__ == "__main__":
     data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
     slgaussian.kernels.threads.share()
-    planesweep.PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
+    PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
     for stage in STAGES:
-        setattr(planesweep, stage, timed(stage, getattr(planesweep, stage)))
+        setattr(sweep, stage, timed(stage, getattr(sweep, stage)))
     motorcycle()
     spent.update(dict.fromkeys(STAGES, 0.0))
     if data:
         pairs(data)
-    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
+    print(f"peak memory {held('VmHWM') / 2**30:.2f} GiB")

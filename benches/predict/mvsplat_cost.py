@@ -8,7 +8,6 @@ Without CHECKPOINT weights are random; -o also writes mvsplat.md.
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ import torch
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import SIZE
+from benches.common.resident_memory import held
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
 from slgaussian.cameras.trajectories import between
@@ -55,7 +55,7 @@ def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
     start = time.perf_counter(), time.process_time()
     gaussians = predict(sample)
     row |= {"seconds": time.perf_counter() - start[0], "cpu": time.process_time() - start[1]}
-    row["peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    row["peak"] = held("VmHWM") / 1e6
     means = gaussians.means.numpy().reshape(2, -1, 3)
     centres = np.stack([camera.center for camera in cameras])
     distance = np.linalg.norm(means - centres[:, None], axis=-1)

@@ -141,24 +141,19 @@ def memory(_: float, scene: str, job: str) -> dict[str, float]:
     """``peak`` and ``kept``: MB of resident memory more than before, at most and at the end."""
     import gc
 
+    from benches.common.resident_memory import forget_peak, held
     from slgaussian.gaussians import Gaussians
 
     gaussians, values, camera = load_scene(scene)
     few = {name: array[:100].copy() for name, array in gaussians.to_arrays().items()}
     jobs()[job](Gaussians.from_arrays(few), values[:100].clone(), camera.resized(32, 32))
     gc.collect()
-    before = resident("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # The peak is now what is there.
+    before = held("VmRSS")
+    forget_peak()
     result = jobs()[job](gaussians, values, camera)
-    peak, kept = resident("VmHWM") - before, resident("VmRSS") - before
+    peak, kept = (held("VmHWM") - before) / 1e6, (held("VmRSS") - before) / 1e6
     del result
     return {"peak": peak, "kept": kept}
-
-
-def resident(field: str) -> float:
-    """A size in /proc/self/status, MB."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(field)) * 1024 / 1e6
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Speed and error of the rasteriser as thresholds, scene, image and channels change.
 
 Every function measures and returns rows: dicts of numbers, times in seconds. Times are medians of
-a :func:`race` in which the plain loop of ``plain_loop.py`` takes part.
+a :func:`paired_times` in which the plain loop of ``plain_loop.py`` takes part.
 
 Errors are those of the whole image, against the cpu backend with nearly nothing cut
 (:data:`FINE`). How far that is from the float64 reference, which at 60 ms a pixel and half a
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from benches.common.paired_timing import race
+from benches.common.paired_timing import paired_times
 from benches.rasterize import hard_cases
 from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
@@ -119,7 +119,7 @@ def scene_row(subject: Subject) -> dict:
 
     made, three = plan(gaussians, camera), values[:, :3].clone().requires_grad_()
     product = made.render(three)
-    spent = race(
+    spent = paired_times(
         {
             "loop": lambda: drawn_by_loop(subject),
             "fast": lambda: drawn(subject),
@@ -173,7 +173,7 @@ def stages_row(subject: Subject) -> dict:
         splats, boxes, subject.values.numpy(), bins, eye.width, eye.height, *limits, False,
         no_labels, -1,
     )  # fmt: skip
-    spent = race(
+    spent = paired_times(
         {
             "project": lambda: project_checked(subject.gaussians, subject.values, eye),
             "bin": lambda: bin_splats(boxes, eye.width, eye.height),
@@ -192,7 +192,7 @@ def threshold_rows(subject: Subject) -> list[dict]:
     contenders = {LOOP: lambda: drawn_by_loop(subject)} | {
         name: lambda settings=settings: drawn(subject, settings) for name, settings in CUTS.items()
     }
-    spent = race(contenders)
+    spent = paired_times(contenders)
     rows = []
     for name, draw_once in contenders.items():
         settings = CUTS.get(name, DEFAULT)
@@ -227,7 +227,7 @@ def loop_on_dense() -> float:
 def exact_row(subject: Subject) -> dict:
     """With nothing cut every Gaussian is listed in every tile: so only a part of the scene."""
     few = part(subject, EXACT_PART)
-    spent = race({"loop": lambda: drawn_by_loop(few), "exact": lambda: drawn(few, "exact")})
+    spent = paired_times({"loop": lambda: drawn_by_loop(few), "exact": lambda: drawn(few, "exact")})
     errors = torch.stack(
         [(drawn(window, "exact") - reference(window)).abs() for window in windows(few)]
     )
@@ -244,7 +244,7 @@ def exact_row(subject: Subject) -> dict:
 
 def duel(subject: Subject) -> dict:
     """Seconds of the plain loop and of the default settings, and the error of the latter."""
-    spent = race({"loop": lambda: drawn_by_loop(subject), "fast": lambda: drawn(subject)})
+    spent = paired_times({"loop": lambda: drawn_by_loop(subject), "fast": lambda: drawn(subject)})
     error = greatest(drawn(subject) - drawn(subject, replace(DEFAULT, **FINE)))
     return spent | {"ratio": spent["loop"] / spent["fast"], "greatest": error}
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benches.common.pages import page
-from benches.common.paired_timing import race
+from benches.common.paired_timing import paired_times
 from benches.common.photograph_pairs import load_samples, photographs
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
@@ -65,7 +65,7 @@ def _row(
         "error": pruned.error,
         "seconds": seconds,
     }
-    row |= race(
+    row |= paired_times(
         {
             "before": lambda: rasterize(gaussians, None, cameras[0]),
             "after": lambda: rasterize(pruned.gaussians, None, cameras[0]),

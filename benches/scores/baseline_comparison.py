@@ -8,8 +8,6 @@ Linux, which says how much memory a process held at most.
 """
 
 import argparse
-import ctypes
-import gc
 import json
 import subprocess
 import sys
@@ -19,6 +17,7 @@ import pyarrow.parquet as pq
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
+from benches.common.resident_memory import forget_peak, give_back, held
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.baselines import ROWS
@@ -79,10 +78,9 @@ def run_alone(name: str, data: Path) -> None:
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"), classes=classes)
-    gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)
-    before = kilobytes("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+    give_back()
+    before = held("VmRSS")
+    forget_peak()
     answering = ROWS[name].load()(inputs)
     for target in sample.targets:
         view = answering.render(target.camera)
@@ -92,12 +90,7 @@ def run_alone(name: str, data: Path) -> None:
             except InputError:  # not understood
                 continue
             hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
-    print((kilobytes("VmHWM") - before) / 1024)
-
-
-def kilobytes(name: str) -> int:
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(name))
+    print((held("VmHWM") - before) / 2**20)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from benches.common.machine import machine
 from benches.common.markdown_tables import Table, ms
-from benches.common.paired_timing import race
+from benches.common.paired_timing import paired_times
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame
 from slgaussian.language.query import Rules
 
@@ -76,7 +76,7 @@ def main() -> None:
         asked = frame(kind == "objects")
         runs = {name: lambda name=name, asked=asked: score(name, asked) for name in PROTOCOLS}
         runs["all of them"] = lambda asked=asked: score_all(asked)
-        spent[kind] = race(runs, time.process_time, min)
+        spent[kind] = paired_times(runs, time.process_time, min)
     rows = [
         {"protocol": name, **{kind: spent[kind][name] / QUERIES for kind in spent}}
         for name in spent["objects"]

@@ -12,8 +12,6 @@ took then. Needs Linux, which says how much memory a process held at most.
 from __future__ import annotations
 
 import argparse
-import ctypes
-import gc
 import hashlib
 import json
 import sys
@@ -33,6 +31,7 @@ import torch
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
+from benches.common.resident_memory import forget_peak, give_back, held
 from benches.scores.tradeoff_chart import chart
 from benches.scores.tradeoff_summary import DEFAULT, NOISE, PRUNED, results
 from flows.settings import PRESETS, Method, Settings, make_settings
@@ -212,21 +211,13 @@ class Cost:
 
 
 def measured(work: Callable[[], Any]) -> tuple[Any, Cost]:
-    gc.collect()
-    ctypes.CDLL(None).malloc_trim(0)
-    Path("/proc/self/clear_refs").write_text("5")  # forgets the peak
+    give_back()
+    forget_peak()
     before = held("VmRSS")
     start = time.process_time()
     result = work()
     seconds = time.process_time() - start
-    return result, Cost(seconds, held("VmHWM") - before)
-
-
-def held(name: str) -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(f"{name}:"):
-            return int(line.split()[1]) / 1024
-    raise OSError(f"/proc/self/status: has no {name}")
+    return result, Cost(seconds, (held("VmHWM") - before) / 2**20)
 
 
 class Stages:
