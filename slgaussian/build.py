@@ -1,25 +1,26 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from slgaussian.cameras.check import check_cameras, check_pairs
+from slgaussian.cameras.check import check_pairs, refuse
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.field import SemanticField
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.named import Named, true_names
-from slgaussian.language.room import find_room
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
-from slgaussian.scene import Sample
+from slgaussian.scene import Sample, View
 
 
 def build_field(
@@ -51,65 +52,44 @@ def build_field(
     method = method or Method()
     method.check()
     compiling.watch()
-    gaussians = predict(sample, method.predictor, method.seed, trust_cameras=trust_cameras)
-    label_maps = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
-    bank = remember(sample, gaussians, label_maps, method.encoder, method.codes, method.seed)
-    return lift_field(sample, gaussians, label_maps, bank, method)
+    gaussians, quality = predict(sample, method.predictor, method.seed, trust_cameras)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
+    return lift_field(sample, gaussians, label_maps, bank, method, quality)
 
 
 def predict(
-    sample: Sample,
-    predictor: Part,
-    seed: int,
-    trust_cameras: bool = False,
-) -> Gaussians:
-    """Gaussians from the context views (paper, section 3.1), once their cameras are believed.
+    sample: Sample, predictor: Part, seed: int, trust_cameras: bool = False
+) -> tuple[Gaussians, Quality]:
+    """Gaussians from the context views (paper, section 3.1), and how good those views were.
 
     Raises
     ------
     InputError
-        As :func:`slgaussian.cameras.check.check_cameras`, unless cameras are trusted, and as the
+        As :func:`slgaussian.cameras.check.refuse`, unless cameras are trusted, and as the
         predictor.
     """
+    checks = check_pairs(sample)
     if not trust_cameras:
-        check_cameras(sample)
+        refuse(sample.scene, checks)
     gaussians = predictor.load()(sample, seed)
-    opaque = _opaque(sample)
-    if opaque is None:
-        return gaussians
-    return gaussians[torch.from_numpy(opaque.ravel()[gaussians.source.numpy()])]
+    opaque = _opaque(sample.context)
+    if opaque is not None:
+        gaussians = gaussians[torch.from_numpy(opaque.ravel()[gaussians.source.numpy()])]
+    return gaussians, measure(SceneGeometry.of(sample.context, gaussians), checks)
 
 
-def quality_of(sample: Sample, gaussians: Gaussians) -> Quality:
-    """What the context views share and confirm of what was predicted from them."""
-    cameras = [view.camera for view in sample.context]
-    names = [view.name for view in sample.context]
-    return measure(cameras, source_depths(gaussians, cameras), check_pairs(sample), names)
-
-
-def label_views(
-    sample: Sample,
-    gaussians: Gaussians,
-    proposer: Part,
-    tracker: Part,
-    replicas: int,
-) -> LabelMaps:
+def label_views(geometry: SceneGeometry, proposer: Part, tracker: Part, replicas: int) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
-    depths = source_depths(gaussians, [view.camera for view in sample.context])
-    maps = associate(
-        sample.context,
-        proposer.load(),
-        tracker.load(),
-        replicas,
-        depths,
-    )
-    opaque = _opaque(sample)
+    maps = associate(geometry.seen, proposer.load(), tracker.load(), replicas)
+    opaque = _opaque(geometry.views)
     return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
 
 
 def remember(
     sample: Sample,
-    gaussians: Gaussians,
+    geometry: SceneGeometry,
     label_maps: LabelMaps,
     encoder: Part,
     codes: Part,
@@ -123,11 +103,8 @@ def remember(
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
     loaded = encoder.load()
     names = true_names(sample, label_maps) if isinstance(loaded, Named) else None
-    cameras = [view.camera for view in sample.context]
-    depths = source_depths(gaussians, cameras)
-    room = find_room(cameras, depths)
-    around = [room.place(camera, depth) for camera, depth in zip(cameras, depths, strict=True)]
-    groups = group_objects(sample.context, label_maps, depths) if names is None else None
+    groups = group_objects(geometry.seen, label_maps) if names is None else None
+    around = geometry.surroundings
     return build_bank(sample.context, label_maps, loaded, drawn, names, around, groups)
 
 
@@ -137,6 +114,7 @@ def lift_field(
     label_maps: LabelMaps,
     bank: MemoryBank,
     method: Method,
+    quality: Quality,
 ) -> SemanticField:
     """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
 
@@ -144,15 +122,14 @@ def lift_field(
     """
     cameras = {view.name: view.camera for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
-    quality = quality_of(sample, gaussians).as_json()
-    said = {"scene": sample.scene, **method.identity(), "quality": quality}
+    said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
     return SemanticField(lifted, bank, cameras, said, method.encoder.places())
 
 
-def _opaque(sample: Sample) -> np.ndarray | None:
-    """Which pixels of the context show something, bool [V, H, W]; None if all do."""
-    masks = [view.opaque for view in sample.context]
+def _opaque(views: Sequence[View]) -> np.ndarray | None:
+    """Which pixels of the views show something, bool [V, H, W]; None if all do."""
+    masks = [view.opaque for view in views]
     if all(mask is None for mask in masks):
         return None
-    full = np.ones(sample.context[0].image.shape[:2], bool)
+    full = np.ones(views[0].image.shape[:2], bool)
     return np.stack([full if mask is None else mask for mask in masks])

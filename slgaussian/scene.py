@@ -197,6 +197,16 @@ class View:
             if truth is not None and truth.shape != size:
                 raise InputError(f"view {self.name!r}: {name} is {truth.shape}, expected {size}")
 
+    @cached_property
+    def grey(self) -> np.ndarray:
+        """The photograph without colour, uint8 [H, W]."""
+        return cv2.cvtColor(self.image, cv2.COLOR_RGB2GRAY)
+
+    @cached_property
+    def lab(self) -> np.ndarray:
+        """CIELAB float32 [H, W, 3]: L in 0 to 100, a and b about -100 to 100."""
+        return cv2.cvtColor(self.image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+
     def resized(self, height: int, width: int) -> View:
         """Scale to cover ``height`` x ``width``, then crop the centre; the camera follows.
 

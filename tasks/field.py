@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slgaussian.build import lift_field
+from slgaussian.cameras.quality import Quality
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
 from slgaussian.parts.method import Method
@@ -27,5 +28,6 @@ def field(
         site.read(labels, labels_from_arrays),
         site.read(bank, MemoryBank.from_arrays),
         method,
+        Quality(**gaussians.meta["quality"]),
     )
     return put_field(site.store, joined)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from slgaussian.build import predict
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays
@@ -13,8 +15,25 @@ from tasks.stage import Worksite, stage
 def geometry(
     site: Worksite, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
 ) -> ArtifactRef:
-    """What the predictor makes of the context views: spec ``gaussians``."""
+    """What the predictor makes of the context views: spec ``gaussians``.
+
+    ``meta["quality"]`` says how good the views were.
+    """
     shown = site.read(sample, sample_from_arrays)
-    gaussians = predict(shown, predictor, seed, trust_cameras)
+    gaussians, quality = predict(shown, predictor, seed, trust_cameras)
     gaussians.check()
-    return site.store.put("gaussians", gaussians.to_arrays(), {"gaussians": len(gaussians)})
+    meta = {"gaussians": len(gaussians), "quality": quality.as_json()}
+    return site.store.put("gaussians", gaussians.to_arrays(), meta)
+
+
+def read_geometry(site: Worksite, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:
+    """The context views and their surfaces; made once for all stages that ask for it.
+
+    Scattering Gaussians into depth takes less time than inflating a stored copy.
+    """
+
+    def make() -> SceneGeometry:
+        shown = site.read(sample, sample_from_arrays)
+        return SceneGeometry.of(shown.context, site.read(gaussians, Gaussians.from_arrays))
+
+    return site.once((SceneGeometry, sample.digest, gaussians.digest), make)

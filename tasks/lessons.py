@@ -15,7 +15,8 @@ import torch
 
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.masks.associate import associate
 from slgaussian.parts.identity import KnownFile
 from slgaussian.parts.part import Part
@@ -68,11 +69,9 @@ def lessons(
             with watch("read"):
                 sample = read_sample(clips[row["clip"]], row, framing, targets=True)
             with watch("depth"):
-                depths = _depths(sample, gaussians)
+                seen = _seen(sample, gaussians)
             with watch("masks"):
-                views = (*sample.context, *sample.targets)
-                fresh = tracker.load()
-                found = associate(views, propose, fresh, replicas, depths)
+                found = associate(seen, propose, tracker.load(), replicas)
         except InputError as error:
             bad.append(left_out(made["sample"], error))
             continue
@@ -96,15 +95,16 @@ def lessons(
     return store.put("lessons", table, meta)
 
 
-def _depths(sample: Sample, gaussians: Gaussians) -> list[np.ndarray]:
-    """Of the contexts from the Gaussians that their pixels gave birth to, of targets rendered."""
+def _seen(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
+    """The contexts with the depth of their own Gaussians, the targets with rendered depth."""
     nothing = torch.zeros(len(gaussians), 1)
     rendered = [
         # The mean would put a surface between what is before and behind an edge.
         rasterize(gaussians, nothing, view.camera, median=True).median.numpy()
         for view in sample.targets
     ]
-    return [*source_depths(gaussians, [view.camera for view in sample.context]), *rendered]
+    targets = map(SeenView, sample.targets, rendered)
+    return [*SceneGeometry.of(sample.context, gaussians).seen, *targets]
 
 
 def _lesson(sample: Sample, gaussians: Gaussians, found: np.ndarray) -> Lesson:

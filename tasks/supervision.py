@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from slgaussian.build import remember
-from slgaussian.gaussians import Gaussians
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, sample_from_arrays
+from tasks.geometry import read_geometry
 from tasks.stage import Worksite, stage
 
 
@@ -27,7 +27,7 @@ def supervision(
     """
     bank = remember(
         site.read(sample, sample_from_arrays),
-        site.read(gaussians, Gaussians.from_arrays),
+        read_geometry(site, sample, gaussians),
         site.read(labels, labels_from_arrays),
         encoder,
         codes,

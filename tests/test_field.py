@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian.build import lift_field, remember
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Sample, View
+from tests.known import known_field
 
 H, W, FOCAL, DEPTH = 48, 64, 60.0, 3.0
 RED, BLUE = (200, 30, 30), (30, 40, 190)
@@ -54,8 +55,7 @@ def field() -> SemanticField:
         sh=rgb_to_sh(torch.tensor(colours, dtype=torch.float32)),
         source=torch.arange(n, dtype=torch.int32),
     )
-    bank = remember(sample, gaussians, label_maps, "lexicon", "grid", seed=0)
-    return lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
+    return known_field(sample, gaussians, label_maps, Method(codes="grid"))
 
 
 def test_a_new_view_shows_the_right_colours_ids_and_depth(field):
@@ -180,9 +180,9 @@ def coded(request, field):
     for dimension in (0,) if request.param == "exact" else (1, 2, 3):
         own = {request.param: {"dimension": dimension}} if dimension else {}
         plain = replace(field.gaussians, features=None)
-        bank = remember(sample, plain, label_maps, "lexicon", request.param, 0, own)
-        assert bank.codes.shape == (2, dimension)
-        fields.append(lift_field(sample, plain, label_maps, bank, "hard", {"encoder": "lexicon"}))
+        method = Method(codes=request.param, settings=own)
+        fields.append(known_field(sample, plain, label_maps, method))
+        assert fields[-1].bank.codes.shape == (2, dimension)
     return fields
 
 
@@ -288,7 +288,7 @@ def test_a_folder_says_what_it_is(field, tmp_path):
 def test_what_holds_arrays_prints_its_shapes(field):
     view = field.render(field.cameras["a"])
     printed = {
-        field: "SemanticField(6144 Gaussians, 2 objects, views ('a', 'b'), encoder 'lexicon')",
+        field: "SemanticField('wall': 6144 Gaussians, 2 objects, views ('a', 'b'), encoder 'lexicon')",
         field.cameras["a"]: "Camera(64x48, focal length (60, 60) pixels, at (-0.2, 0, 0))",
         field.gaussians: "means=float32 [6144, 3]",
         field.bank: "present=bool [2, 2]",

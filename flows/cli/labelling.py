@@ -14,7 +14,7 @@ from flows.cli.fields import posed_sample
 from flows.settings import make_settings
 from slgaussian.benchmark import pictures
 from slgaussian.build import predict
-from slgaussian.gaussians import source_depths
+from slgaussian.geometry import SceneGeometry
 from slgaussian.labels import LabelMaps
 from slgaussian.masks.associate import associate
 from slgaussian.masks.precomputed import encode_ids, map_names
@@ -62,9 +62,9 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
         file=sys.stderr,
     )
     start = time.perf_counter()
-    gaussians = predict(sample, predictor, method.seed, trust_cameras=method.trust_cameras)
-    depths = source_depths(gaussians, [view.camera for view in sample.context])
-    maps = associate(sample.context, *made_by, method.replicas, depths)
+    gaussians, _ = predict(sample, predictor, method.seed, trust_cameras=method.trust_cameras)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    maps = associate(geometry.seen, *made_by, method.replicas)
     print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)
 
     files, panels = {}, []

@@ -9,7 +9,7 @@ matrix, whatever cameras it stands for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -113,34 +113,28 @@ class PairCheck:
         return self.judged and (few or self.correction is not None)
 
 
-def check_cameras(sample: Sample) -> list[PairCheck]:
-    """Check each context view with its nearest neighbours, the pairs that depth is found from.
+def refuse(scene: str, checks: Sequence[PairCheck]) -> None:
+    """Raise InputError if the matches of a pair refute its cameras.
 
-    Raises
-    ------
-    InputError
-        If the matches of a pair refute its cameras; the message says what would mend them, if a
-        usual mistake is the cause.
+    The message says what would mend them, if a usual mistake is the cause.
     """
-    checks = check_pairs(sample)
     bad = [check for check in checks if check.refuted]
     if bad:
         worst = min(bad, key=lambda check: (check.coarse, check.fine))
-        raise InputError(f"scene {sample.scene!r}: {_refusal(worst)}")
-    return checks
+        raise InputError(f"scene {scene!r}: {_refusal(worst)}")
 
 
 def check_pairs(sample: Sample) -> list[PairCheck]:
-    """What the matches say of each context view with its nearest neighbours; nothing is refused."""
+    """What the matches say of each context view with its nearest neighbours, the pairs that depth
+    is found from."""
     views = sample.context
     return [check_pair(views[i], views[j]) for i, j in neighbours(views)]
 
 
 def check_pair(a: View, b: View) -> PairCheck:
     """Match two photographs and see what their cameras explain."""
-    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in (a, b)]
-    at_a, at_b = sift_matches(*greys)
-    diagonal = float(np.hypot(*greys[0].shape))
+    at_a, at_b = sift_matches(a.grey, b.grey)
+    diagonal = float(np.hypot(*a.grey.shape))
     coarse, fine = COARSE * diagonal, max(FINE * diagonal, LEAST)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))

@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.check import TURNED, WIDE, PairCheck
-from slgaussian.scene import Camera
-
-CONFIRMS = 0.02
-"""Two views show one surface where their depths differ by at most this fraction."""
+from slgaussian.geometry import SceneGeometry
 
 LITTLE_SHARED = 0.3
 """Overlap below which most of a field is seen once, and its depth is a guess."""
@@ -85,20 +82,17 @@ class Quality:
         return found
 
 
-def measure(
-    cameras: Sequence[Camera], depths: np.ndarray, checks: Sequence[PairCheck], names: Sequence[str]
-) -> Quality:
-    """The quality of views from their z-depths float [V, H, W], 0 where unknown, and their checks.
-
-    ``names`` are those of the views, in order, which the checks speak of.
-    """
+def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> Quality:
+    """The quality of views from their predicted depths, and from the checks of pairs of them."""
+    cameras, depths = [view.camera for view in geometry.views], geometry.depths
+    names = [view.name for view in geometry.views]
     overlaps, turns = [], []
     confirmed = np.zeros(depths.shape, bool)
     for check in checks:
         a, b = (names.index(name) for name in check.views)
         fractions = []
         for here, there in ((a, b), (b, a)):
-            inside, same = _seen_again(cameras[here], depths[here], cameras[there], depths[there])
+            inside, same = geometry.seen_again(here, there)
             confirmed[here] |= same
             fractions.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
         overlaps.append(min(fractions))
@@ -116,15 +110,3 @@ def measure(
         pixels=worst.pixels[0],
         judged=worst.judged,
     )
-
-
-def _seen_again(
-    camera: Camera, depth: np.ndarray, other: Camera, its: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels' surfaces fall inside another view, and which it shows there: bool [H, W]."""
-    pixels, z = other.project(camera.unproject(depth))
-    inside = (depth > 0) & (z > 0) & (pixels >= 0).all(-1)
-    inside &= (pixels < (other.width, other.height)).all(-1)
-    u, v = np.where(inside[..., None], pixels, 0).astype(np.int64).transpose(2, 0, 1)
-    shown = its[v, u]
-    return inside, inside & (shown > 0) & (np.abs(z - shown) <= CONFIRMS * shown)

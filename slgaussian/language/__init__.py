@@ -10,8 +10,8 @@ from slgaussian.parts.registry import find_part
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
 
+    from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
-    from slgaussian.language.room import Surroundings
 
 ENCODERS = {
     "lexicon": "slgaussian.language.lexicon:Lexicon",

@@ -9,11 +9,11 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
+from slgaussian.geometry.room import Surroundings
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.codes import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
-from slgaussian.language.room import Surroundings
 from slgaussian.scene import View
 
 HALF = {"features", "group_features"}
@@ -218,17 +218,20 @@ def build_bank(
     of_views = zip(views, label_maps.labels, present.T, surroundings, strict=True)
     for v, (view, labels, held, around) in enumerate(of_views):
         masks = labels == ids[held][:, None, None]
-        if names is None:
-            encoded = encoder.encode_regions(view.image, masks, around)
-        else:
-            encoded = encoder.encode_text([names[i] for i in ids[held].tolist()])
-        columns.append(_half_rounded(encoded, held))
         boxes[held, v] = _boxes(masks)
+        if names is not None:
+            encoded = encoder.encode_text([names[i] for i in ids[held].tolist()])
+            columns.append(_half_rounded(encoded, held))
+            continue
+        shown = np.zeros(0, bool) if members is None else (members & held).any(1)
+        groups_here = np.zeros((shown.sum(), *labels.shape), bool)
         if members is not None:
-            shown = (members & held).any(1)
-            masks = np.zeros((shown.sum(), *labels.shape), bool)
-            masks[:, labels > 0] = members[shown][:, np.searchsorted(ids, labels[labels > 0])]
-            unions.append(_half_rounded(encoder.encode_regions(view.image, masks, around), shown))
+            inside = labels > 0
+            groups_here[:, inside] = members[shown][:, np.searchsorted(ids, labels[inside])]
+        # Together: what an encoder derives of the photograph, it derives once.
+        encoded = encoder.encode_regions(view.image, np.concatenate([masks, groups_here]), around)
+        columns.append(_half_rounded(encoded[: len(masks)], held))
+        unions.append(_half_rounded(encoded[len(masks) :], shown))
     features = np.stack(columns, 1)
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
+from slgaussian.geometry.room import Surroundings
 from slgaussian.language import patterns, silhouettes
 from slgaussian.language.colours import ColourNames, to_lab
-from slgaussian.language.room import Surroundings
 
 SURFACES = (
     "light", "colourful", "shiny", "plain", "striped", "checked", "dotted", "speckled", "grained",

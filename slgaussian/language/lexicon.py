@@ -34,7 +34,7 @@ from slgaussian.parts.settings import setting
 if TYPE_CHECKING:
     import numpy as np
 
-    from slgaussian.language.room import Surroundings
+    from slgaussian.geometry.room import Surroundings
 
 POSITIVE = 0.8
 """Evidence for a descriptor counts this much of evidence against: one word that does not fit

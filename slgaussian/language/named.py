@@ -21,8 +21,8 @@ from slgaussian.parts.settings import setting
 if TYPE_CHECKING:
     import numpy as np
 
+    from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
-    from slgaussian.language.room import Surroundings
     from slgaussian.scene import Sample
 
 CANONICAL = ("object", "things", "stuff", "texture")

@@ -11,7 +11,7 @@ from slgaussian.parts.registry import find_part
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
 
-    from slgaussian.scene import View
+    from slgaussian.geometry import SeenView
 
 PROPOSERS = {
     "regions": "slgaussian.masks.regions:Regions",
@@ -49,21 +49,18 @@ class Proposals:
 class MaskProposer(Protocol):
     """Finds objects in one image."""
 
-    def propose(
-        self, image: np.ndarray, where: np.ndarray | None = None, depth: np.ndarray | None = None
-    ) -> Proposals:
-        """Propose masks for ``image`` uint8 [H, W, 3].
+    def propose(self, seen: SeenView, where: np.ndarray | None = None) -> Proposals:
+        """Propose masks for a photograph, ``seen.image`` uint8 [H, W, 3].
 
-        ``where`` (bool [H, W]) limits the search to pixels that no object covers yet; ``depth``
-        (float32 [H, W], scene units, 0 unknown) is the *predicted* depth, used where it helps.
+        ``seen.depth`` (float32 [H, W], scene units, 0 unknown) is its *predicted* depth, used where
+        it helps. ``where`` (bool [H, W]) limits the search to pixels that no object covers yet.
         """
 
 
 class MaskTracker(Protocol):
     """Carries labels from remembered frames to a new one.
 
-    ``depth`` (float32 [H, W], scene units, 0 unknown) is the *predicted* depth of the view, which
-    its camera belongs to; a tracker may need it.
+    The predicted depth of a view is in the frame of its camera; a tracker may need it.
 
     Attributes
     ----------
@@ -74,11 +71,11 @@ class MaskTracker(Protocol):
 
     final: bool
 
-    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
+    def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame and its labels, int32 [H, W], 0 = unassigned."""
 
-    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
-        """Labels int32 [H, W] for ``view`` from what is remembered; 0 where nothing matches."""
+    def propagate(self, seen: SeenView) -> np.ndarray:
+        """Labels int32 [H, W] for a view from what is remembered; 0 where nothing matches."""
 
 
 def load_proposer(name: str = "regions", **settings: Any) -> MaskProposer:

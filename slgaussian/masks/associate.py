@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.flatten import (
@@ -17,7 +18,6 @@ from slgaussian.masks.flatten import (
     without_crumbs,
 )
 from slgaussian.masks.vote import vote
-from slgaussian.scene import View
 
 SAME_IOU = 0.5
 """A detection that overlaps a propagated object by more than this IoU is that object."""
@@ -28,11 +28,10 @@ KNOWN = 0.4
 
 
 def associate(
-    views: Sequence[View],
+    seen: Sequence[SeenView],
     proposer: MaskProposer,
     tracker: MaskTracker,
     replicas: int = 5,
-    depths: Sequence[np.ndarray | None] | None = None,
     back: MaskTracker | None = None,
 ) -> LabelMaps:
     """Label maps of a sequence of views with ids that mean the same object in every view.
@@ -52,15 +51,13 @@ def associate(
 
     Parameters
     ----------
-    views : sequence of V View
+    seen : sequence of V SeenView
         In the order in which they are tracked; all of one size.
     proposer : MaskProposer
     tracker : MaskTracker
         Fresh, without memory.
     replicas : int
         Copies of every view, at least 1; 1 is the detection alone.
-    depths : sequence of V float32 [H, W] or None
-        Predicted depth of each view for proposer and tracker, 0 where unknown.
     back : MaskTracker, optional
         A second fresh tracker, for a reverse pass: see :func:`reconcile`.
 
@@ -75,42 +72,35 @@ def associate(
     Raises
     ------
     InputError
-        If there is no view, views differ in size, ``replicas`` is below 1, or ``depths`` does not
-        match the views.
+        If there is no view, views differ in size, or ``replicas`` is below 1.
     """
-    if not views:
+    if not seen:
         raise InputError("associate: found no views, expected at least one")
     if replicas < 1:
         raise InputError(f"replicas: found {replicas}, expected at least 1")
-    if depths is None:
-        depths = [None] * len(views)
-    if len(depths) != len(views):
-        raise InputError(f"depths: found {len(depths)} maps for {len(views)} views")
-    for view in views:
-        if view.image.shape != views[0].image.shape:
+    for here in seen:
+        if here.image.shape != seen[0].image.shape:
             raise InputError(
-                f"view {view.name!r}: image is {view.image.shape}, the first view's is "
-                f"{views[0].image.shape}; label maps have one size, so bring all views to it"
+                f"view {here.view.name!r}: image is {here.image.shape}, the first view's is "
+                f"{seen[0].image.shape}; label maps have one size, so bring all views to it"
             )
     if tracker.final:
-        given = [tracker.propagate(v, depth) for v, depth in zip(views, depths, strict=True)]
+        given = [tracker.propagate(here) for here in seen]
         return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32))
     winners, margins = [], []
     known = 0
-    for index, (view, depth) in enumerate(zip(views, depths, strict=True)):
-        carried = (
-            tracker.propagate(view, depth) if index else np.zeros(view.image.shape[:2], np.int32)
-        )
-        detected = _detect(view, proposer, depth, carried)
+    for index, here in enumerate(seen):
+        carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
+        detected = _detect(here, proposer, carried)
         first = without_crumbs(merge(carried, detected, known + 1))
         known = max(known, int(first.max()))
-        tracker.add(view, first, depth)
-        labels, margin = vote(_copies(view, depth, tracker, first, replicas))
+        tracker.add(here, first)
+        labels, margin = vote(_copies(here, tracker, first, replicas))
         winners.append(labels)
         margins.append(margin)
     labels = np.stack(winners)
     if back is not None:
-        labels = reconcile(views, depths, labels, back)
+        labels = reconcile(seen, labels, back)
     return LabelMaps(renumbered(labels), np.stack(margins))
 
 
@@ -158,12 +148,7 @@ def merge(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray
     return out
 
 
-def reconcile(
-    views: Sequence[View],
-    depths: Sequence[np.ndarray | None],
-    labels: np.ndarray,
-    tracker: MaskTracker,
-) -> np.ndarray:
+def reconcile(seen: Sequence[SeenView], labels: np.ndarray, tracker: MaskTracker) -> np.ndarray:
     """Find objects that the way forth took for new, on the way back.
 
     The views are tracked from the last to the first. An object that is new in a later view and is
@@ -172,16 +157,16 @@ def reconcile(
 
     Parameters
     ----------
-    views, depths
+    seen
         As in :func:`associate`.
     labels : int32 [V, H, W]
     tracker : MaskTracker
         Fresh, without memory.
     """
     labels = labels.copy()
-    tracker.add(views[-1], labels[-1], depths[-1])
-    for index in reversed(range(len(views) - 1)):
-        carried = tracker.propagate(views[index], depths[index])
+    tracker.add(seen[-1], labels[-1])
+    for index in reversed(range(len(seen) - 1)):
+        carried = tracker.propagate(seen[index])
         new = np.setdiff1d(labels[index + 1 :], labels[: index + 1])
         gone = np.setdiff1d(labels[: index + 1], labels[index + 1 :])
         renamed: dict[int, int] = {}
@@ -190,7 +175,7 @@ def reconcile(
                 renamed[one] = other
         for one, other in renamed.items():
             labels[labels == one] = other
-        tracker.add(views[index], labels[index], depths[index])
+        tracker.add(seen[index], labels[index])
     return labels
 
 
@@ -207,29 +192,21 @@ def _overlaps(
     return list(zip((-iou[keep]).tolist(), one[keep].tolist(), other[keep].tolist(), strict=True))
 
 
-def _detect(
-    view: View, proposer: MaskProposer, depth: np.ndarray | None, carried: np.ndarray
-) -> np.ndarray:
+def _detect(seen: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.ndarray:
     """Proposals of a view as labels, asked for again where neither they nor the past reach."""
-    detected = flatten(proposer.propose(view.image, depth=depth))
+    detected = flatten(proposer.propose(seen))
     missed = (detected == 0) & (carried == 0)
     if missed.sum() >= CRUMB_SHARE * missed.size and detected.any():
-        more = flatten(proposer.propose(view.image, where=missed, depth=depth))
+        more = flatten(proposer.propose(seen, missed))
         detected = np.where(missed & (more > 0), more + detected.max(), detected)
     return detected
 
 
-def _copies(
-    view: View,
-    depth: np.ndarray | None,
-    tracker: MaskTracker,
-    first: np.ndarray,
-    replicas: int,
-) -> np.ndarray:
+def _copies(seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int) -> np.ndarray:
     """The labels of all copies of a view, int32 [replicas, H, W]; see :func:`associate`."""
     copies = [first]
     while len(copies) < replicas:
-        copies.append(tracker.propagate(view, depth))
+        copies.append(tracker.propagate(seen))
         if np.array_equal(copies[-1], copies[-2]):
             copies += [copies[-1]] * (replicas - len(copies))
     return np.stack(copies)

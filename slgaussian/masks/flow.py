@@ -10,7 +10,7 @@ from slgaussian.masks.memory import Frame, MemoryTracker, both_ways, pixel_grid
 if TYPE_CHECKING:
     import numpy as np
 
-    from slgaussian.scene import View
+    from slgaussian.geometry import SeenView
 
 AGREE_PIXELS = 2.0
 AGREE_SHARE = 0.05
@@ -19,7 +19,6 @@ AGREE_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _FlowFrame(Frame):
-    gray: np.ndarray
     points: np.ndarray
     descriptors: np.ndarray | None
 
@@ -32,25 +31,26 @@ class FlowTracker(MemoryTracker):
     is read. The rest is :class:`slgaussian.masks.memory.MemoryTracker`.
     """
 
-    def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
+    def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
         """Add SIFT keypoints; see :meth:`slgaussian.masks.memory.MemoryTracker.describe`."""
         import cv2
         import numpy as np
 
-        frame = super().describe(view, labels, depth)
-        gray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)
+        frame = super().describe(seen, labels)
+        grey = seen.view.grey
         sift = cv2.SIFT_create(nfeatures=1500, contrastThreshold=0.02)
-        keypoints, descriptors = sift.detectAndCompute(gray, None)
+        keypoints, descriptors = sift.detectAndCompute(grey, None)
         points = np.array([point.pt for point in keypoints], np.float32).reshape(-1, 2)
-        return _FlowFrame(**vars(frame), gray=gray, points=points, descriptors=descriptors)
+        return _FlowFrame(**vars(frame), points=points, descriptors=descriptors)
 
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
         import numpy as np
 
         warp = _homography(new, old)
-        there = _flow(new.gray, old.gray, warp)
-        back = _flow(old.gray, new.gray, np.linalg.inv(warp))
+        here, before = new.seen.view.grey, old.seen.view.grey
+        there = _flow(here, before, warp)
+        back = _flow(before, here, np.linalg.inv(warp))
         return both_ways(there, back, AGREE_PIXELS, AGREE_SHARE)
 
 
@@ -71,7 +71,7 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
     source = a.points[[match.queryIdx for match in good]]
     target = b.points[[match.trainIdx for match in good]]
     warp, inliers = cv2.findHomography(source, target, cv2.RANSAC, 8.0)
-    height, width = a.gray.shape
+    height, width = a.labels.shape
     corners = np.array([[[0, 0], [width, 0], [0, height], [width, height]]], np.float64)
     if warp is None or inliers.sum() < 12:
         return np.eye(3)

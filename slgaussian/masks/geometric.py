@@ -10,7 +10,7 @@ from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
 if TYPE_CHECKING:
     import numpy as np
 
-    from slgaussian.scene import View
+    from slgaussian.geometry import SeenView
 
 AGREE_PIXELS = 4.0
 """How far there and back, through the two depth maps, may miss: what is hidden misses by far, what
@@ -27,14 +27,14 @@ class GeometricTracker(MemoryTracker):
     tolerance and leaves forgive. The rest is :class:`slgaussian.masks.memory.MemoryTracker`.
     """
 
-    def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
+    def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
         """Refuse a view without depth; see :class:`slgaussian.masks.memory.MemoryTracker`."""
-        if depth is None:
+        if seen.depth is None:
             raise InputError(
-                f"tracker 'geometric': view {view.name!r} comes without predicted depth; give "
+                f"tracker 'geometric': view {seen.view.name!r} comes without predicted depth; give "
                 "depths, or choose the tracker 'flow', which needs none"
             )
-        return super().describe(view, labels, depth)
+        return super().describe(seen, labels)
 
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
@@ -45,6 +45,8 @@ def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
     """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
     import numpy as np
 
-    pixels, z = other.view.camera.project(frame.view.camera.unproject(frame.depth))
-    pixels[(frame.depth <= 0) | (z <= 0)] = np.nan
+    depth = frame.seen.depth
+    points = frame.seen.view.camera.unproject(depth)
+    pixels, z = other.seen.view.camera.project(points)
+    pixels[(depth <= 0) | (z <= 0)] = np.nan
     return pixels - 0.5

@@ -12,29 +12,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
-from slgaussian.masks.boundaries import boundary_map
 from slgaussian.masks.merge import Cues, build_tree, joint_sums, leaf_sums
-from slgaussian.scene import View
 
 CUTS = ((Cues(), 0.4), (Cues(plane=0.25, fill=0.5, size_power=0.1), 0.8))
 """A tree and the height at which it is cut, for each level: things that look and lie alike, and
 compact ones. Of about 50 objects in a photograph of an office, 25 and 35 groups are left."""
 
 
-def group_objects(
-    views: Sequence[View], label_maps: LabelMaps, depths: Sequence[np.ndarray | None]
-) -> np.ndarray:
+def group_objects(seen: Sequence[SeenView], label_maps: LabelMaps) -> np.ndarray:
     """Which group every object belongs to at each level of :data:`CUTS`.
 
     Parameters
     ----------
-    views : sequence of V View
+    seen : sequence of V SeenView
         The photographs that the label maps belong to, in the same order.
     label_maps : LabelMaps
         labels [V, H, W] of N objects.
-    depths : sequence of V float32 [H, W] or None
-        Predicted depth of each view, 0 where unknown.
 
     Returns
     -------
@@ -46,10 +41,9 @@ def group_objects(
     if len(ids) == 0:
         return np.zeros((len(CUTS), 0), np.int32)
     sums = []
-    for view, labels, depth in zip(views, label_maps.labels, depths, strict=True):
+    for here, labels in zip(seen, label_maps.labels, strict=True):
         leaves = np.where(labels > 0, np.searchsorted(ids, labels), -1).astype(np.int32)
-        boundary = boundary_map(view.image, depth)
-        sums.append(leaf_sums(view.image, leaves, boundary, depth, len(ids)))
+        sums.append(leaf_sums(here.view.lab, leaves, here.boundary, here.depth, len(ids)))
     joint = joint_sums(sums)
     levels = []
     for cues, height in CUTS:

@@ -11,6 +11,7 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from slgaussian.geometry import SeenView
     from slgaussian.scene import View
 
 LOOK = 25.0
@@ -26,22 +27,19 @@ COLOR_BINS = (10, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What is known of a view: its picture, its predicted depth and, once remembered, its labels.
+    """What is known of a view: how it is seen and, once remembered, its labels.
 
     Attributes
     ----------
-    view : View
+    seen : SeenView
     labels : int32 [H, W]
         0 = unassigned.
-    depth : float32 [H, W] or None
-        Predicted z-depth in scene units, 0 where unknown.
     lab : float32 [H, W, 3]
         CIELAB of the slightly blurred image.
     """
 
-    view: View
+    seen: SeenView
     labels: np.ndarray
-    depth: np.ndarray | None
     lab: np.ndarray
 
 
@@ -74,35 +72,35 @@ class MemoryTracker(ABC):
         matched : bool [H, W]
         """
 
-    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
+    def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
         Raises
         ------
         InputError
-            If image, labels or depth have the wrong type or size, or a label is negative.
+            If labels or depth have the wrong type or size, or a label is negative.
         """
-        check_labels(view, labels)
-        self._frames.append(self.describe(view, labels.copy(), depth))
+        check_labels(seen.view, labels)
+        self._frames.append(self.describe(seen, labels.copy()))
 
-    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
-        """Labels int32 [H, W] for ``view``; see :class:`slgaussian.masks.MaskTracker`."""
+    def propagate(self, seen: SeenView) -> np.ndarray:
+        """Labels int32 [H, W] for a view; see :class:`slgaussian.masks.MaskTracker`."""
         import numpy as np
 
         from slgaussian.masks.segmentation import watershed_leaves
 
         for frame in reversed(self._frames):
-            if np.array_equal(frame.view.image, view.image):
+            if np.array_equal(frame.seen.image, seen.image):
                 return frame.labels.copy()
-        labels = np.zeros(view.image.shape[:2], np.int32)
-        new = self.describe(view, labels, depth)
+        labels = np.zeros(seen.image.shape[:2], np.int32)
+        new = self.describe(seen, labels)
         if not any(frame.labels.any() for frame in self._frames):
             return labels
         leaves = watershed_leaves(_gradient(new.lab))
         size = np.bincount(leaves.ravel())
         top = max(int(frame.labels.max()) for frame in self._frames) + 1
         votes = np.zeros((len(size), top))
-        seen = np.zeros(labels.shape, bool)
+        met = np.zeros(labels.shape, bool)
         for frame in self._frames:
             place, matched = self.match(new, frame)
             if matched.any():
@@ -113,25 +111,22 @@ class MemoryTracker(ABC):
             carried = frame.labels.ravel()[place[matched]]
             keys = leaves[matched].astype(np.int64) * top + carried
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
-            seen |= matched
-        seen_share = np.bincount(leaves.ravel(), seen.ravel(), len(size)) / size
+            met |= matched
+        seen_share = np.bincount(leaves.ravel(), met.ravel(), len(size)) / size
         of_leaf = np.where(seen_share >= SEEN, votes.argmax(1), 0).astype(np.int32)
         self._grow(of_leaf, leaves, new.lab, top)
         return of_leaf[leaves]
 
-    def describe(self, view: View, labels: np.ndarray, depth: np.ndarray | None) -> Frame:
+    def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
         """What :meth:`match` needs to know of a view."""
         import cv2
 
-        from slgaussian.masks.boundaries import lab_of
-        from slgaussian.masks.segmentation import check_image
-
-        check_image(view.image)
+        view, depth = seen.view, seen.depth
         if depth is not None and depth.shape != view.image.shape[:2]:
             raise InputError(
                 f"view {view.name!r}: depth is {depth.shape}, expected {view.image.shape[:2]}"
             )
-        return Frame(view, labels, depth, cv2.GaussianBlur(lab_of(view.image), (0, 0), 1.0))
+        return Frame(seen, labels, cv2.GaussianBlur(view.lab, (0, 0), 1.0))
 
     def _grow(self, of_leaf: np.ndarray, leaves: np.ndarray, lab: np.ndarray, top: int) -> None:
         """Let objects grow, in place, over unlabelled leaves that wear their colours."""

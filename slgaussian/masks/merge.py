@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import find_objects
 
-from slgaussian.masks.boundaries import TEXTURE_CODES, lab_of, texture_codes
+from slgaussian.geometry.boundaries import TEXTURE_CODES, texture_codes
 
 COLOR_STEP = 30.0
 """Distance of mean CIELAB colours that counts as one full unit of difference."""
@@ -145,7 +145,7 @@ class LeafSums:
 
 
 def leaf_sums(
-    image: np.ndarray,
+    lab: np.ndarray,
     leaves: np.ndarray,
     boundary: np.ndarray,
     depth: np.ndarray | None = None,
@@ -155,8 +155,8 @@ def leaf_sums(
 
     Parameters
     ----------
-    image : uint8 [H, W, 3]
-        RGB.
+    lab : float32 [H, W, 3]
+        CIELAB.
     leaves : int32 [H, W]
         Leaves 0 .. N-1, or -1.
     boundary : float32 [H, W]
@@ -169,7 +169,6 @@ def leaf_sums(
     n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0
     index = leaves[inside]
-    lab = lab_of(image)
     size = np.bincount(index, minlength=n).astype(np.float64)
     color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
     texture = texture_codes(lab[..., 0])[inside]

@@ -13,7 +13,6 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from slgaussian.masks.boundaries import lab_of
 from slgaussian.masks.merge import adjacency, plane_gap, plane_sums
 
 ALIKE = 12.0
@@ -30,14 +29,14 @@ this share of it. It is loose enough for balls and pillars."""
 
 
 def join_patterns(
-    image: np.ndarray, regions: np.ndarray, depth: np.ndarray | None = None
+    lab: np.ndarray, regions: np.ndarray, depth: np.ndarray | None = None
 ) -> np.ndarray:
     """Unite the regions that are elements of one pattern.
 
     Parameters
     ----------
-    image : uint8 [H, W, 3]
-        RGB.
+    lab : float32 [H, W, 3]
+        CIELAB.
     regions : int32 [H, W]
         Regions 0 .. N-1, or -1.
     depth : float32 [H, W] or None
@@ -55,8 +54,8 @@ def join_patterns(
     index = regions[inside]
     size = np.bincount(index, minlength=count)
     # Medians: half of a small element's pixels can be blurred with what surrounds it.
-    lab = lab_of(image)[inside]
-    color = np.stack([ndimage.median(channel, index, range(count)) for channel in lab.T], 1)
+    shown = lab[inside]
+    color = np.stack([ndimage.median(channel, index, range(count)) for channel in shown.T], 1)
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
     alike = contrast < ALIKE
 

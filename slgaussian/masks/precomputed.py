@@ -16,7 +16,7 @@ from slgaussian.parts.settings import setting
 if TYPE_CHECKING:
     import numpy as np
 
-    from slgaussian.scene import View
+    from slgaussian.geometry import SeenView
 
 SUFFIXES = (".png", ".npy")
 
@@ -82,11 +82,12 @@ class Precomputed:
         if not Path(self.folder).is_dir():
             raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")
 
-    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
+    def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember nothing: the files know better."""
 
-    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
-        """Ids int32 [H, W] of ``view``, from its file."""
+    def propagate(self, seen: SeenView) -> np.ndarray:
+        """Ids int32 [H, W] of a view, from its file."""
+        view = seen.view
         file = self._find(view.name)
         other = self._views.setdefault(file, view.name)
         if other != view.name:

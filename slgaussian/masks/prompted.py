@@ -19,6 +19,7 @@ from slgaussian.parts.settings import check_settings, setting
 if TYPE_CHECKING:
     import numpy as np
 
+    from slgaussian.geometry import SeenView
     from slgaussian.masks.automatic import PromptedImage
 
 LEVELS = ("s", "m", "l")
@@ -149,22 +150,18 @@ class AutomaticProposer(ABC):
     def encode(self, image: np.ndarray) -> PromptedImage:
         """Encode an image uint8 [H, W, 3], so that points in it can be asked for."""
 
-    def propose(
-        self, image: np.ndarray, where: np.ndarray | None = None, depth: np.ndarray | None = None
-    ) -> Proposals:
-        """Propose masks for ``image``; see :class:`slgaussian.masks.MaskProposer`.
+    def propose(self, seen: SeenView, where: np.ndarray | None = None) -> Proposals:
+        """Propose masks for a view; see :class:`slgaussian.masks.MaskProposer`.
 
-        Only grid points in ``where`` are asked; their masks may reach beyond it. ``depth`` is not
+        Only grid points in ``where`` are asked; their masks may reach beyond it. Depth is not
         looked at. Scores are predicted IoU times stability.
 
         Raises
         ------
         InputError
-            If image or ``where`` have the wrong type or size.
+            If ``where`` has the wrong type or size.
         """
-        from slgaussian.masks.segmentation import check_image
-
-        check_image(image)
+        image = seen.image
         if where is not None and (where.dtype != bool or where.shape != image.shape[:2]):
             raise InputError(
                 f"propose where: found {where.dtype} {where.shape}, expected bool {image.shape[:2]}"

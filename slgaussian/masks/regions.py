@@ -11,6 +11,8 @@ from slgaussian.masks import Proposals
 if TYPE_CHECKING:
     import numpy as np
 
+    from slgaussian.geometry import SeenView
+
 LEVELS = ("s", "m", "l")
 
 
@@ -50,10 +52,8 @@ class Regions:
         if self.level not in (*LEVELS, "all"):
             raise InputError(f"regions level: found {self.level!r}, expected s, m, l or all")
 
-    def propose(
-        self, image: np.ndarray, where: np.ndarray | None = None, depth: np.ndarray | None = None
-    ) -> Proposals:
-        """Propose masks for ``image``; see :class:`slgaussian.masks.MaskProposer`.
+    def propose(self, seen: SeenView, where: np.ndarray | None = None) -> Proposals:
+        """Propose masks for a view; see :class:`slgaussian.masks.MaskProposer`.
 
         A score is the height at which the region would have been merged on, as a share of that of
         its whole tree. Objects come first, then the other levels in falling order of score.
@@ -61,16 +61,15 @@ class Regions:
         Raises
         ------
         InputError
-            If image, ``where`` or ``depth`` have the wrong type or size, or depth is not finite.
+            If ``where`` or the depth have the wrong type or size, or depth is not finite.
         """
         import numpy as np
 
         from slgaussian.masks.flatten import CRUMB_SHARE
         from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
-        from slgaussian.masks.segmentation import CUES, check_image, grow_trees
+        from slgaussian.masks.segmentation import CUES, grow_trees
 
-        check_image(image)
-        size = image.shape[:2]
+        depth, size = seen.depth, seen.image.shape[:2]
         for name, other in (("where", where), ("depth", depth)):
             if other is not None and other.shape != size:
                 raise InputError(f"propose {name}: found shape {other.shape}, expected {size}")
@@ -78,7 +77,7 @@ class Regions:
             raise InputError(f"propose where: found {where.dtype}, expected bool")
         if depth is not None and not np.isfinite(depth).all():
             raise InputError("propose depth: holds NaN or infinity; use 0 where depth is unknown")
-        trees = grow_trees(image, where, depth, CUES[:1] if self.level == "m" else CUES)
+        trees = grow_trees(seen, where, CUES[:1] if self.level == "m" else CUES)
         nodes = trees[0].cut(self.height, self.most_objects)
         member = trees[0].members(nodes)
         scores = survival(trees[0])[nodes].astype(np.float32)

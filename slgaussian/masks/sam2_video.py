@@ -12,8 +12,8 @@ from slgaussian.parts.settings import check_settings, setting
 if TYPE_CHECKING:
     import numpy as np
 
+    from slgaussian.geometry import SeenView
     from slgaussian.masks.video_memory import VideoMemory
-    from slgaussian.scene import View
 
 
 @dataclass(eq=False)
@@ -64,7 +64,7 @@ class Sam2Video:
             load_pretrained(self.model, self.FAMILY, self.device), self.batch
         )
 
-    def add(self, view: View, labels: np.ndarray, depth: np.ndarray | None = None) -> None:
+    def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
         Raises
@@ -72,8 +72,8 @@ class Sam2Video:
         InputError
             If the labels are not int32 of the view's size, or negative.
         """
-        self._memory.add(view, labels)
+        self._memory.add(seen.view, labels)
 
-    def propagate(self, view: View, depth: np.ndarray | None = None) -> np.ndarray:
-        """Labels int32 [H, W] for ``view``; see :class:`slgaussian.masks.MaskTracker`."""
-        return self._memory.propagate(view)
+    def propagate(self, seen: SeenView) -> np.ndarray:
+        """Labels int32 [H, W] for a view; see :class:`slgaussian.masks.MaskTracker`."""
+        return self._memory.propagate(seen.view)

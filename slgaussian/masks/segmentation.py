@@ -9,8 +9,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from slgaussian.errors import InputError
-from slgaussian.masks.boundaries import boundary_map
+from slgaussian.geometry import SeenView
 from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums
 from slgaussian.masks.patterns import join_patterns
 
@@ -30,26 +29,23 @@ that a thing of many colours is one; compact pieces, with small ones standing lo
 
 
 def grow_trees(
-    image: np.ndarray,
-    where: np.ndarray | None = None,
-    depth: np.ndarray | None = None,
-    cues: Sequence[Cues] = CUES,
+    seen: SeenView, where: np.ndarray | None = None, cues: Sequence[Cues] = CUES
 ) -> list[MergeTree]:
-    """Merge trees of an image over the same leaves, one for each of the ``cues``; other arguments
+    """Merge trees of a view over the same leaves, one for each of the ``cues``; other arguments
     as in :meth:`slgaussian.masks.regions.Regions.propose`.
 
     A low cut of a first tree shows the elements of patterns; with every pattern joined
     (:func:`join_patterns`) these are the leaves, and so are regions already.
     """
-    boundary = boundary_map(image, depth)
+    lab, depth, boundary = seen.view.lab, seen.depth, seen.boundary
     leaves = watershed_leaves(boundary)
     if where is not None:
         leaves = np.where(where, leaves, -1)
         packed = np.unique(leaves[where], return_inverse=True)[1]
         leaves[where] = packed.astype(np.int32)
-    fine = build_tree(leaf_sums(image, leaves, boundary, depth))
+    fine = build_tree(leaf_sums(lab, leaves, boundary, depth))
     elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
-    sums = leaf_sums(image, join_patterns(image, elements, depth), boundary, depth)
+    sums = leaf_sums(lab, join_patterns(lab, elements, depth), boundary, depth)
     return [build_tree(sums, each) for each in cues]
 
 
@@ -58,9 +54,3 @@ def watershed_leaves(boundary: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(boundary, (0, 0), 1.0)
     seeds, _ = ndimage.label(smooth == ndimage.minimum_filter(smooth, LEAF_REACH))
     return watershed(smooth, seeds).astype(np.int32) - 1
-
-
-def check_image(image: np.ndarray) -> None:
-    """Raise InputError unless ``image`` is uint8 [H, W, 3] with at least one pixel."""
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise InputError(f"image: found {image.dtype} {image.shape}, expected uint8 [H, W, 3] RGB")

@@ -13,7 +13,6 @@ from torch.nn import functional as F
 from slgaussian.kernels.threads import inside
 from slgaussian.masks.memory import check_labels
 from slgaussian.masks.sam_image import normalised
-from slgaussian.masks.segmentation import check_image
 from slgaussian.scene import View
 
 
@@ -60,7 +59,6 @@ class VideoMemory:
 
         Of images that are no frames only the latest is kept: its labels are mostly remembered next.
         """
-        check_image(view.image)
         for image, features in self._encoded:
             if np.array_equal(image, view.image):
                 return features

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
@@ -55,7 +54,7 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
         If that leaves a view without a link, or if most matches of two views would lie behind the
         cameras.
     """
-    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in views]
+    greys = [view.grey for view in views]
     sources = [_nearest(views, i) for i in range(len(views))]
     links: dict[tuple[int, int], Link] = {}
     too_close: dict[int, str] = {}

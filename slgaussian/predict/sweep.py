@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
@@ -111,7 +110,7 @@ def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
     """Match every view against its sources and check the answers against each other."""
     views = sample.context
-    guides = [_grey(view) for view in views]
+    guides = [view.grey for view in views]
     found = []
     for i, view in enumerate(views):
         low, high = _range(settings, sample.scene, view, links[i])
@@ -184,7 +183,7 @@ def _complete(
         rng = rng_for(seed, sample.content, f"planesweep/{i}")
         planes = fit_planes(mine.inverse_depth, mine.answered, mine.step, rng)
         witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
-        filled = fill(mine.inverse_depth, mine.answered, _grey(view), planes, mine.steps, witnesses)
+        filled = fill(mine.inverse_depth, mine.answered, view.grey, planes, mine.steps, witnesses)
         whole.append(weighted_median(filled, view.image, mine.steps[0], mine.step))
     return whole
 
@@ -204,8 +203,3 @@ def _opacity(
     cases = [mine.answered, refuted, doubled]
     values = [OPACITY_SHARED, OPACITY_REFUTED, OPACITY_SHARED]
     return np.select(cases, values, OPACITY_ALONE).astype(np.float32)
-
-
-def _grey(view: View) -> np.ndarray:
-    """Grey image uint8 [H, W]."""
-    return cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY)

@@ -15,11 +15,12 @@ from slgaussian.benchmark.evaluate import (
     evaluate,
     truth_from_instances,
 )
-from slgaussian.build import lift_field, remember
 from slgaussian.field import SemanticField
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
+from tests.known import known_field
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,7 @@ def room() -> Room:
     labels = np.stack([view.instances for view in sample.context])
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
-    bank = remember(sample, gaussians, label_maps, "lexicon", "grid", seed=0)
-    field = lift_field(sample, gaussians, label_maps, bank, "hard", {"encoder": "lexicon"})
+    field = known_field(sample, gaussians, label_maps, Method(codes="grid"))
     return Room(sample, label_maps, field, truth_from_instances(sample).masks)
 
 

@@ -12,15 +12,16 @@ from slgaussian.benchmark import metrics, oracles
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.attribution import BEYOND, STAGES, UNDECIDED, attribute_errors, verdict
 from slgaussian.benchmark.evaluate import EvaluationSettings
-from slgaussian.build import lift_field
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
+from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.specs import load_spec
+from tests.known import known_field
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def build(sample, gaussians, labels):
     codes = load_codes("grid")(label_maps, np.random.default_rng(0))
     named = build_bank(sample.context, label_maps, load_encoder("lexicon"), codes, sample.phrases)
     gaussians = replace(gaussians, features=None)
-    return lift_field(sample, gaussians, label_maps, named, "hard", {"encoder": "lexicon"})
+    return known_field(sample, gaussians, label_maps, Method(codes="grid"), named)
 
 
 def of(room, field, labels=None, pieces=None, truth=None, sample=None, **settings):

@@ -8,7 +8,8 @@ import pytest
 from slgaussian import datasets
 from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.quality import Quality, measure
-from slgaussian.scene import Camera, Sample
+from slgaussian.geometry import SceneGeometry, SeenView
+from slgaussian.scene import Camera, Sample, View
 
 GOOD = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
 
@@ -20,8 +21,7 @@ def room() -> Sample:
 
 
 def of(sample: Sample, depths: np.ndarray) -> Quality:
-    cameras = [view.camera for view in sample.context]
-    return measure(cameras, depths, check_pairs(sample), [view.name for view in sample.context])
+    return measure(SceneGeometry(tuple(map(SeenView, sample.context, depths))), check_pairs(sample))
 
 
 def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
@@ -45,7 +45,10 @@ def test_two_planes_are_counted_by_hand():
     depths = np.full((2, 80, 100), 2.0, np.float32)
     room = datasets.load("procedural", views=2, height=16, width=16)
     (check,) = check_pairs(room.sample(list(room.cameras)))
-    found = measure(cameras, depths, [replace(check, views=("a", "b"))], ["a", "b"])
+    blank = np.zeros((80, 100, 3), np.uint8)
+    views = [View(name, camera, blank) for name, camera in zip("ab", cameras, strict=True)]
+    geometry = SceneGeometry(tuple(map(SeenView, views, depths)))
+    found = measure(geometry, [replace(check, views=("a", "b"))])
     assert found.overlap == pytest.approx(0.75, abs=0.011)
     assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
 

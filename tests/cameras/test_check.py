@@ -14,15 +14,22 @@ from slgaussian.cameras.check import (
     COARSE,
     agree,
     angles,
-    check_cameras,
     check_pair,
+    check_pairs,
     explained,
+    refuse,
 )
 from slgaussian.errors import InputError
 from slgaussian.predict.pose import sift_matches
 from slgaussian.scene import Camera, Sample, View
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def checked(sample):
+    checks = check_pairs(sample)
+    refuse(sample.scene, checks)
+    return checks
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +65,12 @@ def test_rooms_have_their_own_cameras(seed, baseline):
     scene = datasets.load(
         "procedural", seed=seed, views=2, height=208, width=288, baseline=baseline
     )
-    (check,) = check_cameras(scene.sample(list(scene.cameras)))
+    (check,) = checked(scene.sample(list(scene.cameras)))
     assert check.coarse > 0.45 and not check.refuted
 
 
 def test_what_a_pair_is_said_to_be(room):
-    (check,) = check_cameras(room)
+    (check,) = checked(room)
     assert check.views == ("view_00", "view_01") and check.judged and check.correction is None
     assert check.coarse > 0.7 and check.agreeing > 100
     assert check.pixels == pytest.approx((5.33, 1.07), abs=0.01)
@@ -88,37 +95,37 @@ def test_what_a_pair_is_said_to_be(room):
 )
 def test_a_usual_mistake_is_refused_and_named(room, mistake, said):
     with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as refused:
-        check_cameras(changed(room, mistake))
+        checked(changed(room, mistake))
     assert said in str(refused.value) and "procedural_0" in str(refused.value)
 
 
 def test_exchanged_poses_are_named(room):
     a, b = (view.camera for view in room.context)
     with pytest.raises(InputError, match="the two poses are exchanged"):
-        check_cameras(posed(room, b, a))
+        checked(posed(room, b, a))
 
 
 def test_exchanged_cameras_of_a_stereo_pair_are_known_by_what_lies_behind_them():
     scene = datasets.load("stereo")
     sample = scene.sample(["left", "right"], size=(250, 371))
-    (check,) = check_cameras(sample)
+    (check,) = checked(sample)
     assert check.coarse > 0.95
     a, b = (view.camera for view in sample.context)
     swapped = posed(sample, replace(a, c2w=b.c2w), replace(b, c2w=a.c2w))
     assert check_pair(*swapped.context).coarse < 0.05
     with pytest.raises(InputError, match="the two poses are exchanged"):
-        check_cameras(swapped)
+        checked(swapped)
 
 
 def test_a_pose_of_somewhere_else_is_refused_without_a_cause(room):
     a, b = (view.camera for view in room.context)
     with pytest.raises(InputError, match="no usual mistake explains it"):
-        check_cameras(posed(room, a, turned(b, 12)))
+        checked(posed(room, a, turned(b, 12)))
 
 
 def test_a_pose_that_is_half_a_degree_off_passes(room):
     a, b = (view.camera for view in room.context)
-    (check,) = check_cameras(posed(room, a, turned(b, 0.5)))
+    (check,) = checked(posed(room, a, turned(b, 0.5)))
     assert check.coarse > 0.6
 
 
@@ -136,7 +143,7 @@ def test_photographs_without_matches_to_trust_are_not_judged(room, kind):
         image[number, 0] = 255  # two photographs are never one picture
         views.append(replace(view, image=image))
     exchanged = [replace(v, camera=room.context[1 - k].camera) for k, v in enumerate(views)]
-    (check,) = check_cameras(replace(room, context=tuple(exchanged)))
+    (check,) = checked(replace(room, context=tuple(exchanged)))
     assert not check.judged and not check.refuted
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 
 import slgaussian as slg
 from flows.cli.labelling import label
+from slgaussian.geometry import SeenView
 from slgaussian.masks.precomputed import Precomputed, encode_ids, map_names, read_ids
 
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
@@ -38,7 +39,7 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     sample = room_sample()
     again = Precomputed(tmp_path / "ids")
     for view, ids in zip(sample.context, maps, strict=True):
-        np.testing.assert_array_equal(again.propagate(view), ids)
+        np.testing.assert_array_equal(again.propagate(SeenView(view)), ids)
     tracker = ["--tracker", "precomputed", "--precomputed-folder", "ids"]
     assert run(monkeypatch, "field", *words, *tracker, "-o", "given") == 0
     given = slg.SemanticField.load("given")

@@ -25,9 +25,9 @@ from scipy import ndimage
 
 from slgaussian.datasets.procedural.names import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
+from slgaussian.geometry.room import Surroundings
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors
-from slgaussian.language.room import Surroundings
 from slgaussian.language.vocabulary import load_vocabulary
 
 VOCABULARY = load_vocabulary()

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
+from slgaussian.geometry import SeenView
 from slgaussian.scene import Camera, View
 
 SIZE = (120, 160)
@@ -33,11 +34,16 @@ def paste(picture, box, color, seed=None):
 
 
 def view(picture, name="a"):
-    """A view of the picture; masks read nothing of its camera but the size."""
+    """A picture as a view; masks read nothing of its camera but the size."""
     height, width = picture.shape[:2]
     K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
     image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    return View(name, Camera(K, np.eye(4), width, height), image)
+    return SeenView(View(name, Camera(K, np.eye(4), width, height), image))
+
+
+def with_depths(views, depths):
+    """Views as they are seen, each with its depth."""
+    return [SeenView(view, depth) for view, depth in zip(views, depths, strict=True)]
 
 
 def main_label(labels, box):

@@ -2,7 +2,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, paste, view
+from drawn_views import SIZE, canvas, paste, view, with_depths
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
@@ -19,9 +19,9 @@ class Drawn:
     def __init__(self, *boxes_of_image):
         self.pending = list(boxes_of_image)
 
-    def propose(self, image, where=None, depth=None):
+    def propose(self, seen, where=None):
         boxes = self.pending.pop(0)
-        masks = np.zeros((len(boxes), *image.shape[:2]), bool)
+        masks = np.zeros((len(boxes), *seen.image.shape[:2]), bool)
         for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
             mask[top:bottom, left:right] = True
         return Proposals(masks, np.ones(len(boxes), np.float32))
@@ -37,10 +37,10 @@ class Wandering:
     def __init__(self, looks_that_differ=99):
         self.memory, self.looks, self.last = None, 0, looks_that_differ
 
-    def add(self, view, labels, depth=None):
+    def add(self, seen, labels):
         self.memory, self.looks = labels, 0
 
-    def propagate(self, view, depth=None):
+    def propagate(self, seen):
         self.looks += 1
         out = self.memory.copy()
         out[: min(self.looks, self.last)] = 0
@@ -129,9 +129,9 @@ def test_flow_asks_once_a_view_and_agrees():
     asked = []
 
     class Counted(FlowTracker):
-        def propagate(self, view, depth=None):
-            asked.append(view.name)
-            return super().propagate(view, depth)
+        def propagate(self, seen):
+            asked.append(seen.view.name)
+            return super().propagate(seen)
 
     maps = associate([view(picture()), view(picture(3), "b")], Regions(), Counted())
     assert asked == ["a", "b", "b"] and (maps.margin == 1).all()
@@ -140,17 +140,18 @@ def test_flow_asks_once_a_view_and_agrees():
 @cache
 def room():
     scene = reader.read(seed=3, height=208, width=288, views=2)
-    return scene, [scene.read(name) for name in scene.cameras]
+    views = [scene.read(name) for name in scene.cameras]
+    return scene, with_depths(views, [view.depth for view in views])
 
 
 @pytest.mark.parametrize("swapped", [False, True])
 def test_objects_of_a_room_keep_their_ids(swapped):
     scene, views = room()
     views = views[::-1] if swapped else views
-    maps = associate(views, Regions(), GeometricTracker(), depths=[v.depth for v in views])
+    maps = associate(views, Regions(), GeometricTracker())
     hits = []
     for instance, phrase in scene.phrases.items():
-        masks = [v.instances == instance for v in views]
+        masks = [v.view.instances == instance for v in views]
         if min(m.sum() for m in masks) >= 50 and "wall" not in phrase:
             main = [
                 np.bincount(labels[mask]).argmax()
@@ -230,7 +231,6 @@ def test_merge_keeps_what_no_region_covers():
     [
         ([], {}, "no views"),
         ([view(picture())], {"replicas": 0}, "replicas"),
-        ([view(picture())], {"depths": []}, "depths"),
         ([view(picture()), view(picture()[:-1], "b")], {}, "'b'"),
     ],
 )

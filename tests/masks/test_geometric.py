@@ -4,10 +4,11 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from drawn_views import canvas, paste, view
+from drawn_views import canvas, paste, view, with_depths
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks import load_tracker
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.scene import Camera, View
@@ -26,8 +27,8 @@ def room(baseline=0.6, seed=3):
 
 def carried(old, new, depths):
     tracker = load_tracker("geometric")
-    tracker.add(old, old.instances, depths[0])
-    return tracker.propagate(new, depths[1])
+    tracker.add(SeenView(old, depths[0]), old.instances)
+    return tracker.propagate(SeenView(new, depths[1]))
 
 
 @pytest.mark.parametrize("baseline", [0.6, 1.6])
@@ -100,7 +101,7 @@ def test_what_one_view_hides_has_no_match_and_the_rest_has():
     views, depths = screen_and_wall()
     tracker = GeometricTracker()
     frames = [
-        tracker.describe(v, np.ones(SIZE, np.int32), d) for v, d in zip(views, depths, strict=True)
+        tracker.describe(seen, np.ones(SIZE, np.int32)) for seen in with_depths(views, depths)
     ]
     place, matched = tracker.match(frames[1], frames[0])
     rows, columns = np.indices(SIZE)
@@ -122,8 +123,8 @@ def test_equals_the_plain_rule():
     tracker = GeometricTracker()
     place, matched = tracker.match(
         *(
-            tracker.describe(v, np.ones(SIZE, np.int32), d)
-            for v, d in zip((b, a), depths[::-1], strict=True)
+            tracker.describe(seen, np.ones(SIZE, np.int32))
+            for seen in with_depths((b, a), depths[::-1])
         )
     )
 
@@ -160,8 +161,8 @@ def test_nothing_is_carried_where_no_depth_is_known():
     for empty in (0, 1):
         given = [np.zeros_like(d) if i == empty else d for i, d in enumerate(depths)]
         tracker = GeometricTracker()
-        tracker.add(a, np.ones(SIZE, np.int32), given[0])
-        assert not tracker.propagate(b, given[1]).any()
+        tracker.add(SeenView(a, given[0]), np.ones(SIZE, np.int32))
+        assert not tracker.propagate(SeenView(b, given[1])).any()
 
 
 def test_views_may_differ_in_size():
@@ -191,4 +192,4 @@ def test_a_view_without_depth_or_with_that_of_another_is_refused():
     with pytest.raises(InputError, match="without predicted depth; give depths"):
         tracker.add(picture, labels)
     with pytest.raises(InputError, match=r"depth is \(3, 3\), expected \(120, 160\)"):
-        tracker.add(picture, labels, np.ones((3, 3), np.float32))
+        tracker.add(replace(picture, depth=np.ones((3, 3), np.float32)), labels)

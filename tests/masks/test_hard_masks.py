@@ -5,9 +5,10 @@ Views that differ in size, and id maps with holes, are also in the tests of each
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, main_label, paste, view
+from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
 
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals, load_tracker
 from slgaussian.masks.associate import associate, merge, reconcile
 from slgaussian.masks.flatten import flatten
@@ -23,9 +24,9 @@ class Drawn:
     def __init__(self, *views_and_boxes):
         self.boxes = {view.image.tobytes(): boxes for view, boxes in views_and_boxes}
 
-    def propose(self, image, where=None, depth=None):
-        boxes = [] if where is not None else self.boxes[image.tobytes()]
-        masks = np.zeros((len(boxes), *image.shape[:2]), bool)
+    def propose(self, seen, where=None):
+        boxes = [] if where is not None else self.boxes[seen.image.tobytes()]
+        masks = np.zeros((len(boxes), *seen.image.shape[:2]), bool)
         for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
             mask[max(top, 0) : bottom, max(left, 0) : right] = True
         return Proposals(masks, np.ones(len(boxes), np.float32))
@@ -53,7 +54,8 @@ def scene(things, moved, move=(0, 14)):
         image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
         views.append(View(name, Camera(K, c2w, SIZE[1], SIZE[0]), image))
         boxes.append(own)
-    return views, Drawn(*zip(views, boxes, strict=True)), [np.ones(SIZE, np.float32)] * 2
+    proposer = Drawn(*zip(views, boxes, strict=True))
+    return with_depths(views, [np.ones(SIZE, np.float32)] * 2), proposer
 
 
 RED = ((30, 75, 30, 70), (200, 50, 40), 11)
@@ -62,11 +64,9 @@ both = pytest.mark.parametrize("tracker", ["geometric", "flow"])
 
 
 def run(tracker, things, moved=None, swapped=False, **settings):
-    views, proposer, depths = scene(things, things if moved is None else moved)
+    views, proposer = scene(things, things if moved is None else moved)
     order = -1 if swapped else 1
-    maps = associate(
-        views[::order], proposer, load_tracker(tracker), depths=depths[::order], **settings
-    )
+    maps = associate(views[::order], proposer, load_tracker(tracker), **settings)
     return maps, maps.labels[::order]
 
 
@@ -114,17 +114,17 @@ def test_nested_masks_stay_apart(tracker):
 
 @both
 def test_no_mask_in_one_view_or_in_none(tracker):
-    views, _, depths = scene([RED], [RED])
+    views, _ = scene([RED], [RED])
     nothing = Drawn(*((v, []) for v in views))
-    maps = associate(views, nothing, load_tracker(tracker), depths=depths)
+    maps = associate(views, nothing, load_tracker(tracker))
     assert not maps.labels.any() and len(maps.ids) == len(maps.seen_once) == 0
     assert maps.areas().shape == (0, 2)
     first = Drawn((views[0], [WHOLE, RED[0]]), (views[1], []))
-    maps = associate(views, first, load_tracker(tracker), depths=depths)
+    maps = associate(views, first, load_tracker(tracker))
     # What was propagated stays, though nothing was detected.
     assert main_label(maps.labels[1], (30, 75, 16, 56)) == main_label(maps.labels[0], RED[0]) > 0
     last = Drawn((views[0], []), (views[1], [WHOLE]))
-    maps = associate(views, last, load_tracker(tracker), depths=depths)
+    maps = associate(views, last, load_tracker(tracker))
     assert maps.seen_once.tolist() == [1] and not maps.labels[0].any()
 
 
@@ -134,25 +134,25 @@ def test_one_pixel_masks_come_through_every_step_unharmed():
     pixels[1, 5, 5] = pixels[2, 119, 159] = True
     labels = flatten(Proposals(pixels, np.ones(3, np.float32)))
     assert sorted(np.unique(labels, return_counts=True)[1]) == [1, 1, SIZE[0] * SIZE[1] - 2]
-    views, _, depths = scene([RED], [RED])
+    views, _ = scene([RED], [RED])
     tracker = load_tracker("geometric")
-    tracker.add(views[0], labels, depths[0])
-    assert set(np.unique(tracker.propagate(views[1], depths[1]))) <= {0, 1, 2, 3}
+    tracker.add(views[0], labels)
+    assert set(np.unique(tracker.propagate(views[1]))) <= {0, 1, 2, 3}
     assert merge(labels, labels, 9).tolist() == labels.tolist()
     specks = Drawn(*((v, [WHOLE, (50, 51, 50, 51)]) for v in views))
-    maps = associate(views, specks, load_tracker("geometric"), depths=depths)
+    maps = associate(views, specks, load_tracker("geometric"))
     assert maps.ids.tolist() == [1]  # a crumb: see flatten
 
 
 @both
 def test_two_thousand_masks(tracker):
     things = [((20, 100, 40, 120), (190, 60, 50), 7)]
-    views, _, depths = scene(things, things)
+    views, _ = scene(things, things)
     tiles = [(y, y + 2, x, x + 4) for y in range(0, 120, 2) for x in range(0, 136, 4)][:2000]
     moved = [(top, bottom, left - 14, right - 14) for top, bottom, left, right in tiles]
     seen = [box for box in moved if box[3] > 0]
     proposer = Drawn((views[0], tiles), (views[1], seen))
-    maps = associate(views, proposer, load_tracker(tracker), depths=depths)
+    maps = associate(views, proposer, load_tracker(tracker))
     assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
     assert 2000 <= len(maps.ids) <= 4000
 
@@ -171,11 +171,11 @@ class Told:
     def __init__(self, **labels):
         self.labels = labels
 
-    def add(self, view, labels, depth=None):
+    def add(self, seen, labels):
         pass
 
-    def propagate(self, view, depth=None):
-        return self.labels[view.name]
+    def propagate(self, seen):
+        return self.labels[seen.view.name]
 
 
 def halves(*ids):
@@ -187,7 +187,7 @@ def test_the_way_back_joins_what_the_way_forth_took_for_two():
     labels = np.stack([halves(1, 2, 3, 4), halves(1, 5, 6, 7)])
     # 5 lands on 2; 6 on half of 3 and half of 4; 7 on 1, which is known to be another object.
     back = Told(a=halves(7, 5, 6, 6))
-    joined = reconcile(views, [None, None], labels, back)
+    joined = reconcile(views, labels, back)
     np.testing.assert_array_equal(joined[0], labels[0])
     np.testing.assert_array_equal(joined[1], halves(1, 2, 6, 7))
     np.testing.assert_array_equal(labels[1], halves(1, 5, 6, 7))
@@ -208,16 +208,16 @@ def test_the_way_back_goes_by_the_intersection_over_the_union(carried, first, jo
     size = len(carried)
     views = [view(np.zeros((4, 4 * size, 3)), name) for name in "ab"]
     labels = np.stack([halves(*first), halves(*[5] * (size - 1), 1)])
-    found = reconcile(views, [None, None], labels, Told(a=halves(*carried)))
+    found = reconcile(views, labels, Told(a=halves(*carried)))
     assert np.unique(found[1]).tolist() == ([1, 2] if joined else [1, 5])
 
 
 def test_the_way_back_is_part_of_the_association():
-    views, proposer, depths = scene([RED, BLUE], [RED, BLUE])
+    views, proposer = scene([RED, BLUE], [RED, BLUE])
     blind = Told(b=np.zeros(SIZE, np.int32), a=np.zeros(SIZE, np.int32))
     kinds = {"forth": None, "back": load_tracker("geometric")}
     found = {
-        kind: associate(views, proposer, blind, replicas=1, depths=depths, back=back)
+        kind: associate(views, proposer, blind, replicas=1, back=back)
         for kind, back in kinds.items()
     }
     assert len(found["forth"].ids) == len(found["forth"].seen_once) == 6
@@ -242,12 +242,12 @@ def test_views_of_different_size_are_one_clear_refusal():
 
 
 def test_trackers_carry_between_views_of_different_size():
-    (a, b), proposer, depths = scene([RED, BLUE], [RED, BLUE])
-    labels = flatten(proposer.propose(a.image))
-    half = b.resized(90, 120)
+    (a, b), proposer = scene([RED, BLUE], [RED, BLUE])
+    labels = flatten(proposer.propose(a))
+    half = SeenView(b.view.resized(90, 120), np.ones((90, 120), np.float32))
     for name in ("geometric", "flow"):
         tracker = load_tracker(name)
-        tracker.add(a, labels, depths[0])
-        carried = tracker.propagate(half, np.ones((90, 120), np.float32))
+        tracker.add(a, labels)
+        carried = tracker.propagate(half)
         assert carried.shape == (90, 120)
         assert main_label(carried, (25, 55, 14, 40)) == main_label(labels, RED[0]), name

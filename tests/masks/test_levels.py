@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, paste, view
+from drawn_views import SIZE, canvas, paste, view, with_depths
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from slgaussian.labels import LabelMaps
 from slgaussian.masks.levels import CUTS, group_objects
+
+
+def with_depth(seen, depths):
+    return with_depths([one.view for one in seen], depths)
 
 
 def maps_of(*labels):
@@ -36,19 +40,19 @@ def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
     assert (maps.areas() > 0).tolist() == [[1, 1], [1, 1], [1, 0]]
     flat = np.full(SIZE, 2.0, np.float32)
     for depths in ([None, None], [flat, flat], [np.zeros_like(flat), None]):
-        levels = group_objects(views, maps, depths)
+        levels = group_objects(with_depth(views, depths), maps)
         assert levels.dtype == np.int32 and levels.shape == (len(CUTS), 3)
         wall, left, right = levels.T
         np.testing.assert_array_equal(left, right)
         assert (wall != left).all()
-        np.testing.assert_array_equal(group_objects(views, maps, depths), levels)
+        np.testing.assert_array_equal(group_objects(with_depth(views, depths), maps), levels)
 
 
 def test_one_object_is_its_own_group_and_none_has_none(halves):
     views, _ = halves
-    levels = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2), [None, None])
+    levels = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2))
     np.testing.assert_array_equal(levels, np.zeros((len(CUTS), 1)))
-    assert group_objects(views, maps_of(*[np.zeros(SIZE)] * 2), [None, None]).shape[1] == 0
+    assert group_objects(views, maps_of(*[np.zeros(SIZE)] * 2)).shape[1] == 0
 
 
 @settings(max_examples=15, deadline=None)
@@ -62,7 +66,7 @@ def test_groups_are_connected_partitions_whatever_they_show(seed, most, blank):
     if len(maps.ids) == 0:
         return
     depth = rng.uniform(1, 3, SIZE).astype(np.float32)
-    levels = group_objects([view(picture)] * 2, maps, [depth, None])
+    levels = group_objects(with_depth([view(picture)] * 2, [depth, None]), maps)
     for numbers in levels:
         assert set(numbers) == set(range(numbers.max() + 1))
         for number in set(numbers):
@@ -85,7 +89,7 @@ def test_ten_thousand_objects_are_grouped():
     labels = np.arange(10_000).reshape(100, 100).repeat(2, 0).repeat(2, 1) + 1
     picture = np.zeros((200, 200, 3))
     picture[:, 100:] = 255
-    levels = group_objects([view(picture)], maps_of(labels), [None])
+    levels = group_objects([view(picture)], maps_of(labels))
     assert levels.shape == (len(CUTS), 10_000)
     for numbers in levels:
         assert set(numbers) == set(range(numbers.max() + 1))

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from slgaussian.geometry import SeenView
 from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
 from slgaussian.masks.merge import (
     Cues,
@@ -110,7 +111,7 @@ def test_survival_ends_where_a_node_is_merged_on():
 
 @pytest.fixture(scope="module")
 def noise():
-    """Six leaves of noise, some depth unknown: image, leaves, boundary, depth."""
+    """Six leaves of noise, some depth unknown: CIELAB, leaves, boundary, depth."""
     rng = np.random.default_rng(4)
     leaves = np.repeat(np.repeat(np.arange(6, dtype=np.int32).reshape(2, 3), 9, 0), 8, 1)
     leaves[7:11] = np.roll(leaves[7:11], 2, 1)
@@ -119,7 +120,7 @@ def noise():
     boundary = rng.uniform(0, 1, leaves.shape).astype(np.float32)
     depth = rng.uniform(2, 3, leaves.shape).astype(np.float32)
     depth[:5, :12] = 0
-    return image, leaves, boundary, depth
+    return SeenView.alone(image).view.lab, leaves, boundary, depth
 
 
 def plain_cost(a, b, sums, cues):
@@ -234,6 +235,7 @@ def test_the_cheapest_border_goes_first():
     image = np.zeros((6, 9, 3), np.uint8)
     image[:, :3], image[:, 3:6], image[:, 6:] = 200, 190, 20
     leaves = np.repeat(np.arange(3, dtype=np.int32), 3)[None].repeat(6, 0)
-    tree = build_tree(leaf_sums(image, leaves, np.zeros((6, 9), np.float32)))
+    lab = SeenView.alone(image).view.lab
+    tree = build_tree(leaf_sums(lab, leaves, np.zeros((6, 9), np.float32)))
     assert tree.parent.tolist() == [3, 3, 4, 4, -1]
     assert 0 < tree.height[3] < tree.height[4]

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, paste, view
 
+from slgaussian.geometry import SeenView
 from slgaussian.masks.patterns import join_patterns
 from slgaussian.masks.regions import Regions
 
@@ -30,7 +31,7 @@ def checks(rows, columns, colors, top=20, left=30, side=12):
 
 def groups(image, pieces, depth=None):
     """The joined region of every piece, in the order of the pieces."""
-    joined = join_patterns(image, pieces, depth)
+    joined = join_patterns(SeenView.alone(image).view.lab, pieces, depth)
     used = np.unique(joined[joined >= 0])
     assert used.tolist() == list(range(len(used)))
     of = [np.unique(joined[pieces == piece]) for piece in range(pieces.max() + 1)]
@@ -91,17 +92,17 @@ def test_stripes_at_different_depths_are_different_things():
 def test_pixels_outside_all_regions_stay_outside():
     image, pieces = drawn(*checks(4, 4, (RED, WHITE)))
     pieces -= 1
-    joined = join_patterns(image, pieces)
+    joined = join_patterns(SeenView.alone(image).view.lab, pieces)
     np.testing.assert_array_equal(joined < 0, pieces < 0)
     assert joined.max() == 0
     nothing = np.full(SIZE, -1, np.int32)
-    np.testing.assert_array_equal(join_patterns(image, nothing), nothing)
+    np.testing.assert_array_equal(join_patterns(SeenView.alone(image).view.lab, nothing), nothing)
 
 
 def test_a_checked_carpet_is_proposed_as_one_region():
     pattern = checks(5, 6, (RED, WHITE), top=20, left=20, side=16)
     image, pieces = drawn(*pattern)
     truth = pieces > 0
-    masks = Regions().propose(image).masks
+    masks = Regions().propose(SeenView.alone(image)).masks
     best = max((mask & truth).sum() / (mask | truth).sum() for mask in masks)
     assert best > 0.85

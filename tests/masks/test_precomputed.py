@@ -89,7 +89,7 @@ def _write_png(file, rows, width, height, bits, kind=0):
 
 def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     class Never:
-        def propose(self, image, where=None, depth=None):
+        def propose(self, seen, where=None):
             raise AssertionError
 
     views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]

@@ -4,6 +4,7 @@ import pytest
 from drawn_views import SIZE, canvas, main_label, paste, view
 
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
 
@@ -29,13 +30,13 @@ def iou(mask, box):
 
 
 def test_finds_each_object_as_one_region(scene):
-    proposals = Regions().propose(scene)
+    proposals = Regions().propose(SeenView.alone(scene))
     assert max(iou(mask, BALL) for mask in proposals.masks) > 0.9
     assert max(iou(mask, BOX) for mask in proposals.masks) > 0.9
 
 
 def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
-    proposals = Regions().propose(scene)
+    proposals = Regions().propose(SeenView.alone(scene))
     assert (proposals.levels == 1).all()
     assert (proposals.masks.sum(0) == 1).all()
     assert proposals.masks.any((1, 2)).all()
@@ -44,13 +45,13 @@ def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
 
 
 def test_most_objects_bounds_the_number_of_objects(scene):
-    assert len(Regions(height=0.0, most_objects=7).propose(scene).masks) <= 7
-    assert len(Regions(height=100.0).propose(scene).masks) == 1
+    assert len(Regions(height=0.0, most_objects=7).propose(SeenView.alone(scene)).masks) <= 7
+    assert len(Regions(height=100.0).propose(SeenView.alone(scene)).masks) == 1
 
 
 def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
-    every = Regions(level="all").propose(scene)
-    objects = Regions().propose(scene)
+    every = Regions(level="all").propose(SeenView.alone(scene))
+    objects = Regions().propose(SeenView.alone(scene))
     np.testing.assert_array_equal(every.masks[every.levels == 1], objects.masks)
     areas = every.masks.sum((1, 2))
     home = np.argmax([(every.masks & mask).sum((1, 2)) for mask in objects.masks], 0)
@@ -62,13 +63,15 @@ def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
     assert areas[every.levels != 1].min() >= CRUMB_SHARE * areas.max()
     assert ((every.scores > 0) & (every.scores <= 1)).all()
     for number, level in enumerate("sml"):
-        one = Regions(level=level).propose(scene)
+        one = Regions(level=level).propose(SeenView.alone(scene))
         np.testing.assert_array_equal(one.masks, every.masks[every.levels == number])
         np.testing.assert_array_equal(one.scores, every.scores[every.levels == number])
 
 
 def test_no_two_masks_are_near_copies(scene):
-    masks = Regions(level="all").propose(scene).masks.reshape(-1, scene[..., 0].size)
+    masks = (
+        Regions(level="all").propose(SeenView.alone(scene)).masks.reshape(-1, scene[..., 0].size)
+    )
     shared = masks.astype(float) @ masks.T.astype(float)
     areas = np.diag(shared)
     iou = shared / (areas[:, None] + areas - shared) - np.eye(len(areas))
@@ -76,9 +79,9 @@ def test_no_two_masks_are_near_copies(scene):
 
 
 def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
-    objects = len(Regions().propose(scene).masks)
+    objects = len(Regions().propose(SeenView.alone(scene)).masks)
     for most in (0, 10, 25):
-        masks = Regions(level="all", most=most).propose(scene).masks
+        masks = Regions(level="all", most=most).propose(SeenView.alone(scene)).masks
         assert objects <= len(masks) <= max(most, objects)
 
 
@@ -86,7 +89,7 @@ def test_a_thing_of_two_colours_is_a_group():
     picture = canvas((150, 150, 150), contrast=2)
     paste(picture, (30, 60, 40, 100), (200, 40, 40))
     paste(picture, (60, 90, 40, 100), (40, 60, 190), seed=3)
-    masks = Regions(level="all").propose(view(picture).image).masks
+    masks = Regions(level="all").propose(view(picture)).masks
     for box in ((30, 60, 40, 100), (60, 90, 40, 100), (30, 90, 40, 100)):
         assert max(iou(mask, box) for mask in masks) > 0.9
 
@@ -99,12 +102,12 @@ def test_an_unknown_level_is_refused():
 def test_where_limits_the_search(scene):
     where = np.zeros(SIZE, bool)
     where[:, 80:] = True
-    proposals = Regions().propose(scene, where=where)
+    proposals = Regions().propose(SeenView.alone(scene), where=where)
     np.testing.assert_array_equal(proposals.masks.any(0), where)
-    every = Regions(level="all").propose(scene, where=where)
+    every = Regions(level="all").propose(SeenView.alone(scene), where=where)
     np.testing.assert_array_equal(every.masks.any(0), where)
     for level in ("m", "all"):
-        nothing = Regions(level=level).propose(scene, where=np.zeros(SIZE, bool))
+        nothing = Regions(level=level).propose(SeenView.alone(scene), where=np.zeros(SIZE, bool))
         assert nothing.masks.shape == (0, *SIZE) and nothing.scores.shape == (0,)
         assert nothing.levels.shape == (0,)
 
@@ -113,7 +116,9 @@ def test_where_limits_the_search(scene):
 @pytest.mark.parametrize("value", [0, 128, 255])
 def test_a_blank_image_is_one_region(size, value):
     for level in ("m", "all"):
-        proposals = Regions(level=level).propose(np.full((*size, 3), value, np.uint8))
+        proposals = Regions(level=level).propose(
+            SeenView.alone(np.full((*size, 3), value, np.uint8))
+        )
         assert proposals.masks.shape == (1, *size) and proposals.masks.all()
         assert proposals.scores.tolist() == [1] and proposals.levels.tolist() == [1]
 
@@ -122,14 +127,14 @@ def test_a_blank_image_is_one_region(size, value):
 def test_a_thin_image_has_regions(size):
     image = np.zeros((*size, 3), np.uint8)
     image.reshape(-1, 3)[: image.size // 6] = 255
-    proposals = Regions(level="all").propose(image)
+    proposals = Regions(level="all").propose(SeenView.alone(image))
     assert proposals.masks.shape[1:] == size and proposals.masks.any((1, 2)).all()
     assert (proposals.masks[proposals.levels == 1].sum(0) == 1).all()
 
 
 def test_unknown_depth_is_no_depth(scene):
-    without = Regions(level="all").propose(scene)
-    unknown = Regions(level="all").propose(scene, depth=np.zeros(SIZE, np.float32))
+    without = Regions(level="all").propose(SeenView.alone(scene))
+    unknown = Regions(level="all").propose(SeenView.alone(scene, np.zeros(SIZE, np.float32)))
     assert unknown.masks.tobytes() == without.masks.tobytes()
 
 
@@ -137,18 +142,18 @@ def test_depth_parts_what_colour_cannot():
     image = view(canvas((130, 130, 130), contrast=2)).image
     depth = np.full(SIZE, 4.0, np.float32)
     depth[40:90, 50:110] = 2.0
-    flat = flatten(Regions().propose(image))
+    flat = flatten(Regions().propose(SeenView.alone(image)))
     assert main_label(flat, (45, 85, 55, 105)) == main_label(flat, (0, 30, 0, 160))
-    deep = Regions().propose(image, depth=depth)
+    deep = Regions().propose(SeenView.alone(image, depth))
     assert max(iou(mask, (40, 90, 50, 110)) for mask in deep.masks) > 0.85
 
 
 def test_same_bytes_whatever_the_number_of_threads(scene):
     before = numba.get_num_threads()
-    expected = Regions(level="all").propose(scene)
+    expected = Regions(level="all").propose(SeenView.alone(scene))
     try:
         numba.set_num_threads(1)
-        alone = Regions(level="all").propose(scene)
+        alone = Regions(level="all").propose(SeenView.alone(scene))
     finally:
         numba.set_num_threads(before)
     assert alone.masks.tobytes() == expected.masks.tobytes()
@@ -168,4 +173,4 @@ def test_same_bytes_whatever_the_number_of_threads(scene):
 )
 def test_bad_input_is_refused(image, extra, says):
     with pytest.raises(InputError, match=says):
-        Regions().propose(image, **extra)
+        Regions().propose(SeenView.alone(image, extra.pop("depth", None)), **extra)

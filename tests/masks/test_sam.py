@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save_file
 from small_models import SIDE, sam2_config, save_sam, save_sam2
 
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
 from slgaussian.masks.associate import associate
 from slgaussian.masks.flow import FlowTracker
@@ -34,6 +35,10 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     return {name: save(tmp_path_factory.mktemp(name)) for name, save in SAVE.items()}
+
+
+def seen():
+    return SeenView.alone(picture())
 
 
 def picture(size=(60, 80), seed=0):
@@ -126,7 +131,7 @@ def test_same_bytes_again_and_with_two_threads(folders, name):
     results = []
     for count in (1, 1, 2):
         torch.set_num_threads(count)
-        found = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture())
+        found = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen())
         results.append((found.masks.tobytes(), found.scores.tobytes(), found.levels.tobytes()))
     assert len(found.masks) >= 1
     assert results[0] == results[1] == results[2]
@@ -160,23 +165,23 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
     where = np.zeros((60, 80), bool)
     where[:30] = True
-    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(picture(), where)
-    seen = []
+    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen(), where)
+    encoded = []
     encode = proposer.network.get_image_embeddings
     monkeypatch.setattr(
-        proposer.network, "get_image_embeddings", lambda pixels: seen.append(1) or encode(pixels)
+        proposer.network, "get_image_embeddings", lambda pixels: encoded.append(1) or encode(pixels)
     )
     for image in (picture(), picture(seed=1), picture()):
-        proposer.propose(image)
-        again = proposer.propose(image, where)
-    assert len(seen) == 3
+        proposer.propose(SeenView.alone(image))
+        again = proposer.propose(SeenView.alone(image), where)
+    assert len(encoded) == 3
     assert again.masks.tobytes() == fresh.masks.tobytes()
 
 
 @pytest.mark.parametrize("name", SAVE)
 def test_settings_of_the_proposer(folders, name):
     def propose(where=None, **settings):
-        return load_proposer(name, model=folders[name], **settings).propose(picture(), where)
+        return load_proposer(name, model=folders[name], **settings).propose(seen(), where)
 
     assert set(propose(preset=LENIENT, level="s").levels) == {0}
     crops = Automatic(points=2, crops=1, predicted_iou=0.2, stability=0.5)
@@ -208,7 +213,7 @@ def test_a_video_model_serves_as_sam2(folders, tmp_path):
     model.load_state_dict(image_model.network.state_dict(), strict=False)
     model.save_pretrained(tmp_path)
     proposer = load_proposer("sam2", model=tmp_path, preset=LENIENT)
-    expected, found = (p.propose(picture()).masks for p in (image_model, proposer))
+    expected, found = (p.propose(seen()).masks for p in (image_model, proposer))
     assert found.tobytes() == expected.tobytes()
 
 
@@ -285,7 +290,7 @@ def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
 )
 def test_an_image_that_cannot_be_is_refused(folders, image, where, says):
     with pytest.raises(InputError, match=says):
-        load_proposer("sam", model=folders["sam"]).propose(image, where)
+        load_proposer("sam", model=folders["sam"]).propose(SeenView.alone(image), where)
 
 
 def test_without_transformers_the_extra_is_named(folders, monkeypatch):
@@ -317,8 +322,8 @@ def test_a_name_is_found_in_the_cache(folders, offline):
     (place / "refs").mkdir(parents=True)
     (place / "refs" / "main").write_text("0" * 40)
     shutil.copytree(folders["sam"], place / "snapshots" / ("0" * 40))
-    by_name = load_proposer("sam", model="someone/small-sam", preset=LENIENT).propose(picture())
-    by_path = load_proposer("sam", model=folders["sam"], preset=LENIENT).propose(picture())
+    by_name = load_proposer("sam", model="someone/small-sam", preset=LENIENT).propose(seen())
+    by_path = load_proposer("sam", model=folders["sam"], preset=LENIENT).propose(seen())
     assert by_name.masks.tobytes() == by_path.masks.tobytes()
     assert model_digest("someone/small-sam") == model_digest(folders["sam"])
     # A cache that holds a part of the model is no model.
@@ -343,7 +348,7 @@ def test_a_model_in_parts_is_whole(folders, tmp_path):
     network.save_pretrained(tmp_path, max_shard_size="60KB")
     assert len(list(tmp_path.glob("model-*.safetensors"))) > 1
     found, expected = (
-        load_proposer("sam", model=f, preset=LENIENT).propose(picture())
+        load_proposer("sam", model=f, preset=LENIENT).propose(seen())
         for f in (tmp_path, folders["sam"])
     )
     assert found.masks.tobytes() == expected.masks.tobytes()

@@ -144,9 +144,9 @@ def test_the_whole_association_with_copies(folder):
     asked = []
 
     class Counted(Sam2Video):
-        def propagate(self, view, depth=None):
-            asked.append(view.name)
-            return super().propagate(view)
+        def propagate(self, seen):
+            asked.append(seen.view.name)
+            return super().propagate(seen)
 
     maps = associate(views, Regions(), Counted(folder, device="cpu"), replicas=5)
     # Two copies of each view say that the others would be the same; the second comes carried too.

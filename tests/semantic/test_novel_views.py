@@ -5,9 +5,10 @@ import pytest
 from scipy.stats import rankdata
 
 from slgaussian import datasets
-from slgaussian.build import lift_field, remember
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
+from tests.known import known_field
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +21,7 @@ def seen():
     gaussians = load_predictor("planesweep")(sample)
     target, views = sample.targets[0], {}
     for codes in ("grid", "separated", "exact"):
-        bank = remember(sample, gaussians, maps, "lexicon", codes, 0)
-        field = lift_field(sample, gaussians, maps, bank, "hard", {"encoder": "lexicon"})
+        field = known_field(sample, gaussians, maps, Method(codes=codes))
         views[codes] = field.render(target.camera)
     return target.instances, views
 

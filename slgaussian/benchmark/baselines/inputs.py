@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 
 from slgaussian.field import SemanticField
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry, SeenView
+from slgaussian.geometry.room import Surroundings
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.named import true_names
 from slgaussian.language.query import TextReader
-from slgaussian.language.room import Room, Surroundings, find_room
 from slgaussian.masks import MaskProposer
 from slgaussian.masks.flatten import flatten, without_crumbs
 from slgaussian.masks.levels import group_objects
-from slgaussian.scene import Sample, View
+from slgaussian.scene import Sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,29 +75,16 @@ class Inputs:
         return TextReader(self.encoder)
 
     @cached_property
-    def depths(self) -> np.ndarray:
-        """Predicted depth of the context views, float32 [V, H, W], 0 unknown."""
-        return source_depths(self.gaussians, [view.camera for view in self.sample.context])
-
-    @cached_property
-    def room(self) -> Room:
-        """Where things are, by the predicted depth."""
-        return find_room([view.camera for view in self.sample.context], self.depths)
-
-    @cached_property
-    def surroundings(self) -> list[Surroundings]:
-        """Where the pixels of each context view lie."""
-        return [
-            self.room.place(view.camera, depth)
-            for view, depth in zip(self.sample.context, self.depths, strict=True)
-        ]
+    def geometry(self) -> SceneGeometry:
+        """The context views and their predicted depth."""
+        return SceneGeometry.of(self.sample.context, self.gaussians)
 
     @cached_property
     def own_labels(self) -> LabelMaps:
         """Each context view cut up on its own: no id is in two views."""
         maps, count = [], 0
-        for view, depth in zip(self.sample.context, self.depths, strict=True):
-            found = without_crumbs(flatten(self.proposer.propose(view.image, depth=depth)))
+        for seen in self.geometry.seen:
+            found = without_crumbs(flatten(self.proposer.propose(seen)))
             maps.append(np.where(found > 0, found + count, 0).astype(np.int32))
             count += int(found.max(initial=0))
         labels = np.stack(maps)
@@ -105,13 +93,12 @@ class Inputs:
     @cached_property
     def own_bank(self) -> MemoryBank:
         """What each view says about its :attr:`own_labels`: without codes, without groups."""
-        return self.look_at(self.sample.context, self.own_labels, self.depths, self.surroundings)
+        return self.look_at(self.geometry.seen, self.own_labels, self.geometry.surroundings)
 
     def look_at(
         self,
-        views: Sequence[View],
+        seen: Sequence[SeenView],
         label_maps: LabelMaps,
-        depths: Sequence[np.ndarray | None],
         surroundings: Sequence[Surroundings] | None,
         grouped: bool = False,
     ) -> MemoryBank:
@@ -123,9 +110,10 @@ class Inputs:
         ids, groups = label_maps.ids, None
         codes = np.zeros((len(ids), 0), np.float32)
         if len(ids) == 0:
-            nothing = np.zeros((0, len(views), self.bank.features.shape[2]), np.float32)
-            return MemoryBank(ids, codes, nothing, np.zeros((0, len(views)), bool))
+            nothing = np.zeros((0, len(seen), self.bank.features.shape[2]), np.float32)
+            return MemoryBank(ids, codes, nothing, np.zeros((0, len(seen)), bool))
         if grouped and self.bank.levels is not None:
-            groups = group_objects(views, label_maps, depths)
+            groups = group_objects(seen, label_maps)
         names = true_names(self.sample, label_maps) if self.encoder.name == "named" else None
+        views = [one.view for one in seen]
         return build_bank(views, label_maps, self.encoder, codes, names, surroundings, groups)

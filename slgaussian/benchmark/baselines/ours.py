@@ -55,8 +55,8 @@ class NoAssociation:
 
     def __call__(self, inputs: Inputs) -> SemanticField:
         """See :class:`slgaussian.benchmark.baselines.Method`."""
-        context, labels = inputs.sample.context, inputs.own_labels
-        bank = inputs.look_at(context, labels, inputs.depths, inputs.surroundings, grouped=True)
+        geometry, labels = inputs.geometry, inputs.own_labels
+        bank = inputs.look_at(geometry.seen, labels, geometry.surroundings, grouped=True)
         return lift_again(inputs, labels, bank, *_strategies(inputs))
 
 

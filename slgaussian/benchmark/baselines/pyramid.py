@@ -9,8 +9,8 @@ import numba
 import numpy as np
 
 from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.geometry.room import Surroundings
 from slgaussian.language import Encoder
-from slgaussian.language.room import Surroundings
 
 BATCH = 512
 """Tiles encoded together: their masks are a byte a pixel of the photograph each, 120 MB at
@@ -90,10 +90,11 @@ def encode_pyramid(inputs: Inputs, tilings: Sequence[Tiling]) -> list[Level]:
         for y in rows
         for x in columns
     ]
+    context = inputs.sample.context
     vectors = np.stack(
         [
             _encode(inputs.encoder, tiles, view.image, around)
-            for view, around in zip(inputs.sample.context, inputs.surroundings, strict=True)
+            for view, around in zip(context, inputs.geometry.surroundings, strict=True)
         ]
     )
     counts = [len(rows) * len(columns) for rows, columns in places]

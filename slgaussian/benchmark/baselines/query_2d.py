@@ -12,6 +12,7 @@ import numpy as np
 from slgaussian.benchmark.baselines.drawn import Picture, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.field import FieldView
+from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import QueryResult, TextReader
 from slgaussian.masks.flatten import flatten
@@ -89,13 +90,12 @@ class _PictureView:
         rgb, depth, alpha = self.picture.rgb, self.picture.depth, self.picture.alpha
         there = alpha >= VISIBLE
         where = None if there.all() else there
-        used = depth if self.with_depth else None
-        proposals = self.inputs.proposer.propose(rgb, where, used)
+        seen = SeenView(View("rendered", self.camera, rgb), depth if self.with_depth else None)
+        proposals = self.inputs.proposer.propose(seen, where)
         ids = np.where(there, flatten(proposals), 0).astype(np.int32)
         label_maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
-        around = [self.inputs.room.place(self.camera, depth)] if self.with_depth else None
-        bank = self.inputs.look_at(
-            [View("rendered", self.camera, rgb)], label_maps, [used], around, self.with_depth
-        )
+        room = self.inputs.geometry.room
+        around = [room.place(self.camera, depth)] if self.with_depth else None
+        bank = self.inputs.look_at([seen], label_maps, around, self.with_depth)
         sure = (ids > 0).astype(np.float32)
         return FieldView(rgb, ids, sure, alpha, depth, self.inputs.field.changed(bank=bank))

@@ -13,14 +13,14 @@ from slgaussian.benchmark.baselines import METHODS, PAPER_ABLATION, ROWS, Method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.baselines.pooled import pooled
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
-from slgaussian.build import lift_field, remember
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.masks import load_proposer
-from slgaussian.parts.part import Part
+from slgaussian.parts import method as parts_method
 from slgaussian.predict import load_predictor
+from tests.known import known_field
 
 DOCS = Path(__file__).parents[3] / "docs" / "reference" / "methods.md"
 
@@ -334,10 +334,8 @@ def test_every_row_works_with_another_encoder(room, tmp_path_factory):
     labels = np.stack([view.instances for view in sample.context])
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
-    encoder = Part.of("encoder", "clip", {"model": str(model)})
-    bank = remember(sample, gaussians, label_maps, encoder, "separated", 0)
-    about = {"encoder": "clip", "clip": encoder.identity()}
-    field = lift_field(sample, gaussians, label_maps, bank, "hard", about, encoder.places())
+    method = parts_method.Method(encoder="clip", settings={"clip": {"model": str(model)}})
+    field = known_field(sample, gaussians, label_maps, method)
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"))
     for name in ROWS:
         made = load_quick(name)(inputs)

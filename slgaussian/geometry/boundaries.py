@@ -17,11 +17,6 @@ TEXTURE_CODES = 27
 TONE_BINS = 20
 
 
-def lab_of(image: np.ndarray) -> np.ndarray:
-    """CIELAB float32 [H, W, 3] of a uint8 RGB image: L in 0 to 100, a and b about -100 to 100."""
-    return cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-
-
 def tone_codes(lab: np.ndarray) -> np.ndarray:
     """Bins of L, a and b, uint8 [H, W, 3] in 0 .. 19.
 
@@ -52,18 +47,17 @@ def texture_codes(light: np.ndarray) -> np.ndarray:
     return (edge * 3 + sign).astype(np.uint8)
 
 
-def boundary_map(image: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
+def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
     """Border strength, float32 [H, W], about 0 to 1.
 
     Parameters
     ----------
-    image : uint8 [H, W, 3]
-        RGB.
+    lab : float32 [H, W, 3]
+        CIELAB, as :attr:`slgaussian.scene.View.lab`.
     depth : float32 [H, W] or None
         Predicted z-depth in scene units, 0 where unknown.
     """
-    height, width = image.shape[:2]
-    lab = lab_of(image)
+    height, width = lab.shape[:2]
     half_size = (max(width // 2, 1), max(height // 2, 1))
     small = cv2.resize(lab, half_size, interpolation=cv2.INTER_AREA)
     tones = tone_codes(small)

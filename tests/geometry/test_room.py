@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slgaussian.datasets.procedural import reader
-from slgaussian.language.room import LEVEL, find_room
+from slgaussian.geometry.room import LEVEL, find_room
 from slgaussian.scene import Camera
 
 SIZE = 104, 144

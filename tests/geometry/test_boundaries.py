@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slgaussian.masks.boundaries import depth_boundary, half_disc
+from slgaussian.geometry.boundaries import depth_boundary, half_disc
 
 
 def test_a_slanted_plane_is_no_border():

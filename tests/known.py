@@ -1,0 +1,34 @@
+"""Fields of known Gaussians and label maps, for tests of what comes after those."""
+
+from slgaussian.build import lift_field, remember
+from slgaussian.cameras.quality import Quality
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry
+from slgaussian.labels import LabelMaps
+from slgaussian.language.bank import MemoryBank
+from slgaussian.parts.method import Method
+from slgaussian.scene import Sample
+
+QUALITY = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
+
+
+def known_bank(
+    sample: Sample, gaussians: Gaussians, labels: LabelMaps, method: Method
+) -> MemoryBank:
+    """What a method remembers of the objects of these label maps."""
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    return remember(sample, geometry, labels, method.encoder, method.codes, method.seed)
+
+
+def known_field(
+    sample: Sample,
+    gaussians: Gaussians,
+    labels: LabelMaps,
+    method: Method | None = None,
+    bank: MemoryBank | None = None,
+) -> SemanticField:
+    """The field of these Gaussians and label maps."""
+    method = method or Method()
+    bank = bank or known_bank(sample, gaussians, labels, method)
+    return lift_field(sample, gaussians, labels, bank, method, QUALITY)
