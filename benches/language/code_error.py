@@ -27,6 +27,7 @@ from benches.language.code_chart import picture as chart
 from benches.language.many_object_rooms import SIZE, Room, make_rooms
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.build import label_views
+from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.language import load_codes
 from slgaussian.language.codes import Separated
@@ -266,7 +267,8 @@ def office_rows(folder: Path) -> list[dict]:
     default, counts = Method(), []
     for name, sample in load_samples(folder).items():
         gaussians = load_predictor("planesweep")(sample)
-        maps = label_views(sample, gaussians, default.proposer, default.tracker, default.replicas)
+        seen = SceneGeometry.of(sample.context, gaussians)
+        maps = label_views(seen, default.proposer, default.tracker, default.replicas)
         target = sample.targets[0]
         room = Room(name, gaussians, maps, [target.camera], [])
         labels = room.rows

@@ -23,7 +23,6 @@ from benches.common.pages import publish
 from benches.common.paired_timing import paired_times
 from benches.common.photograph_pairs import load_samples, photographs
 from benches.language.hard_texts import error_rows, text_rows, unit
-from slgaussian.build import lift_field
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.kernels import threads
@@ -31,10 +30,10 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
-from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample
+from slgaussian.semantic import load_lifting
 from slgaussian.semantic.decode import Decoder
 
 OBJECTS, WIDTH, TEXTS = 60, 512, 100
@@ -91,8 +90,9 @@ def make_field(sample: Sample) -> SemanticField:
     present = label_maps.areas() > 0
     features = (features * present[..., None]).astype(np.float32)
     bank = MemoryBank(label_maps.ids, codes, features, present)
-    lifted = lift_field(sample, gaussians, label_maps, bank, Method())
-    return DrawnField(lifted.gaussians, bank, lifted.cameras, {})
+    lifted = load_lifting("hard")(gaussians, label_maps, bank)
+    names = {view.name: view.camera for view in sample.context}
+    return DrawnField(lifted, bank, names, {})
 
 
 class LangSplatWay:

@@ -26,6 +26,7 @@ from slgaussian.benchmark.annotations import read_labels
 from slgaussian.datasets import nerfstudio
 from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
+from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskTracker, Proposals, load_tracker
 from slgaussian.masks.associate import associate
@@ -79,11 +80,11 @@ class Once:
     def __init__(self, propose: Callable[..., Proposals]) -> None:
         self.propose_now, self.known, self.seconds = propose, {}, 0.0
 
-    def propose(self, image, where=None, depth=None):
-        key = image.tobytes(), None if where is None else where.tobytes()
+    def propose(self, seen, where=None):
+        key = seen.image.tobytes(), None if where is None else where.tobytes()
         if key not in self.known:
             start = time.process_time()
-            self.known[key] = self.propose_now(image, where, depth)
+            self.known[key] = self.propose_now(seen, where)
             self.seconds += time.process_time() - start
         return self.known[key]
 
@@ -92,8 +93,8 @@ def true_masks(views: tuple[View, ...]) -> Callable[..., Proposals]:
     """A proposer that knows the truth: errors that are left are those of the tracker."""
     instances = {view.image.tobytes(): view.instances for view in views}
 
-    def propose(image, where=None, depth=None):
-        ids = instances[image.tobytes()]
+    def propose(seen, where=None):
+        ids = instances[seen.image.tobytes()]
         masks = ids == np.unique(ids[ids > 0])[:, None, None]
         return Proposals(masks, np.ones(len(masks), np.float32))
 
@@ -109,8 +110,8 @@ class Noisy:
         self.tracker, self.share, self.rng = tracker, share, np.random.default_rng(0)
         self.add = tracker.add
 
-    def propagate(self, view, depth=None):
-        labels = self.tracker.propagate(view, depth)
+    def propagate(self, seen):
+        labels = self.tracker.propagate(seen)
         rows, columns = (-(-size // 16) for size in labels.shape)
         lost = self.rng.random((rows, columns)) < self.share
         lost = np.kron(lost, np.ones((16, 16), bool))[: labels.shape[0], : labels.shape[1]]
@@ -181,7 +182,8 @@ def run(
 ) -> tuple[LabelMaps, tuple[float, float]]:
     """Label maps, and the seconds that they took, without proposals and with them."""
     start, before = time.process_time(), proposer.seconds
-    maps = associate(sample.context, proposer, tracker, replicas, depths, back)
+    seen = list(map(SeenView, sample.context, depths))
+    maps = associate(seen, proposer, tracker, replicas, back)
     track = time.process_time() - start - (proposer.seconds - before)
     return maps, (track, track + proposer.seconds)
 

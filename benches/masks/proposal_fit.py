@@ -17,6 +17,7 @@ from slgaussian.benchmark.annotations import read_labels
 from slgaussian.datasets import nerfstudio
 from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
+from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
 from slgaussian.predict.planesweep import PlaneSweep
@@ -60,9 +61,9 @@ def fit(
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """How well each true mask is met, by its name; and numbers of masks and seconds."""
     start = time.process_time()
-    found = Regions(level="all").propose(image, depth=depth)
+    found = Regions(level="all").propose(SeenView.alone(image, depth))
     seconds = time.process_time() - start
-    labels = flatten(Regions().propose(image, depth=depth))
+    labels = flatten(Regions().propose(SeenView.alone(image, depth)))
     met = {}
     for name, truth in truths.items():
         one, three = best_unions(labels, truth)

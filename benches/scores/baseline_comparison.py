@@ -23,12 +23,12 @@ from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.index import read_index
-from slgaussian.build import label_views, lift_field, remember
+from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.errors import InputError
+from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
 from slgaussian.parts.method import Method
-from slgaussian.predict import load_predictor
 
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and what the table calls them."""
@@ -71,10 +71,11 @@ def run_alone(name: str, data: Path) -> None:
     sample = scene.sample(list(pair.context), list(pair.targets))
     truth = read_truth(data / "office" / "labels", pair.categories, sample.targets).masks
     method = Method()
-    gaussians = load_predictor("planesweep")(sample)
-    label_maps = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
-    bank = remember(sample, gaussians, label_maps, method.encoder, method.codes, method.seed)
-    field = lift_field(sample, gaussians, label_maps, bank, method)
+    gaussians, quality = predict(sample, method.predictor, method.seed)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
+    field = lift_field(sample, gaussians, label_maps, bank, method, quality)
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, label_maps, load_proposer("regions"), classes=classes)

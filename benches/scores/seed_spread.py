@@ -32,8 +32,9 @@ from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_from_instances
 from slgaussian.benchmark.summary import METRICS
-from slgaussian.build import label_views, lift_field, remember
+from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.errors import InputError
+from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.scene import Sample
 
@@ -122,10 +123,11 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
     found = []
     for seed in seeds:
         method = replace(settings.built_by, seed=seed)
-        gaussians = method.predictor.load()(sample, seed)
-        labels = label_views(sample, gaussians, method.proposer, method.tracker, method.replicas)
-        bank = remember(sample, gaussians, labels, method.encoder, method.codes, seed)
-        field = lift_field(sample, gaussians, labels, bank, method)
+        gaussians, quality = predict(sample, method.predictor, seed, trust_cameras=True)
+        geometry = SceneGeometry.of(sample.context, gaussians)
+        labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
+        bank = remember(sample, geometry, labels, method.encoder, method.codes, seed)
+        field = lift_field(sample, gaussians, labels, bank, method, quality)
         result = evaluate(
             field,
             sample,

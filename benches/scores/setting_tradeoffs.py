@@ -40,14 +40,14 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.benchmark.index import read_index
-from slgaussian.build import label_views, lift_field, remember
+from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.cameras import trajectories
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
+from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.part import Part
 from slgaussian.rasterize import prune
 from slgaussian.scene import Sample, Scene, Size, View
 
@@ -59,7 +59,7 @@ SEED = 100
 
 GREY = 1 / 255
 BUILDING = ("geometry", "masks", "supervision", "field")
-EXACT = Part.of("codes", "exact")
+EXACT = EXACT
 
 
 @dataclass(frozen=True)
@@ -237,29 +237,31 @@ class Stages:
         chosen, method = row.settings, row.settings.built_by
         sample = self.case.read(chosen.size)
         shape = sample.context[0].image.shape
-        gaussians, geometry = self.once(
-            ["geometry", shape, method.predictor],
-            lambda: method.predictor.load()(sample, method.seed),
+        predictor = method.predictor
+        (gaussians, quality), geometry = self.once(
+            ["geometry", shape, predictor],
+            lambda: predict(sample, predictor, chosen.seed, trust_cameras=True),
         )
-        masks_of = method.proposer, method.tracker, method.replicas
+        masks_of = method.proposer, method.tracker, chosen.replicas
+        seen = SceneGeometry.of(sample.context, gaussians)
         labels, masks = self.once(
-            ["masks", shape, method.predictor, masks_of],
-            lambda: label_views(sample, gaussians, *masks_of),
+            ["masks", shape, predictor, masks_of], lambda: label_views(seen, *masks_of)
         )
         # What is encoded depends on the labels alone, and codes take their part besides.
         same = hashlib.sha256(labels.labels.tobytes()).hexdigest()
         bare, encoding = self.once(
-            ["supervision", shape, method.predictor, same],
-            lambda: remember(sample, gaussians, labels, method.encoder, EXACT, 0),
+            ["supervision", shape, predictor, same],
+            lambda: remember(sample, seen, labels, method.encoder, EXACT, 0),
         )
+        strategy = method.codes.load()
         codes, drawing = self.once(
             ["codes", method.codes, method.seed, same],
-            lambda: method.codes.load()(labels, rng_for(method.seed, sample.content, "codes")),
+            lambda: strategy(labels, rng_for(method.seed, sample.content, "codes")),
         )
         bank = replace(bare, codes=codes)
 
         def lift() -> SemanticField:
-            made = lift_field(sample, gaussians, labels, bank, method)
+            made = lift_field(sample, gaussians, labels, bank, method, quality)
             if row.keep is not None:
                 cameras = [view.camera for view in sample.context]
                 cameras += [trajectories.between(*cameras[:2], 0.5)] * row.between

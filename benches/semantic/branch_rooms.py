@@ -11,7 +11,8 @@ import torch
 
 from benches.common.photograph_pairs import load_samples
 from slgaussian import datasets
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
@@ -100,13 +101,13 @@ def association(
     context: Sequence[View], gaussians: Gaussians, targets: Sequence[View] = ()
 ) -> np.ndarray:
     """Label maps int32 of all views; targets get the depth that the Gaussians show there."""
-    depths = list(source_depths(gaussians, [view.camera for view in context]))
+    seen = list(SceneGeometry.of(context, gaussians).seen)
     nothing = torch.zeros(len(gaussians), 1)
     for view in targets:
         # The mean would put a surface between what is before and behind an edge.
         drawn = rasterize(gaussians, nothing, view.camera, median=True)
-        depths.append(drawn.median.numpy())
-    return associate([*context, *targets], load_proposer(), load_tracker(), 5, depths).labels
+        seen.append(SeenView(view, drawn.median.numpy()))
+    return associate(seen, load_proposer(), load_tracker(), 5).labels
 
 
 def lesson_of(
