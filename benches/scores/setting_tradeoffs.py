@@ -59,7 +59,7 @@ SEED = 100
 
 GREY = 1 / 255
 BUILDING = ("geometry", "masks", "supervision", "field")
-EXACT = EXACT
+EXACT = Part.of("codes", "exact")
 
 
 @dataclass(frozen=True)
