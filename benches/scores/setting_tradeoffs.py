@@ -48,6 +48,7 @@ from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.part import Part
 from slgaussian.rasterize import prune
 from slgaussian.scene import Sample, Scene, Size, View
 
