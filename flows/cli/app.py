@@ -723,6 +723,28 @@ def doctor(settings: dict) -> None:
     raise typer.Exit(0 if healthy else 1)
 
 
+@app.command(rich_help_panel=UPKEEP)
+def parts(
+    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
+    ] = False,
+) -> None:
+    """List the parts of the method, with their settings.
+
+    Also those that other packages bring. What a file, folder or model holds decides what is
+    computed anew, not where it is.
+
+    \b
+    slgaussian parts
+    slgaussian parts --json
+    slgaussian parts --schema > slgaussian.schema.json
+    """
+    from flows.cli import parts as known
+
+    typer.echo(known.schema() if schema else known.as_json() if as_json else known.listed())
+
+
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
     try:

@@ -47,7 +47,9 @@ The order of objects for one text does not depend on it."""
 
 @dataclass(eq=False)
 class Lexicon:
-    """Encoder for the words of ``vocabulary.toml``; see the module.
+    """Regions and texts by the words of an explicit vocabulary, without weights.
+
+    See the module.
 
     Attributes
     ----------

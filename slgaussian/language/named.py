@@ -37,7 +37,9 @@ let 9 to 23 % of them through, and the four nearest to the mean 1.4 %."""
 
 @dataclass(eq=False)
 class Named:
-    """Vectors by name; see the module.
+    """An oracle that is told what objects are, with vectors by name.
+
+    See the module.
 
     Attributes
     ----------

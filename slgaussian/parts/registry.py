@@ -102,13 +102,7 @@ def find_part(kind: str, name: str) -> Any:
     """
     known = KINDS[kind]
     if name in brought(known.group):
-        taken = next((k for k in KINDS if name in _table(k)), None)
-        if taken is not None:
-            raise InputError(
-                f"{known.called} {name!r}: the package {_owner(brought(known.group)[name])} brings "
-                f"one, but a {KINDS[taken].called} of this name is built in; remove that package, "
-                "or have its entry point renamed"
-            )
+        _refuse_clash(known, name)
     return resolve(known.called, _table(kind), name, known.group)
 
 
@@ -151,6 +145,17 @@ def brought(group: str) -> Mapping[str, EntryPoint]:
 @cache
 def _installed() -> Any:  # what it is called depends on the version of Python
     return entry_points()  # which reads a file of every package
+
+
+def _refuse_clash(known: Kind, name: str) -> None:
+    """InputError if what another package brings has the name of a built-in part of any kind."""
+    for kind in KINDS:
+        if name in _table(kind):
+            raise InputError(
+                f"{known.called} {name!r}: the package {_owner(brought(known.group)[name])} brings "
+                f"one, but a {KINDS[kind].called} of this name is built in; remove that package, "
+                "or have its entry point renamed"
+            )
 
 
 def _owner(found: EntryPoint) -> str:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Filled:
-    """As :class:`slgaussian.semantic.hard.HardIndex`, after pixels without an object took one.
+    """Copy the label of the source pixel, after pixels without an object took one.
 
     Theirs is that of the nearest Gaussian of another view, if one is within reach
     (:mod:`slgaussian.semantic.others`). A pixel that has an object keeps it.

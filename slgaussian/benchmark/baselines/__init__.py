@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.errors import InputError
-from slgaussian.parts.registry import resolve
+from slgaussian.parts.registry import brought, resolve
 
 if TYPE_CHECKING:
     from slgaussian.benchmark.answering import Answering
@@ -30,6 +30,9 @@ METHODS = {
     "no-bank": "slgaussian.benchmark.baselines.pooled:NoBank",
 }
 
+GROUP = "slgaussian.methods"
+"""The group of entry points by which other packages bring methods."""
+
 
 class Method(Protocol):
     """Builds what answers texts about one scene."""
@@ -46,7 +49,7 @@ def load_method(name: str, **settings: Any) -> Method:
     InputError
         If there is none, it has no such setting, or a setting is out of its range.
     """
-    made = resolve("method", METHODS, name)
+    made = resolve("method", METHODS, name, GROUP)
     try:
         return made(**settings)
     except TypeError as error:
@@ -122,6 +125,7 @@ ROWS = {
         rules={"absent": "zero"},
     ),
 }
+ROWS |= {name: Row(name, "of another package") for name in brought(GROUP) if name not in ROWS}
 """The table of all methods, in its order."""
 
 PAPER_ABLATION = {

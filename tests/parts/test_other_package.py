@@ -1,0 +1,164 @@
+"""A part that another package brings, as its entry point: everywhere where a built-in one is."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slgaussian import datasets
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = Path(__file__).parent / "other_package"
+RED = "200 40 40\n"
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """What a Python program prints, with packages installed in folders beside our own."""
+
+    def asked(code: str, *packages: Path, fails: bool = False) -> str:
+        places = map(str, (ROOT, *(packages or (PACKAGE,))))
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True
+        )
+        assert (done.returncode != 0) == fails, done.stderr
+        return done.stderr if fails else done.stdout
+
+    return asked
+
+
+def command(*words: object) -> str:
+    argv = ["slgaussian", *map(str, words)]
+    return f"import sys; sys.argv = {argv}\nfrom flows.cli.app import main; main()"
+
+
+def package(folder: Path, name: str, line: str, code: str) -> Path:
+    """An installed package of one module, with one entry point."""
+    (folder / f"{name}.dist-info").mkdir(parents=True)
+    (folder / f"{name}.py").write_text(code)
+    about = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"
+    (folder / f"{name}.dist-info" / "METADATA").write_text(about)
+    (folder / f"{name}.dist-info" / "entry_points.txt").write_text(line)
+    return folder
+
+
+def test_the_page_about_the_architecture_shows_it_whole():
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    assert (PACKAGE / "ink.py").read_text("utf-8") in page
+
+
+def test_its_settings_are_options_with_bounds_and_help(asked):
+    text = asked(command("field", "--help-all"))
+    assert "Proposer ink:" in text
+    assert "--ink-colours <path>" in text and "--ink-least <int>" in text
+    assert "Greatest distance from a colour. [default: 40.0]" in " ".join(text.split())
+    assert "--ink-colours" in asked(command("doctor", "--help-all"))
+    assert "--ink-within" not in asked(command("doctor", "--help-all"))
+
+
+def test_it_is_listed_with_the_others(asked):
+    parts = {part["name"]: part for part in json.loads(asked(command("parts", "--json")))}
+    assert parts["ink"]["kind"] == "proposer" and "regions" in parts
+    assert [row["name"] for row in parts["ink"]["settings"]] == ["colours", "within", "least"]
+    assert parts["ink"]["settings"][0]["file"] is True
+    schema = json.loads(asked(command("parts", "--schema")))
+    assert schema["$defs"]["ink"]["properties"]["within"]["maximum"] == 442
+
+
+def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp_path):
+    (tmp_path / "sub").mkdir()
+    for file in ("a.txt", "sub/b.txt"):
+        (tmp_path / file).write_text(RED)
+    code = (
+        "import json, sys; from pathlib import Path; from flows.settings import read_toml\n"
+        "for name in ('a.toml', 'sub/b.toml'):\n"
+        "    part = read_toml(Path(name), {}).part('proposer')\n"
+        "    print(json.dumps([part.identity(), part.places()]))"
+    )
+    for name, file in (("a.toml", "a.txt"), ("sub/b.toml", "b.txt")):
+        text = f'proposer = "ink"\n[ink]\ncolours = "{file}"\nleast = 5\n'
+        (tmp_path / name).write_text(text)
+    (here, at), (there, elsewhere) = map(json.loads, asked(code).splitlines())
+    assert here == there and here["least"] == 5 and len(here["colours"]) == 64
+    assert at["colours"] == str(tmp_path / "a.txt") != elsewhere["colours"]
+
+
+def test_a_field_is_built_with_it(asked, tmp_path):
+    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
+    room.sample(["view_00", "view_02"])  # what the program below makes once more
+    code = (
+        "import slgaussian as slg\n"
+        "room = slg.datasets.load('procedural', seed=1, objects=4, views=3, height=64, width=96)\n"
+        "sample = room.sample(['view_00', 'view_02'], near=0.8, far=12.0)\n"
+        "own = {'ink': {'colours': 'colours.txt', 'within': 60.0, 'least': 5}}\n"
+        "method = slg.Method(proposer='ink', replicas=1, settings=own)\n"
+        "field = slg.build_field(sample, method)\n"
+        "field.save('field')\n"
+        "print(len(field.bank))"
+    )
+    view = room.sample(["view_00", "view_02"]).context[0]
+    ids, counts = np.unique(view.instances, return_counts=True)
+    colours = [np.median(view.image[view.instances == i], 0) for i in ids[counts > 30]]
+    np.savetxt(tmp_path / "colours.txt", colours)
+    assert int(asked(code).split()[-1]) >= 1
+    said = json.loads((tmp_path / "field" / "field.json").read_text())["settings"]
+    assert said["proposer"] == "ink"
+    assert said["ink"]["within"] == 60.0 and len(said["ink"]["colours"]) == 64
+
+
+def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
+    (tmp_path / "c.txt").write_text(RED)
+    code = (
+        "from slgaussian.parts.part import Part\n"
+        "from slgaussian.errors import InputError\n"
+        "try: Part.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
+        "except InputError as error: print(error)"
+    )
+    assert asked(code) == "ink least: found 0, expected at least 1\n"
+
+
+def test_a_method_to_compare_with_is_brought_too(asked, tmp_path):
+    code = "class Same:\n    def __call__(self, inputs): return inputs.field\n"
+    own = package(tmp_path / "p", "same", "[slgaussian.methods]\nsame = same:Same\n", code)
+    said = asked(
+        "from slgaussian.benchmark.baselines import ROWS\n"
+        "print(list(ROWS)[-1], type(ROWS['same'].load()).__name__)",
+        own,
+    )
+    assert said == "same Same\n"
+
+
+CLASH = "from dataclasses import dataclass\n@dataclass\nclass Regions: ...\n"
+
+
+def test_a_name_that_is_taken_is_refused(asked, tmp_path):
+    own = package(tmp_path / "p", "mine", "[slgaussian.proposers]\nregions = mine:Regions\n", CLASH)
+    said = asked(
+        "from slgaussian.parts.method import Method\n"
+        "from slgaussian.errors import InputError\n"
+        "try: Method()\nexcept InputError as error: print(error)",
+        own,
+    )
+    assert said.startswith("mask proposer 'regions': the package mine brings one, but a mask ")
+    assert "--sam-model" in asked(command("field", "--help-all"), own)
+
+
+def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
+    line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
+    own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
+    assert "--sam-model" in asked(command("field", "--help-all"), own)
+    listed = json.loads(asked(command("parts", "--json"), own))
+    (problem,) = [part["problem"] for part in listed if part["name"] == "broken"]
+    assert problem.startswith("encoder 'broken': broken:Encoder of the package broken cannot be ")
+    said = asked(
+        "from slgaussian.language import load_encoder\n"
+        "from slgaussian.errors import InputError\n"
+        "try: load_encoder('broken')\nexcept InputError as error: print(error)",
+        own,
+    )
+    assert said.strip() == problem

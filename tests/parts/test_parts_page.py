@@ -1,0 +1,41 @@
+"""What the parts declare is what the documentation and the command say."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flows.cli import parts
+from slgaussian.parts.registry import KINDS, names_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parts.md"
+
+
+def test_the_page_is_what_its_maker_writes():
+    assert PAGE.read_text("utf-8") == parts.markdown()
+
+
+def test_every_part_is_listed_with_a_sentence_under_its_kind():
+    text = parts.listed()
+    for kind in KINDS:
+        assert f"{kind}: " in text
+        for name in names_of(kind):
+            assert f"\n  {name}: " in text
+    for part in json.loads(parts.as_json()):
+        assert part["about"].endswith(".") and "``" not in part["about"]
+
+
+@pytest.mark.parametrize(
+    ("values", "fits"),
+    [
+        ({"planesweep": {"depth_candidates": 64}, "size": "64x64"}, True),
+        ({"separated": {"dimension": "auto"}}, True),
+        ({"planesweep": {"depth_candidates": 4}}, False),
+        ({"clip": {"crops": "square"}}, False),
+        ({"clip": {"crop": "masked"}}, False),
+    ],
+)
+def test_the_schema_tells_configurations_from_others(values, fits):
+    jsonschema = pytest.importorskip("jsonschema")
+    known = jsonschema.Draft202012Validator(json.loads(parts.schema()))
+    assert known.is_valid(values) == fits
