@@ -59,7 +59,7 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
                 f"{out}: has a clip {taken[0]!r}{more} already; leave it out, or choose another "
                 "folder with -o"
             )
-    threads.share()
+    threads.limit()
     packed = Packed()
     with Progress(len(scenes), 1) as progress:
         clips = _clips(scenes, progress, packed)

@@ -156,7 +156,7 @@ class Stage:
         if found is not None:
             site.made[self.name] = found
             return Completed(name="Cached", message="found in the store")
-        threads.share(site.workers)
+        threads.limit(site.workers)
         compiling.watch()
         start = time.perf_counter()
         try:

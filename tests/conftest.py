@@ -26,9 +26,9 @@ def real_data() -> Path:
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """For small networks: a thread more gains little there, and on a busy machine it costs much."""
-    threads.share(threads.cores())
+    threads.limit(threads.cores())
     yield
-    threads.share()
+    threads.limit()
 
 
 @pytest.fixture(scope="session")

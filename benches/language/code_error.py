@@ -223,7 +223,7 @@ def time_rows(room: Room) -> list[dict]:
         reading[f"all {name}"] = lambda image=image, bank=bank: compare_all(image, bank)
         reading[f"table {name}"] = lambda bank=bank: Decoder(bank)
     drew, read = paired_times(drawing, time.thread_time), paired_times(reading, time.thread_time)
-    threads.share()
+    threads.limit()
     rows = [{"method": "colours alone", "draw": drew["colours alone"]}]
     for name in METHODS:
         row = {"method": name, "draw": drew[name], "read": read[f"read {name}"]}
@@ -351,7 +351,7 @@ if __name__ == "__main__":
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--data", type=labelled, help=DATA_HELP)
     given = parser.parse_args()
-    threads.share()
+    threads.limit()
     command = f"python -m benches.language.code_error --rooms {given.rooms}" + (
         " --data DATA" * bool(given.data)
     )

@@ -232,5 +232,5 @@ if __name__ == "__main__":
     parser.add_argument(
         "-o", dest="out", type=Path, metavar="FOLDER", help="write queries.md there too"
     )
-    threads.share(1)
+    threads.limit(1)
     run(parser.parse_args())

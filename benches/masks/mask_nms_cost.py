@@ -64,7 +64,7 @@ CALLS = {
 
 def measure(name, call, answer):
     """In a fresh process: memory that was used before counts for nothing."""
-    threads.share()
+    threads.limit()
     masks = SETS[name]()
     scores = np.random.default_rng(1).random(len(masks))
     CALLS[call](masks[:2], scores[:2])

@@ -43,7 +43,7 @@ STAGES = (
     "color_gains",
     "blend",
     "meet",
-    "lift",
+    "unproject",
     "hidden",
 )
 SIZE = (416, 576)
@@ -132,7 +132,7 @@ def pairs(folder: Path) -> None:
 
 if __name__ == "__main__":
     data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
-    slgaussian.kernels.threads.share()
+    slgaussian.kernels.threads.limit()
     PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
     for stage in STAGES:
         setattr(sweep, stage, timed(stage, getattr(sweep, stage)))

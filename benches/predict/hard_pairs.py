@@ -397,7 +397,7 @@ def one_view_out_of_focus():
 
 
 if __name__ == "__main__":
-    slgaussian.kernels.threads.share()
+    slgaussian.kernels.threads.limit()
     PlaneSweep()(case("side_by_side"))  # The first run also compiles.
     print(f"{'case':40}  abs-rel  median  within 1.25  CPU s")
     for name in sys.argv[1:] or names():

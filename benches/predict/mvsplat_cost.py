@@ -121,7 +121,7 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    threads.share()
+    threads.limit()
     if sys.argv[1:2] == ["--one"]:
         measure(*sys.argv[2:])
     else:

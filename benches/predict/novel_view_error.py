@@ -95,7 +95,7 @@ def scores(image: np.ndarray, truth: np.ndarray, known: np.ndarray) -> list[floa
 
 
 def main() -> None:
-    slgaussian.kernels.threads.share()
+    slgaussian.kernels.threads.limit()
     rows: dict[str, list[list[float]]] = {"gaussians": [], "warped": [], "nearest": []}
     shares = []
     print(" " * 16 + "".join(f"| {name:27s}" for name in rows) + "| known  open")

@@ -93,7 +93,7 @@ def run(data: Path | None) -> None:
 
 
 if __name__ == "__main__":
-    threads.share()
+    threads.limit()
     try:
         run(photographs(sys.argv[1]) if len(sys.argv) > 1 else None)
     except (InputError, OSError) as problem:

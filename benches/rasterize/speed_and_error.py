@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    threads.share()
+    threads.limit()
     try:
         run(parse(sys.argv[1:]))
     except (InputError, OSError) as problem:

@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", metavar="METHOD")
     parser.add_argument("--alone", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    threads.share(1)
+    threads.limit(1)
     if given.alone:
         run_alone(given.alone, given.data)
         return

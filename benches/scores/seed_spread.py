@@ -113,7 +113,7 @@ def read(scene: SceneSettings, settings: Settings) -> Sample:
 
 def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]:
     """The metrics of a scene with each seed."""
-    threads.share(threads.cores())
+    threads.limit(threads.cores())
     settings = Settings()
     sample = read(scene, settings)
     if scene.labels is None:

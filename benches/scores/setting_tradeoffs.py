@@ -431,7 +431,7 @@ def sweep(data: Path, counts: dict[str, int], factors: Sequence[str]) -> list[di
     made: list[dict] = [
         {"factor": row.factor, "name": row.name, "scenes": []} for row in chosen_rows(factors)
     ]
-    with ProcessPoolExecutor(2, get_context("spawn"), threads.share, (threads.cores(),)) as pool:
+    with ProcessPoolExecutor(2, get_context("spawn"), threads.limit, (threads.cores(),)) as pool:
         done = {pool.submit(sweep_scene, data, *one, factors): one for one in work}
         for finished in as_completed(done):
             print("{} {} done".format(*done[finished]), file=sys.stderr, flush=True)

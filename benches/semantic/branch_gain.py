@@ -174,7 +174,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("-o", "--output", type=Path, required=True)
     given = parser.parse_args()
-    threads.share()
+    threads.limit()
     rooms, held_out = (Rooms(given.cache, seeds) for seeds in (TRAINING, HELD_OUT))
     rooms.make()
     held_out.make()

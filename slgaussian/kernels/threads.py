@@ -68,7 +68,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
         os.environ["NUMBA_CACHE_DIR"] = str(kernel_folder())
 
 
-def share(workers: int = 1) -> int:
+def limit(workers: int = 1) -> int:
     """Size the pools that the calling thread uses for ``workers`` threads computing side by side.
 
     Each worker gets an equal part of the cores, at least one; that size is returned. Numba and

@@ -1,10 +1,10 @@
-"""Handing out work to the threads of a Numba function, one share at a time.
+"""Handing out work to the threads of a Numba function, one portion at a time.
 
 ``prange`` gives each thread its part beforehand, and then all wait for the slowest: on a machine
 that does other work as well, for a thread that is not even running. So run :data:`WORKERS`
-iterations, and let each :func:`take` the next share until there is none; with fewer threads the
-later iterations find nothing to do. What a share computes must not depend on who takes it; then nor
-do the results.
+iterations, and let each :func:`take` the next portion until there is none; with fewer threads the
+later iterations find nothing to do. What a portion computes must not depend on who takes it; then
+nor do the results.
 """
 
 from __future__ import annotations

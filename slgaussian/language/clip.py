@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-"""Of the colours that CLIP was trained on, in [0, 1]; a model's own files may say others."""
+"""Mean and deviation of CLIP's colours, in [0, 1]; a model's own files may say others."""
 
 
 def _converted(found: ModelFiles) -> Any:

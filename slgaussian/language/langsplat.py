@@ -20,7 +20,7 @@ FILTER_WIDTH = 988
 """Width of the images that :data:`FILTER` was chosen for, those of LERF."""
 
 MASK_THRESHOLD = 0.4
-"""Of the image stretched to [-1, 1]: 0.7 of its range."""
+"""Bound in the image stretched to [-1, 1]: 0.7 of its range."""
 
 MAJORITY = 7
 """Side of the window in which most pixels must be set for a pixel of the mask."""

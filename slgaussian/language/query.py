@@ -23,7 +23,7 @@ NEAR_BEST = 0.7
 """An object is taken with the best one if its gap reaches this share of the best gap."""
 
 AS_GOOD = 0.9
-"""Of the objects whose gap reaches this share of the best gap, the largest is pointed at."""
+"""The largest of the objects whose gap reaches this fraction of the best gap is pointed at."""
 
 PROTOCOLS = ("slgaussian", "langsplat")
 

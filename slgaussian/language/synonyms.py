@@ -27,8 +27,8 @@ from slgaussian.parts.pretrained import (
 )
 
 FAMILIES = NOUNS | {"colour", "texture", "material"}
-"""Of the words that an unknown one may stand for. Sizes and places are left out: their opposites
-("leftmost" and "rightmost") are what such models find nearest."""
+"""Families of the words that an unknown one may stand for. Sizes and places are left out: their
+opposites ("leftmost" and "rightmost") are what such models find nearest."""
 
 LEAST = 0.7
 """Similarity below which a word stays unknown (``benches/language/synonym_threshold.py``): 3 in 10
@@ -38,7 +38,7 @@ right: a brownie is not brown. Therefore what a word is taken for is always said
 
 BATCH = 64
 MOST_TOKENS = 64
-"""Of a word; what is longer is cut."""
+"""Tokens of a word that are looked at; what is longer is cut."""
 
 
 class Synonyms:

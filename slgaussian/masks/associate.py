@@ -38,8 +38,8 @@ def associate(
 
     The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
     the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
-    labels propagated from all earlier views, merged with fresh proposals (:func:`merge`) and then
-    remembered. The later copies are propagations from that memory.
+    labels propagated from all earlier views, merged with fresh proposals (:func:`match_detections`)
+    and then remembered. The later copies are propagations from that memory.
 
     Copies are asked of the tracker one after the other until one repeats its predecessor. From
     there on, image, memory and last answer are the same again, so every further copy would be the
@@ -92,7 +92,7 @@ def associate(
     for index, here in enumerate(seen):
         carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
         detected = _detect(here, proposer, carried)
-        first = without_crumbs(merge(carried, detected, known + 1))
+        first = without_crumbs(match_detections(carried, detected, known + 1))
         known = max(known, int(first.max()))
         tracker.add(here, first)
         labels, margin = vote(_copies(here, tracker, first, replicas))
@@ -104,7 +104,7 @@ def associate(
     return LabelMaps(renumbered(labels), np.stack(margins))
 
 
-def merge(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
+def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
     """Give every detected region the id of the propagated object it is, or a new one.
 
     A region takes an old id whole if their IoU is above 0.5, or if most of the region is known and

@@ -20,7 +20,7 @@ from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
 from slgaussian.masks.prompted import LEVELS, Automatic
 
 OVERLAP = 512 / 1500
-"""Of neighbouring crops of the first layer, as a share of the image's short side."""
+"""Overlap of neighbouring crops of the first layer, as a fraction of the image's short side."""
 
 EDGE = 20
 """Pixels from the edge of a crop within which a mask is taken for cut off by it."""

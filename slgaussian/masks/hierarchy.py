@@ -9,7 +9,7 @@ import numpy as np
 from slgaussian.masks.merge import MergeTree
 
 NEAR_COPY = 0.95
-"""Of two nodes with a larger IoU the later one is left out."""
+"""The later one of two nodes with a larger IoU is left out."""
 
 
 def survival(tree: MergeTree) -> np.ndarray:

@@ -11,7 +11,7 @@ from PIL import Image
 from torch.nn import functional as F
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of the colours of ImageNet, in [0, 1], by which all SAM models have their input normalised."""
+"""Mean and deviation of the colours of ImageNet, in [0, 1]: all SAM models normalise by them."""
 
 
 def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int, int]]:

@@ -12,7 +12,7 @@ MIN_SAMPLES = 200
 """Fewest shared pixels that two exposures are compared on."""
 
 MAX_SAMPLES = 20_000
-"""Of more answered pixels than this, evenly spread ones are taken."""
+"""If more pixels than this are answered, evenly spread ones are taken."""
 
 DARK, BRIGHT = 8, 245
 """Values outside are noise or clipped and say nothing about exposure."""

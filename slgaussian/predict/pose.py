@@ -163,7 +163,7 @@ def refine(given: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
 
     Robust least squares of the Sampson distance with the given pose as a prior; the length of the
     baseline is kept, and with fewer than :data:`MIN_REFINE` matches so is the pose. Serves
-    *matching* only: points are placed with the given poses.
+    matching; :func:`slgaussian.predict.fuse.meet` then gives all views the refined poses.
     """
     if len(ref) < MIN_REFINE:
         return given

@@ -32,7 +32,7 @@ from slgaussian.predict.fuse import blend, meet
 from slgaussian.predict.hidden import hidden
 from slgaussian.predict.links import Link, link_views
 from slgaussian.predict.sgm import aggregate, winners
-from slgaussian.predict.unproject import concatenate, lift
+from slgaussian.predict.unproject import concatenate, unproject
 from slgaussian.scene import Sample, View
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
     steps = [s.step for s in swept]
     colors = blend(exposed, whole, steps, links)
     cameras = meet([view.camera for view in views], links)
-    shown = lift(cameras, colors, whole, opacities)
+    shown = unproject(cameras, colors, whole, opacities)
     return concatenate([shown, hidden(cameras, colors, whole, steps)])
 
 

@@ -28,7 +28,7 @@ SAME_SURFACE = 0.03
 """Window, and largest relative step of inverse depth in it, from which a normal is estimated."""
 
 
-def lift(
+def unproject(
     cameras: Sequence[Camera],
     colors: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],

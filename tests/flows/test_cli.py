@@ -351,10 +351,10 @@ def test_pools_share_the_cores():
 
     all_cores = threads.cores()
     try:
-        assert threads.share(all_cores) == 1
+        assert threads.limit(all_cores) == 1
         assert (numba.get_num_threads(), torch.get_num_threads(), cv2.getNumThreads()) == (1, 1, 1)
     finally:
-        assert threads.share(1) == all_cores
+        assert threads.limit(1) == all_cores
     assert numba.get_num_threads() == min(all_cores, numba.config.NUMBA_NUM_THREADS)
 
 

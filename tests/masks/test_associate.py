@@ -7,7 +7,7 @@ from drawn_views import SIZE, canvas, paste, view, with_depths
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
-from slgaussian.masks.associate import associate, merge
+from slgaussian.masks.associate import associate, match_detections
 from slgaussian.masks.flow import FlowTracker
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
@@ -175,23 +175,25 @@ def grid(rows):
 
 def test_merge_keeps_the_old_id_of_a_piece_of_an_object():
     carried = grid([[5, 5, 5, 5, 5, 5]])
-    assert merge(carried, grid([[1, 1, 2, 2, 3, 3]]), 9).tolist() == [[5, 5, 5, 5, 5, 5]]
+    assert match_detections(carried, grid([[1, 1, 2, 2, 3, 3]]), 9).tolist() == [[5, 5, 5, 5, 5, 5]]
 
 
 def test_merge_unites_by_iou_what_flow_carried_in_part():
     carried = grid([[5, 5, 5, 0, 0, 7]])
-    assert merge(carried, grid([[1, 1, 1, 1, 1, 2]]), 9).tolist() == [[5, 5, 5, 5, 5, 7]]
+    assert match_detections(carried, grid([[1, 1, 1, 1, 1, 2]]), 9).tolist() == [[5, 5, 5, 5, 5, 7]]
 
 
 def test_merge_gives_new_ids_to_what_is_mostly_unknown():
     carried = grid([[5, 0, 0, 0, 0, 0, 5, 5, 5, 5]])
     detected = grid([[1, 1, 1, 1, 2, 2, 3, 3, 3, 3]])
-    assert merge(carried, detected, 9).tolist() == [[9, 9, 9, 9, 10, 10, 5, 5, 5, 5]]
+    assert match_detections(carried, detected, 9).tolist() == [[9, 9, 9, 9, 10, 10, 5, 5, 5, 5]]
 
 
 def test_merge_splits_a_region_that_was_known_as_two_objects():
     carried = grid([[5, 5, 5, 0, 6, 6, 6, 6]])
-    assert merge(carried, np.ones_like(carried), 9).tolist() == [[5, 5, 5, 5, 6, 6, 6, 6]]
+    assert match_detections(carried, np.ones_like(carried), 9).tolist() == [
+        [5, 5, 5, 5, 6, 6, 6, 6]
+    ]
 
 
 def row(**lengths):
@@ -219,11 +221,11 @@ def row(**lengths):
     ],
 )
 def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expected):
-    assert merge(carried, detected, 9).tolist() == expected.tolist()
+    assert match_detections(carried, detected, 9).tolist() == expected.tolist()
 
 
 def test_merge_keeps_what_no_region_covers():
-    assert merge(grid([[5, 0, 6]]), grid([[0, 0, 0]]), 9).tolist() == [[5, 0, 6]]
+    assert match_detections(grid([[5, 0, 6]]), grid([[0, 0, 0]]), 9).tolist() == [[5, 0, 6]]
 
 
 @pytest.mark.parametrize(

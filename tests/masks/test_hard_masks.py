@@ -10,7 +10,7 @@ from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals, load_tracker
-from slgaussian.masks.associate import associate, merge, reconcile
+from slgaussian.masks.associate import associate, match_detections, reconcile
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.vote import vote
 from slgaussian.scene import Camera, View
@@ -138,7 +138,7 @@ def test_one_pixel_masks_come_through_every_step_unharmed():
     tracker = load_tracker("geometric")
     tracker.add(views[0], labels)
     assert set(np.unique(tracker.propagate(views[1]))) <= {0, 1, 2, 3}
-    assert merge(labels, labels, 9).tolist() == labels.tolist()
+    assert match_detections(labels, labels, 9).tolist() == labels.tolist()
     specks = Drawn(*((v, [WHOLE, (50, 51, 50, 51)]) for v in views))
     maps = associate(views, specks, load_tracker("geometric"))
     assert maps.ids.tolist() == [1]  # a crumb: see flatten

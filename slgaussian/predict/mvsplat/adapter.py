@@ -27,7 +27,7 @@ CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 """From (x, y, z) to (z, x, y): the axes of the formula that they draw with."""
 
 
-def lift(
+def gaussians_of(
     disparity: torch.Tensor, raw: torch.Tensor, camera: Camera, config: Config
 ) -> dict[str, torch.Tensor]:
     """The Gaussians of one view, one a pixel in the order of its rows.

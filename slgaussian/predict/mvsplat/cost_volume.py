@@ -23,7 +23,7 @@ REDUCED = 4
 """Pixels of the image a pixel of the features."""
 
 SPARSE = 64
-"""Of so many pixels one is looked at to choose a number of candidates."""
+"""One pixel in so many is looked at to choose a number of candidates."""
 
 
 def spread(near: float, far: float, count: int) -> torch.Tensor:

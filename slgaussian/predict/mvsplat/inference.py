@@ -15,7 +15,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import link_views
-from slgaussian.predict.mvsplat.adapter import lift
+from slgaussian.predict.mvsplat.adapter import gaussians_of
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.scene import Camera, Sample, View
 
@@ -77,7 +77,7 @@ def _predict(
         with torch.autocast(predictor.device.split(":")[0], torch.bfloat16, enabled=bfloat16):
             found = predictor.network(images.float().div_(255), cameras, near, far, candidates)
         lifted = [
-            lift(disparity, raw, camera, predictor.config)
+            gaussians_of(disparity, raw, camera, predictor.config)
             for disparity, raw, camera in zip(found.disparity, found.raw, cameras, strict=True)
         ]
         fields = {name: torch.cat([part[name] for part in lifted]).cpu() for name in lifted[0]}

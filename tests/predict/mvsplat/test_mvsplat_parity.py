@@ -68,7 +68,7 @@ def found(network, reference, cameras) -> dict[str, np.ndarray]:
     with torch.no_grad():
         said = network(images, cameras, near=1.0, far=100.0)
         lifted = [
-            adapter.lift(disparity, raw, camera, PUBLISHED)
+            adapter.gaussians_of(disparity, raw, camera, PUBLISHED)
             for disparity, raw, camera in zip(said.disparity, said.raw, cameras, strict=True)
         ]
     for hook in hooks:
@@ -164,7 +164,7 @@ def test_lifted_gaussians_have_these_colours():
     one = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
     generator = torch.Generator().manual_seed(0)
     raw = torch.randn(8, 8, 9 + 48, generator=generator)
-    fields = adapter.lift(torch.full((8, 8), 0.5), raw, one, PUBLISHED)
+    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, one, PUBLISHED)
     rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
     gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
     window = replace(one, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))

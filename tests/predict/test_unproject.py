@@ -6,7 +6,7 @@ import torch
 from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.gaussians import covariances, rotation_matrices, source_depths
-from slgaussian.predict.unproject import lift, normals
+from slgaussian.predict.unproject import normals, unproject
 
 # Written out, not imported: a slip in the module must show here.
 FOOTPRINT, THICKNESS = 0.35, 0.1
@@ -20,7 +20,7 @@ def lifted():
     inverse_depths = [1 / view.depth for view in views]
     opacities = [np.full(view.depth.shape, 0.5, np.float32) for view in views]
     colors = [(view.image / 255).astype(np.float32) for view in views]
-    return views, lift(CAMERAS, colors, inverse_depths, opacities)
+    return views, unproject(CAMERAS, colors, inverse_depths, opacities)
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.4, -0.3, 1.0), (0.0, 1.2, 1.0)])
