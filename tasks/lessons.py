@@ -98,12 +98,11 @@ def lessons(
 def _seen(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
     """The contexts with the depth of their own Gaussians, the targets with rendered depth."""
     nothing = torch.zeros(len(gaussians), 1)
-    rendered = [
+    targets = []
+    for view in sample.targets:
         # The mean would put a surface between what is before and behind an edge.
-        rasterize(gaussians, nothing, view.camera, median=True).median.numpy()
-        for view in sample.targets
-    ]
-    targets = map(SeenView, sample.targets, rendered)
+        depth = rasterize(gaussians, nothing, view.camera, median=True).median
+        targets.append(SeenView(view, None if depth is None else depth.numpy()))
     return [*SceneGeometry.of(sample.context, gaussians).seen, *targets]
 
 

@@ -389,12 +389,13 @@ def query(
                 f"{idle[0]}: a list has every object of the scene and selects none; leave it out, "
                 "or leave out --list"
             )
-        answers, spoken = questions.inventory(field, texts, out, settings), questions.listed
+        answers = questions.inventory(field, texts, out, settings)
+        said = questions.listed(answers)
     else:
         choice = Choice(view or (), camera, between, orbit)
         answers = questions.ask(field, texts, choice, out, settings)
-        spoken = questions.spoken_film if choice.film else questions.spoken
-    typer.echo("\n".join(map(json.dumps, answers)) if as_json else spoken(answers))
+        said = questions.spoken_film(answers) if choice.film else questions.spoken(answers)
+    typer.echo("\n".join(map(json.dumps, answers)) if as_json else said)
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
     nothing = not listing and not any(answer["found"] for answer in answers)

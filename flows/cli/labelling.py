@@ -79,7 +79,9 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
             panels += [(view.name, view.image), ("objects", painted)]
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
-        about = {part.kind: part.name for part in parts} | {"replicas": method.replicas}
+        about: dict[str, Any] = {part.kind: part.name for part in parts} | {
+            "replicas": method.replicas
+        }
         about |= {part.name: part.identity() for part in parts if part.settings}
         text = {"size": [height, width], "views": files, "settings": about}
         (draft / ABOUT).write_text(json.dumps(text, indent=1) + "\n", "utf-8")

@@ -8,7 +8,7 @@ people take photographs, less on most robots.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -92,7 +92,7 @@ class Surroundings:
     level: np.ndarray
 
 
-def find_room(cameras: Sequence[Camera], depths: Sequence[np.ndarray]) -> Room:
+def find_room(cameras: Sequence[Camera], depths: Iterable[np.ndarray]) -> Room:
     """The room that V cameras see, from their predicted depths, float32 [H, W], 0 unknown."""
     points, normals = [], []
     for camera, depth in zip(cameras, depths, strict=True):

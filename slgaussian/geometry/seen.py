@@ -39,6 +39,12 @@ class SeenView:
 
     __repr__ = brief
 
+    def require_depth(self) -> np.ndarray:
+        """The depth; InputError if there is none."""
+        if self.depth is None:
+            raise InputError(f"view {self.view.name!r}: found no predicted depth, expected one")
+        return self.depth
+
     @staticmethod
     def alone(image: np.ndarray, depth: np.ndarray | None = None) -> SeenView:
         """A photograph by itself, for what needs no camera.
@@ -101,7 +107,7 @@ class SceneGeometry:
     @cached_property
     def depths(self) -> np.ndarray:
         """Predicted z-depth of every view, float32 [V, H, W] in scene units, 0 where unknown."""
-        return np.stack([seen.depth for seen in self.seen])
+        return np.stack([seen.require_depth() for seen in self.seen])
 
     def seen_again(self, here: int, there: int) -> tuple[np.ndarray, np.ndarray]:
         """Which surfaces of one view fall inside another, and which that one shows.

@@ -81,7 +81,8 @@ class MemoryBank:
             expected["boxes"] = ("int32", (n, views, 4))
         if (self.levels is None) != (self.group_features is None):
             raise InputError("memory bank: levels and group_features go together, found only one")
-        if self.levels is not None:
+        groups = 0
+        if self.levels is not None and self.group_features is not None:
             groups = len(self.group_features)
             expected["levels"] = ("int32", (len(self.levels), n))
             expected["group_features"] = ("float32", (groups, views, width))
@@ -104,14 +105,14 @@ class MemoryBank:
         if self.dimension and len(np.unique(self.codes, axis=0)) != n:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
-        if self.levels is not None:
+        if self.levels is not None and self.group_features is not None:
             own = self.levels == np.arange(n)
             if not (own | ((self.levels >= n) & (self.levels < n + groups))).all():
                 raise InputError(
                     f"memory bank levels: expected each object's own row or one of the {groups} "
                     f"groups, {n} to {n + groups - 1}"
                 )
-            held = self.group_features.any(2)
+            held = np.any(self.group_features, axis=2)
             _check_lengths("group_features: group", range(groups), self.group_features, held)
         if self.boxes is not None:
             size = self.boxes[..., 2:] - self.boxes[..., :2]
@@ -136,10 +137,10 @@ class MemoryBank:
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Objects and, after them, groups: float32 [N + G, V, C], and bool [N + G, V] where."""
-        if self.levels is None:
+        if self.group_features is None:
             return self.features, self.present
         features = np.concatenate([self.features, self.group_features])
-        return features, np.concatenate([self.present, self.group_features.any(2)])
+        return features, np.concatenate([self.present, np.any(self.group_features, axis=2)])
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as stored in ``bank.npz``: features as float16, what is known."""
@@ -212,10 +213,11 @@ def build_bank(
         members, levels = _members(groups)
     if names is not None:
         present &= np.isin(ids, list(names))[:, None]
-    if surroundings is None:
-        surroundings = [None] * len(views)
+    arounds: Sequence[Surroundings | None] = (
+        [None] * len(views) if surroundings is None else surroundings
+    )
     columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
-    of_views = zip(views, label_maps.labels, present.T, surroundings, strict=True)
+    of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, held, around) in enumerate(of_views):
         masks = labels == ids[held][:, None, None]
         boxes[held, v] = _boxes(masks)
@@ -301,11 +303,11 @@ def _merged_levels(
     The groups of one bank say nothing of the other's views, and its levels nothing of the objects
     that only the other has.
     """
-    if any(bank.levels is None for bank in banks):
-        return None, None
     views = sum(bank.present.shape[1] for bank in banks)
     levels, unions, groups, start = [], [], 0, 0
     for bank, place in zip(banks, places, strict=True):
+        if bank.levels is None or bank.group_features is None:
+            return None, None
         own = np.tile(np.arange(count, dtype=np.int32), (len(bank.levels), 1))
         grouped = bank.levels >= len(bank)
         own[:, place] = np.where(grouped, bank.levels - len(bank) + count + groups, place)
@@ -322,7 +324,7 @@ def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     count = groups.shape[1]
     levels = np.tile(np.arange(count, dtype=np.int32), (len(groups), 1))
     found: dict[bytes, int] = {}
-    members = []
+    members: list[np.ndarray] = []
     for level, numbers in enumerate(groups):
         for number in np.unique(numbers):
             member = numbers == number
@@ -342,7 +344,7 @@ def _half_rounded(encoded: np.ndarray, held: np.ndarray) -> np.ndarray:
 
 
 def _check_lengths(
-    what: str, names: Sequence[int], features: np.ndarray, present: np.ndarray
+    what: str, names: Sequence[int] | np.ndarray, features: np.ndarray, present: np.ndarray
 ) -> None:
     """InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
     lengths = np.linalg.norm(features.astype(np.float64), axis=2)
@@ -359,7 +361,7 @@ def _boxes(masks: np.ndarray) -> np.ndarray:
     """First column and row, and those after the last, of masks bool [M, H, W] not empty."""
     found = np.empty((len(masks), 4), np.int32)
     for k, axis in enumerate((1, 2)):
-        used = masks.any(axis)
+        used = np.any(masks, axis=axis)
         found[:, k] = used.argmax(1)
         found[:, 2 + k] = used.shape[1] - used[:, ::-1].argmax(1)
     return found

@@ -7,6 +7,7 @@ the image and to the region, so that the resolution of a photograph matters litt
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, overload
 
 import cv2
 import numpy as np
@@ -77,7 +78,11 @@ class Descriptors:
         return np.hstack([table[:, :split], shape, table[:, split:], np.array(room)])
 
 
-def _ramp(value: float | np.ndarray, low: float, high: float) -> float | np.ndarray:
+@overload
+def _ramp(value: float, low: float, high: float) -> float: ...
+@overload
+def _ramp(value: np.ndarray, low: float, high: float) -> np.ndarray: ...
+def _ramp(value: Any, low: float, high: float) -> Any:
     """-1 up to ``low``, 1 from ``high`` on, straight between."""
     return np.clip((2 * value - low - high) / (high - low), -1, 1)
 

@@ -153,7 +153,7 @@ class Lexicon:
                     vector[self._axis[name]] += weight / total
             vector *= SAYS
             vector /= max(1.0, float(np.linalg.norm(vector)))
-            vector[-1] = np.sqrt(max(0.0, 1.0 - vector @ vector))
+            vector[-1] = np.sqrt(max(0.0, float(1.0 - vector @ vector)))
         return vectors.astype(np.float32)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:

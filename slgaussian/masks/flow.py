@@ -47,6 +47,7 @@ class FlowTracker(MemoryTracker):
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
         import numpy as np
 
+        assert isinstance(new, _FlowFrame) and isinstance(old, _FlowFrame)  # as described
         warp = _homography(new, old)
         here, before = new.seen.view.grey, old.seen.view.grey
         there = _flow(here, before, warp)

@@ -45,7 +45,7 @@ def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
     """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
     import numpy as np
 
-    depth = frame.seen.depth
+    depth = frame.seen.require_depth()
     points = frame.seen.view.camera.unproject(depth)
     pixels, z = other.seen.view.camera.project(points)
     pixels[(depth <= 0) | (z <= 0)] = np.nan

@@ -210,7 +210,7 @@ def both_ways(
     import numpy as np
 
     rows, columns = back.shape[:2]
-    inside = (there > -0.5).all(-1) & (there < (columns - 0.5, rows - 0.5)).all(-1)
+    inside = np.all(there > -0.5, axis=-1) & np.all(there < (columns - 0.5, rows - 0.5), axis=-1)
     column, row = np.rint(np.where(inside[..., None], there, 0)).astype(np.int64).transpose(2, 0, 1)
     grid = pixel_grid(there.shape[:2])
     error = np.linalg.norm(back[row, column] - grid, axis=-1)

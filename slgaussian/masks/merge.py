@@ -173,9 +173,12 @@ def leaf_sums(
     color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
     texture = texture_codes(lab[..., 0])[inside]
     histogram = np.bincount(index * TEXTURE_CODES + texture, minlength=n * TEXTURE_CODES)
+    edges, length, strength = adjacency(leaves, boundary)
     return LeafSums(
         leaves,
-        *adjacency(leaves, boundary),
+        edges,
+        length,
+        strength,
         size / leaves.size,
         color / leaves.size,
         histogram.reshape(n, TEXTURE_CODES) / leaves.size,

@@ -107,9 +107,10 @@ class Precomputed:
         return covering(ids, height, width)
 
     def _find(self, name: str) -> Path:
-        folder, name = Path(self.folder), Path(name)
-        nested = folder / name.with_suffix("")
-        for base in dict.fromkeys((nested, folder / name.stem)):
+        assert self.folder is not None  # looked at when this was made
+        folder, view = Path(self.folder), Path(name)
+        nested = folder / view.with_suffix("")
+        for base in dict.fromkeys((nested, folder / view.stem)):
             found = [base.with_name(base.name + s) for s in SUFFIXES]
             found = [file for file in found if file.is_file()]
             if len(found) > 1:
@@ -117,8 +118,8 @@ class Precomputed:
             if found:
                 return found[0]
         raise InputError(
-            f"{folder}: has no id map of view {str(name)!r}; expected {name.stem}.png or "
-            f"{name.stem}.npy"
+            f"{folder}: has no id map of view {str(view)!r}; expected {view.stem}.png or "
+            f"{view.stem}.npy"
         )
 
 
