@@ -76,7 +76,7 @@ Chosen = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, floa
 def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
-    """Of every labelled frame its pair, or why there is none; under the pair's name."""
+    """The pair of every labelled frame, or why there is none; under the pair's name."""
     known = lerf_ovs.labelled(name)
     views, out = _views_of(scene, frames, known)
     names, clip, unreadable = _look(scene)

@@ -390,9 +390,10 @@ class Settings(Engine, Method):
 
 
 PATHS = ("out", "data", "pairs", "labels", "models")
-"""The settings that are paths,"""
+"""The settings that are paths."""
+
 URLS = ("store", "chunks")
-"""and those that may be URLs."""
+"""The settings that may be URLs."""
 
 
 def make_settings(values: dict[str, Any], source: str) -> Settings:
@@ -463,7 +464,7 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
 
 
 def over_preset(preset: Any, values: dict[str, Any], source: str) -> dict[str, Any]:
-    """Those of the named preset, and over them, key by key of a part's table, ``values``.
+    """The settings of the named preset, and over them, key by key of a part's table, ``values``.
 
     Raises
     ------

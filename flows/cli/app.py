@@ -163,7 +163,7 @@ def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) 
 
 
 def _baselines() -> list[str]:
-    """Of those whose names a shell takes as one word."""
+    """The baselines whose names a shell takes as one word."""
     from slgaussian.benchmark.baselines import ROWS
 
     return [name for name in ("all", *ROWS) if " " not in name]

@@ -103,7 +103,7 @@ def _tried(name: str, check: Callable[[], Findings]) -> Findings:
 
 
 def _packages() -> Findings:
-    """Those that are always needed, with the bounds of pyproject.toml."""
+    """Look at the packages that are always needed, with the bounds of pyproject.toml."""
     try:
         needed = requirements()
     except PackageNotFoundError:
@@ -123,7 +123,7 @@ def _packages() -> Findings:
 
 
 def _extras() -> Findings:
-    """Those that are for more than the main job; none of them must be there."""
+    """Look at the packages for more than the main job; none of them must be there."""
     for extra in metadata(PACKAGE).get_all("Provides-Extra") or []:
         if extra in DEVELOPMENT:
             continue

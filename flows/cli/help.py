@@ -18,7 +18,7 @@ from slgaussian.errors import did_you_mean
 ALL = "--help-all"
 
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-"""Of the context of every command."""
+"""Settings of the context of every command."""
 
 
 class App(typer.Typer):
