@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
-from prefect import Task, task
+from prefect import Task
 from prefect.cache_policies import NO_CACHE
 from prefect.events.clients import NullEventsClient
 from prefect.events.worker import EventsWorker
@@ -114,7 +114,6 @@ class Order:
         self.root, self.jobs, self.workers, self.seconds = root, jobs, workers, seconds
 
 
-@task(name="scenes", cache_policy=NO_CACHE, persist_result=False)
 def work_through(order: Order) -> Shard:
     """Take the jobs of an order down their roads, one after the other, until its time is over.
 
@@ -144,10 +143,17 @@ def work_through(order: Order) -> Shard:
     return shard
 
 
-def named(order: Order) -> Task:
-    """The task :func:`work_through` as Prefect's page shows it for this order."""
+def shard_task(order: Order) -> Task:
+    """The Prefect task :func:`work_through`, named after the jobs of an order."""
     more = f" and {len(order.jobs) - 1} more" if order.jobs[1:] else ""
-    return work_through.with_options(task_run_name=f"{order.jobs[0].scene}{more}")
+    return Task(
+        # By its own name, so that workers import it: a decorated one would be sent as code.
+        work_through,
+        name="scenes",
+        task_run_name=f"{order.jobs[0].scene}{more}",
+        cache_policy=NO_CACHE,
+        persist_result=False,
+    )
 
 
 def work_on(
@@ -181,7 +187,6 @@ def work_on(
         return site.made, failure
 
 
-@task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 def answer_roll_call(root: str, probe: str, server: str) -> None:
     """Fail with InputError where a worker could not do its work.
 
@@ -204,6 +209,9 @@ def answer_roll_call(root: str, probe: str, server: str) -> None:
         urllib.request.urlopen(f"{server}/health", timeout=ANSWER).close()
     except OSError as error:
         raise InputError(f"it does not reach the server at {redacted(server)}: {error}") from error
+
+
+roll_call = Task(answer_roll_call, name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 
 
 def _failure(scene: str, stage: str, error: Exception) -> Failure:

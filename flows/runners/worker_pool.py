@@ -31,8 +31,8 @@ from flows.runners.shard import (
     Order,
     Shard,
     StoppedError,
-    answer_roll_call,
-    named,
+    roll_call,
+    shard_task,
     watching,
 )
 from flows.runners.task_runners import abandon, started, without_interrupts
@@ -103,7 +103,7 @@ class WorkerPool:
         self.store.write(probe, b"")
         asked = {"root": self.store.root, "probe": probe, "server": os.environ["PREFECT_API_URL"]}
         try:
-            self.runner.submit(answer_roll_call, asked).result(timeout=PATIENCE)
+            self.runner.submit(roll_call, asked).result(timeout=PATIENCE)
         except TimeoutError as error:
             raise InputError(
                 f"runner: no worker of {runner} took on any work within {PATIENCE:.0f} s; start "
@@ -128,7 +128,7 @@ class WorkerPool:
         order = Order(self.store.root, shard, self.workers, LONG)
         try:
             with without_interrupts():
-                future = self.runner.submit(named(order), {"order": order})
+                future = self.runner.submit(shard_task(order), {"order": order})
         except Exception as error:  # each runner has its own
             said = one_line(f"{type(error).__name__}: {error}")
             raise SLGaussianError(
@@ -158,33 +158,30 @@ class WorkerPool:
 
 
 class _Here:
-    """What stays in this process: the arguments of a flow, and what it made.
+    """What stays in this process: the work of a flow, what it is called with, and what it made.
 
     Prefect sends the flow along with every shard, though workers never call it, and with it what it
     was called with: here every scene of the run, and who is told of it.
     """
 
-    def __init__(self, *arguments: Any) -> None:
-        self.arguments = arguments
+    def __init__(self, work: Callable[[], Any] | None = None) -> None:
+        self.work = work
         self.made: list[Any] = []
 
     def __reduce__(self) -> tuple[type[_Here], tuple[()]]:
         return _Here, ()
 
 
+def _run(here: _Here) -> None:
+    here.made.append(here.work())
+
+
 class JobFlow(Generic[Made]):
     """A Prefect flow over a :class:`WorkerPool`; made by :func:`job_flow`."""
 
     def __init__(self, work: Callable[..., Made], name: str) -> None:
-        def run(here: _Here) -> None:
-            store, runner, workers, *given = here.arguments
-            with WorkerPool(store, workers) as pool:
-                if "://" in runner:
-                    pool.call(runner)
-                here.made.append(work(pool, *given))
-
-        self.__doc__ = work.__doc__
-        self.flow = Flow(run, name=name, persist_result=False, validate_parameters=False)
+        self.work, self.__doc__ = work, work.__doc__
+        self.flow = Flow(_run, name=name, persist_result=False, validate_parameters=False)
 
     def __call__(self, store: ArtifactStore, runner: str, workers: int, *given: Any) -> Made:
         """Run it with a pool of ``workers`` and the further arguments ``given``.
@@ -207,7 +204,14 @@ class JobFlow(Generic[Made]):
         SLGaussianError
             If the Prefect server fails during the run.
         """
-        here = _Here(store, runner, workers, *given)
+
+        def work() -> Made:
+            with WorkerPool(store, workers) as pool:
+                if "://" in runner:
+                    pool.call(runner)
+                return self.work(pool, *given)
+
+        here = _Here(work)
         with started(runner, workers, store) as task_runner, _heard_by_nobody():
             try:
                 self.flow.with_options(task_runner=task_runner)(here)

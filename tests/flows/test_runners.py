@@ -199,8 +199,8 @@ def test_a_worker_that_cannot_work_says_why(server, tmp_path):
     """What it is asked before it is given work."""
     store = ArtifactStore(tmp_path)
     store.write("probe", b"")
-    answer_roll_call.fn(store.root, "probe", server.url)
+    answer_roll_call(store.root, "probe", server.url)
     with pytest.raises(InputError, match="another store at"):
-        answer_roll_call.fn(store.root, "another", server.url)
+        answer_roll_call(store.root, "another", server.url)
     with pytest.raises(InputError, match=r"does not reach the server at http://127.*refused"):
-        answer_roll_call.fn(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")
+        answer_roll_call(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")
