@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slgaussian import datasets
+from slgaussian.parts.identity import file_digest
+from tests.flows.command import ROOM, room_sample, save_photographs
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(__file__).parent / "other_package"
@@ -89,26 +90,20 @@ def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp
 
 
 def test_a_field_is_built_with_it(asked, tmp_path):
-    room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
-    room.sample(["view_00", "view_02"])  # what the program below makes once more
-    code = (
-        "import slgaussian as slg\n"
-        "room = slg.datasets.load('procedural', seed=1, objects=4, views=3, height=64, width=96)\n"
-        "sample = room.sample(['view_00', 'view_02'], near=0.8, far=12.0)\n"
-        "own = {'ink': {'colours': 'colours.txt', 'within': 60.0, 'least': 5}}\n"
-        "method = slg.Method(proposer='ink', replicas=1, settings=own)\n"
-        "field = slg.build_field(sample, method)\n"
-        "field.save('field')\n"
-        "print(len(field.bank))"
-    )
-    view = room.sample(["view_00", "view_02"]).context[0]
+    folder = save_photographs(tmp_path)
+    view = room_sample().context[0]
     ids, counts = np.unique(view.instances, return_counts=True)
     colours = [np.median(view.image[view.instances == i], 0) for i in ids[counts > 30]]
     np.savetxt(tmp_path / "colours.txt", colours)
-    assert int(asked(code).split()[-1]) >= 1
+    photographs = [folder / f"{name}.png" for name in ROOM["context"]]
+    own = ["--proposer", "ink", "--ink-colours", "colours.txt", "--ink-within", "60"]
+    near = ["--near", "0.8", "--far", "12", "--size", "64x64", "--replicas", "1"]
+    cameras = ["--cameras", folder / "transforms.json"]
+    asked(command("field", *photographs, *cameras, *own, *near, "-o", "field"))
     said = json.loads((tmp_path / "field" / "field.json").read_text())["settings"]
     assert said["proposer"] == "ink"
-    assert said["ink"]["within"] == 60.0 and len(said["ink"]["colours"]) == 64
+    digest = file_digest(tmp_path / "colours.txt")
+    assert said["ink"] == {"colours": digest, "within": 60.0, "least": 20}
 
 
 def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
