@@ -173,6 +173,7 @@ class _Here:
 
 
 def _run(here: _Here) -> None:
+    assert here.work is not None  # only what was sent elsewhere has none
     here.made.append(here.work())
 
 
