@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.parts.pretrained import (
@@ -29,7 +31,6 @@ from slgaussian.parts.pretrained import (
 from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    import numpy as np
     import torch
 
     from slgaussian.geometry.room import Surroundings
@@ -143,8 +144,6 @@ class Clip:
         InputError
             If image and masks do not match, or a mask is empty.
         """
-        import numpy as np
-
         from slgaussian.language.crops import check_regions
 
         check_regions(self.name, image, masks)
@@ -162,8 +161,6 @@ class Clip:
         InputError
             If a text is empty, longer than the model reads, or cannot be read at all.
         """
-        import numpy as np
-
         vectors = [self._text(text) for text in texts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
 
@@ -189,7 +186,6 @@ class Clip:
 
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Unit vectors of at most ``batch`` regions."""
-        import numpy as np
         import torch
 
         from slgaussian.language.crops import region_crop
@@ -212,8 +208,6 @@ class Clip:
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
 
     def _text(self, text: str) -> np.ndarray:
-        import numpy as np
-
         shown = text if len(text) <= 60 else text[:57] + "..."
         if not text.strip():
             raise InputError(f"query {shown!r}: is empty; describe an object, as in 'red ball'")
@@ -264,8 +258,6 @@ class Clip:
 
 def _unit(found: Any) -> np.ndarray:
     """Unit vectors float64 of what the network gives: from version 5 on, it says more as well."""
-    import numpy as np
-
     vectors = getattr(found, "pooler_output", found).double().cpu().numpy()
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 

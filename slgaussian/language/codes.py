@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.labels import LabelMaps
 
 MOST_DIMENSIONS = 3
@@ -115,8 +115,6 @@ class Exact:
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`; float32 [N, 0]."""
-        import numpy as np
-
         return np.empty((count_objects(label_maps), 0), np.float32)
 
 
@@ -144,8 +142,6 @@ def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarr
     InputError
         If ``n`` is less than 1.
     """
-    import numpy as np
-
     if n < 1:
         raise InputError(f"ID codes: asked for {n}, expected at least one object")
     k = _ceil_root(n, dimension)

@@ -26,14 +26,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.parts.settings import setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry.room import Surroundings
 
 POSITIVE = 0.8
@@ -117,8 +117,6 @@ class Lexicon:
         InputError
             If image, masks and surroundings do not match, or a mask is empty.
         """
-        import numpy as np
-
         from slgaussian.language.crops import check_regions
 
         check_regions(self.name, image, masks)
@@ -143,8 +141,6 @@ class Lexicon:
         InputError
             If a text is empty, has no known word or holds a negation.
         """
-        import numpy as np
-
         vectors = np.zeros((len(texts), self.width))
         for vector, text in zip(vectors, texts, strict=True):
             for word in self._vocabulary.read(text, self._guess).words:

@@ -14,13 +14,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
     from slgaussian.scene import Sample
@@ -58,8 +58,6 @@ class Named:
     table: Path | None = setting(None, "Names and vectors, .npz.", content=file_digest)
 
     def __post_init__(self) -> None:
-        import numpy as np
-
         table = self.table
         if table is None:
             raise InputError("named table: none given; give the .npz, as in --named-table FILE")
@@ -94,8 +92,6 @@ class Named:
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Unit vectors float32 [Q, C] of names; InputError for one that the table does not hold."""
-        import numpy as np
-
         return np.stack([np.zeros(self._vectors.shape[1]), *map(self._vector, texts)])[1:].astype(
             np.float32
         )
@@ -118,8 +114,6 @@ class Named:
         return {}
 
     def _vector(self, text: str) -> np.ndarray:
-        import numpy as np
-
         name = _normal(text)
         if name in self._rows:
             return self._vectors[self._rows[name]]
@@ -144,8 +138,6 @@ def true_names(sample: Sample, label_maps: LabelMaps) -> dict[int, str]:
     InputError
         If the sample has no names, or no view knows its instances.
     """
-    import numpy as np
-
     known = [
         (view.instances, labels)
         for view, labels in zip(sample.context, label_maps.labels, strict=True)
@@ -171,8 +163,6 @@ def _normal(name: str) -> str:
 
 
 def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    import numpy as np
-
     try:
         with np.load(file, allow_pickle=False) as content:
             names, features = content["names"], content["features"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways, pixel_grid
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
 
 AGREE_PIXELS = 2.0
@@ -34,7 +34,6 @@ class FlowTracker(MemoryTracker):
     def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
         """Add SIFT keypoints; see :meth:`slgaussian.masks.memory.MemoryTracker.describe`."""
         import cv2
-        import numpy as np
 
         frame = super().describe(seen, labels)
         grey = seen.view.grey
@@ -45,8 +44,6 @@ class FlowTracker(MemoryTracker):
 
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
-        import numpy as np
-
         assert isinstance(new, _FlowFrame) and isinstance(old, _FlowFrame)  # as described
         warp = _homography(new, old)
         here, before = new.seen.view.grey, old.seen.view.grey
@@ -61,7 +58,6 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
     It need not be exact: it only has to bring most of the image within reach of the flow.
     """
     import cv2
-    import numpy as np
 
     if min(len(a.points), len(b.points)) < 2:
         return np.eye(3)

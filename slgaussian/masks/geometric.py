@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
 
 AGREE_PIXELS = 4.0
@@ -43,8 +43,6 @@ class GeometricTracker(MemoryTracker):
 
 def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
     """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
-    import numpy as np
-
     depth = frame.seen.require_depth()
     points = frame.seen.view.camera.unproject(depth)
     pixels, z = other.seen.view.camera.project(points)

@@ -6,11 +6,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
     from slgaussian.scene import View
 
@@ -85,8 +85,6 @@ class MemoryTracker(ABC):
 
     def propagate(self, seen: SeenView) -> np.ndarray:
         """Labels int32 [H, W] for a view; see :class:`slgaussian.masks.MaskTracker`."""
-        import numpy as np
-
         from slgaussian.masks.segmentation import watershed_leaves
 
         for frame in reversed(self._frames):
@@ -130,8 +128,6 @@ class MemoryTracker(ABC):
 
     def _grow(self, of_leaf: np.ndarray, leaves: np.ndarray, lab: np.ndarray, top: int) -> None:
         """Let objects grow, in place, over unlabelled leaves that wear their colours."""
-        import numpy as np
-
         from slgaussian.masks.merge import adjacency
 
         bins = int(np.prod(COLOR_BINS))
@@ -162,8 +158,6 @@ class MemoryTracker(ABC):
 
 def check_labels(view: View, labels: np.ndarray) -> None:
     """Raise InputError unless ``labels`` are int32 of the size of ``view``, none negative."""
-    import numpy as np
-
     if labels.dtype != np.int32 or labels.shape != view.image.shape[:2]:
         raise InputError(
             f"view {view.name!r}: labels are {labels.dtype} {labels.shape}, expected int32 "
@@ -176,7 +170,6 @@ def check_labels(view: View, labels: np.ndarray) -> None:
 def _gradient(lab: np.ndarray) -> np.ndarray:
     """Length of the CIELAB gradient, float32 [H, W]."""
     import cv2
-    import numpy as np
 
     dx, dy = cv2.Sobel(lab, cv2.CV_32F, 1, 0), cv2.Sobel(lab, cv2.CV_32F, 0, 1)
     return np.sqrt((dx**2 + dy**2).sum(-1))
@@ -184,8 +177,6 @@ def _gradient(lab: np.ndarray) -> np.ndarray:
 
 def _color_bins(lab: np.ndarray) -> np.ndarray:
     """Joint CIELAB bin of every pixel, int64 [H, W], under ``prod(COLOR_BINS)``."""
-    import numpy as np
-
     chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:])) + COLOR_BINS[1] / 2
     steps = (lab[..., 0] / 10, chroma[..., 0], chroma[..., 1])
     bins = [np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(steps, COLOR_BINS, strict=True)]
@@ -207,8 +198,6 @@ def both_ways(
     least, share : float
         The way there and back may miss by ``least`` pixels, or by this share of the motion.
     """
-    import numpy as np
-
     rows, columns = back.shape[:2]
     inside = np.all(there > -0.5, axis=-1) & np.all(there < (columns - 0.5, rows - 0.5), axis=-1)
     column, row = np.rint(np.where(inside[..., None], there, 0)).astype(np.int64).transpose(2, 0, 1)
@@ -220,7 +209,5 @@ def both_ways(
 
 def pixel_grid(size: tuple[int, int]) -> np.ndarray:
     """Column and row of every pixel, float32 [H, W, 2]."""
-    import numpy as np
-
     rows, columns = np.mgrid[: size[0], : size[1]].astype(np.float32)
     return np.stack([columns, rows], -1)

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
 
 SUFFIXES = (".png", ".npy")
@@ -152,7 +152,6 @@ def map_names(views: Sequence[str]) -> dict[str, str]:
 
 def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
     """Suffix and content of the map int32 [H, W]: a grey PNG of 16 bits, or NPY for large ids."""
-    import numpy as np
     from PIL import Image
 
     out = io.BytesIO()
@@ -171,8 +170,6 @@ def read_ids(file: Path) -> np.ndarray:
     InputError
         If the file cannot be read, or holds anything but ids.
     """
-    import numpy as np
-
     ids = _read_npy(file) if file.suffix == ".npy" else _read_png(file)
     if ids.ndim != 2 or ids.size == 0:
         raise InputError(f"{file}: found shape {ids.shape}, expected ids [H, W]")
@@ -196,8 +193,6 @@ def _read_npy(file: Path) -> np.ndarray:
 
 
 def _read_png(file: Path) -> np.ndarray:
-    import numpy as np
-
     from slgaussian.formats.images import opened
 
     try:
@@ -228,8 +223,6 @@ def covering(ids: np.ndarray, height: int, width: int) -> np.ndarray:
     That is what :meth:`slgaussian.scene.View.resized` does to the photograph. Of each new pixel,
     the old one that its centre lies in is taken.
     """
-    import numpy as np
-
     scale = max(height / ids.shape[0], width / ids.shape[1])
     places = []
     for old, new in zip(ids.shape, (height, width), strict=True):

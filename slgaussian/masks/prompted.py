@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
@@ -17,8 +19,6 @@ from slgaussian.parts.pretrained import Family, chosen_device, load_pretrained, 
 from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
     from slgaussian.masks.automatic import PromptedImage
 

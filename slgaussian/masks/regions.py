@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
 
 LEVELS = ("s", "m", "l")
@@ -63,8 +63,6 @@ class Regions:
         InputError
             If ``where`` or the depth have the wrong type or size, or depth is not finite.
         """
-        import numpy as np
-
         from slgaussian.masks.flatten import CRUMB_SHARE
         from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
         from slgaussian.masks.segmentation import CUES, grow_trees

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.masks.prompted import AutomaticProposer
 from slgaussian.parts.pretrained import Family
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.masks.sam_image import Sam2Image
 
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from slgaussian.parts.pretrained import Family, load_pretrained, model_digest
 from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slgaussian.geometry import SeenView
     from slgaussian.masks.video_memory import VideoMemory
 

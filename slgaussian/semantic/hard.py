@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
     from slgaussian.labels import LabelMaps
@@ -16,7 +18,6 @@ class HardIndex:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, unlabelled, 0."""
-        import numpy as np
         import torch
 
         from slgaussian.semantic.code_images import code_images

@@ -11,7 +11,7 @@ for kind in KINDS:
     for name in names_of(kind):
         settings_of(find_part(kind, name))
 import flows.cli.app
-print(*({"torch", "numba", "cv2", "transformers", "numpy", "prefect"} & sys.modules.keys()))
+print(*({"torch", "numba", "cv2", "transformers", "prefect"} & sys.modules.keys()))
 """
 
 

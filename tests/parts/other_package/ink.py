@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from slgaussian.errors import InputError
+from slgaussian.masks import Proposals
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
 
@@ -22,13 +25,12 @@ class Ink:
         if self.colours is None or not Path(self.colours).is_file():
             raise InputError(f"ink colours: found {self.colours}, expected a file of colours")
 
-    def propose(self, image, *seen, **known):
-        import numpy as np
-
-        from slgaussian.masks import Proposals
-
-        colours = np.loadtxt(self.colours, ndmin=2)
-        masks = [np.linalg.norm(image - colour, axis=-1) <= self.within for colour in colours]
+    def propose(self, seen, where=None):
+        allowed = True if where is None else where
+        masks = [
+            (np.linalg.norm(seen.image - colour, axis=-1) <= self.within) & allowed
+            for colour in np.loadtxt(self.colours, ndmin=2)
+        ]
         masks = [mask for mask in masks if mask.sum() >= self.least]
-        stack = np.array(masks, bool).reshape(-1, *image.shape[:2])
+        stack = np.array(masks, bool).reshape(-1, *seen.image.shape[:2])
         return Proposals(stack, np.linspace(1, 0.5, len(stack), dtype=np.float32))
