@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 Show = str | Callable
 """How a value is printed: a format specification such as ``.2f``, or what makes a string of it."""
@@ -36,30 +35,6 @@ def table(rows: Sequence[Mapping], columns: Mapping[str, tuple[str, Show]]) -> s
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-@dataclass(frozen=True)
-class Table:
-    """The form of a table: its title, what a reader must know to read it, and its columns."""
-
-    title: str
-    about: str
-    columns: dict[str, tuple[str, Show]]
-
-    def markdown(self, rows: Sequence[Mapping]) -> str:
-        return f"## {self.title}\n\n{self.about}\n\n{table(rows, self.columns)}\n"
-
-
-def count(value: float) -> str:
-    return f"{value:,.0f}"
-
-
-def hundredths(value: float) -> str:
-    return f"{value:.2f}"
-
-
-def thousandths(value: float) -> str:
-    return f"{value:.3f}"
-
-
 def ms(seconds: float) -> str:
     """Milliseconds to three digits, or all before the point."""
     value = 1e3 * seconds
@@ -69,6 +44,10 @@ def ms(seconds: float) -> str:
 
 def percent(share: float) -> str:
     return f"{100 * share:.0f} %"
+
+
+def tenths_of_percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 def per_cent(share: float) -> str:

@@ -16,7 +16,10 @@ from benches.common import markdown_tables
 from benches.common.machine import machine
 from slgaussian.storage.store import write_atomic
 
-FORMATS = ("ms", "percent", "per_cent", "interval", "error", "error_under", "fraction", "limit")
+FORMATS = (
+    "ms", "percent", "tenths_of_percent", "per_cent", "interval", "error", "error_under",
+    "fraction", "limit",
+)  # fmt: skip
 
 
 def page(template: str, **results: object) -> str:

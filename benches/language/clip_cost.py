@@ -18,24 +18,11 @@ import torch
 import transformers
 from tokenizers.pre_tokenizers import ByteLevel
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, error, ms
+from benches.common.pages import page
 from slgaussian.language.clip import Clip
 
 ROUNDS = 3
 TEXTS = [chr(97 + i) * 6 for i in range(16)]
-
-TABLE = Table(
-    "CLIP ViT-B/16 on a CPU",
-    "Times are the least of three rounds.",
-    {
-        "what": ("what", str),
-        "seconds": ("ms", ms),
-        "difference": ("cosines off by", error),
-        "order": ("same bytes in another order", str),
-        "threads": ("and with two threads", str),
-    },
-)
 
 
 def save_model(folder: Path) -> Path:
@@ -133,8 +120,7 @@ def row(what: str, seconds: float, away: float, order: bool, threads: bool) -> d
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as place:
-        print(TABLE.markdown(measure(save_model(Path(place)))))
-    print(machine())
+        print(page("language/clip_cost.md.j2", rows=measure(save_model(Path(place)))))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benches.common.markdown_tables import Table, count, hundredths
+from benches.common.pages import page
 from benches.common.photograph_pairs import data_folder
 from slgaussian.errors import InputError
 from slgaussian.language.synonyms import LEAST, Synonyms
@@ -25,18 +25,6 @@ UNSEEN = [
     "because", "noise", "energy", "idea", "justice", "mathematics", "theory", "winter",
     "monday", "success", "government", "marriage", "election", "science", "price", "silence",
 ]  # fmt: skip
-
-TABLE = Table(
-    "Unknown words",
-    "Taken is what reaches the similarity.",
-    {
-        "least": ("least similarity", hundredths),
-        "taken": ("held out, share taken", hundredths),
-        "right": ("right, of these", hundredths),
-        "nouns": ("LVIS, share taken", hundredths),
-        "unseen": ("unseeable, share taken", hundredths),
-    },
-)
 
 
 def known(vocabulary: Vocabulary, word: str) -> bool:
@@ -73,13 +61,17 @@ def main() -> None:
         }
         for least in (0.5, 0.55, 0.6, 0.65, 0.7, 0.75)
     ]
-    print(TABLE.markdown(rows))
-    print(
-        f"{count(held_out.sum())} synonyms, {count(len(nouns))} nouns, {count(len(UNSEEN))} words "
-        "for what cannot be seen"
-    )
     taken = [(str(word), *finder.nearest(word)) for word in nouns if finder.nearest(word)]
-    print(f"taken at {LEAST}: " + ", ".join(f"{w} for {o.name} ({s:.2f})" for w, o, s in taken))
+    found = page(
+        "language/synonym_threshold.md.j2",
+        rows=rows,
+        synonyms=int(held_out.sum()),
+        nouns=len(nouns),
+        unseen=len(UNSEEN),
+        least=LEAST,
+        taken=[f"{word} for {other.name} ({alike:.2f})" for word, other, alike in taken],
+    )
+    print(found)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, count, hundredths
+from benches.common.pages import publish
 from benches.common.process_cost import CLI, costing
 from benches.pipeline.chunk_stages import chunk_stages, settings_of
 from flows.corpus import SUPERVISE
@@ -211,21 +210,6 @@ def command(work: Path, name: str, runner: str, workers: int) -> dict:
     return {"what": shown, "wall": cost.wall, "cpu": cost.cpu, "peak": cost.peak}
 
 
-TABLE = Table(
-    "A catalogue of 100,000 scenes",
-    "{clips} clips in {chunks} chunks ({size:.1f} GB), all of whose stages are in the store: what "
-    "it takes to find that out, and to write the tables anew. Memory is of all processes together. "
-    "Asked: under 300 s and 2,048 MB. `python -m benches.pipeline.cached_corpus WORK` on "
-    "{machine}.",
-    {
-        "what": ("what", str),
-        "wall": ("s", hundredths),
-        "cpu": ("CPU s", hundredths),
-        "peak": ("peak MB", count),
-    },
-)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for chunks and store, kept")
@@ -240,13 +224,8 @@ def main() -> None:
         rows.append(command(work, name, runner, workers))
         print(rows[-1], file=sys.stderr, flush=True)
     size = sum(file.stat().st_size for file in (work / "chunks").iterdir()) / 1e9
-    about = TABLE.about.format(
-        clips=f"{chunks * CLIPS:,}", chunks=f"{chunks:,}", size=size, machine=machine()
-    )
-    text = replace(TABLE, about=about).markdown(rows)
-    print(text)
-    if asked.out is not None:
-        asked.out.write_text(text)
+    counts = {"clips": chunks * CLIPS, "chunks": chunks, "size": size}
+    publish("pipeline/cached_corpus.md.j2", asked.out, rows=rows, **counts)
 
 
 if __name__ == "__main__":

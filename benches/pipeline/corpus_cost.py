@@ -21,8 +21,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, count, hundredths
+from benches.common.pages import publish
 from benches.common.resident_memory import held
 
 COPIES = 10
@@ -165,61 +164,6 @@ def whole_road(folder: Path, work: Path) -> tuple[dict, dict, dict]:
     return training, whole, apart(learning, *anew, 2)
 
 
-def share(value: float) -> str:
-    return f"{100 * value:.1f} %"
-
-
-STAGES = Table(
-    "Stages",
-    "CPU seconds of the whole process; a minute of one core does so many samples or views, and so "
-    "many scenes (clips). *flow* is the share of the time in which the flow ran and no stage "
-    "worked. Memory is the peak of the process, of which an idle one, everything imported, has the "
-    "*idle* part.",
-    {
-        "corpus": ("corpus", str),
-        "stage": ("stage", str),
-        "items": ("done", count),
-        "what": ("of", str),
-        "cpu": ("CPU s", hundredths),
-        "rate": ("a minute", count),
-        "scenes": ("scenes a minute", count),
-        "flow": ("flow", share),
-        "peak": ("peak MB", count),
-        "idle": ("idle MB", count),
-    },
-)
-
-RUNS = Table(
-    "The whole road",
-    "`slgaussian retrain`: *training* with all lessons there (train, judge, report); *all* from "
-    "the chunks on, on two workers; *again* without anything new. *start* is that of the Prefect "
-    "server, once a command.",
-    {
-        "run": ("run", str),
-        "items": ("lessons", count),
-        "wall": ("s", hundredths),
-        "cpu": ("CPU s", hundredths),
-        "peak": ("peak MB", count),
-        "start_up": ("start, s", hundredths),
-    },
-)
-
-PAPER = Table(
-    f"{CLIPS:,} clips on paper",
-    f"From the rates of *large* above: {VIEWS} views a clip, {PICKED} samples of each "
-    f"(`--most {PICKED}`), both cores of each machine busy, chunks shared out evenly.",
-    {
-        "machines": ("machines", count),
-        "views": ("views, hours", hundredths),
-        "predictions": ("Gaussians, hours", hundredths),
-        "lessons": ("lessons, hours", hundredths),
-        "days": ("all, days", hundredths),
-        "disk": ("store, GB in all", count),
-        "memory": ("GB a machine", hundredths),
-    },
-)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("walk", type=Path, nargs="?")
@@ -265,22 +209,20 @@ def main() -> None:
         for n in MACHINES
     ]
     parts = stages[-1]["times"]
-    told = ", ".join(f"{part} {s / sum(parts.values()):.0%}" for part, s in parts.items())
-    pages = [
-        f"Made by `python -m benches.pipeline.corpus_cost WALK --rooms {given.rooms}` on "
-        f"{machine()}.\n",
-        f"Packing a room of 12 views takes {room:.1f} CPU s. Lessons of *large*: {told}; a sample "
-        f"of the road takes {sizes['road'] / 1e6:.1f} MB of the store. The flow's share over the "
-        f"four stages: {', '.join(f'{name} {share(value)}' for name, value in flows.items())}. "
-        f"What came of the training: {runs[0]['said']} ({runs[0]['counts']}).\n",
-        STAGES.markdown(stages),
-        RUNS.markdown(runs),
-        PAPER.markdown(paper),
-    ]
-    text = "\n".join(pages)
-    print(text)
-    if given.out:
-        given.out.write_text(text)
+    publish(
+        "pipeline/corpus.md.j2",
+        given.out,
+        rows={"stages": stages, "runs": runs, "paper": paper},
+        rooms=given.rooms,
+        packing=room,
+        parts={part: seconds / sum(parts.values()) for part, seconds in parts.items()},
+        sample=sizes["road"],
+        flows=flows,
+        learnt=runs[0],
+        clips=CLIPS,
+        views=VIEWS,
+        picked=PICKED,
+    )
 
 
 if __name__ == "__main__":

@@ -817,8 +817,7 @@ def ready() -> None:
 
 
 def main() -> None:
-    from benches.common.machine import machine
-    from benches.common.markdown_tables import Table, count
+    from benches.common.pages import page
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=3000)
@@ -852,20 +851,13 @@ def main() -> None:
                 said = Counter(re.sub(r"\S*/set\S*|\d+", "…", one.said)[:150] for one in found)
                 for text, often in said.most_common():
                     print(f"{often:6d} {name}: {text}")
-    table = Table(
-        "Damaged files",
-        f"On {machine()}; `python -m benches.pipeline.fuzz_readers --count {given.count} "
-        f"--seed {given.seed}`. CPU "
-        "seconds of the slowest file; memory is what one took at most, besides what was there.",
-        {
-            "format": ("Format", str),
-            "files": ("Files", count),
-            **{kind: (heading, count) for kind, heading in KINDS.items()},
-            "seconds": ("Slowest, s", lambda value: f"{value:.2f}"),
-            "memory": ("Memory, MiB", lambda value: f"{value:.0f}"),
-        },
-    )
-    print(table.markdown(rows))
+    columns = {
+        **{kind: (heading, ",.0f") for kind, heading in KINDS.items()},
+        "seconds": ("Slowest, s", ".2f"),
+        "memory": ("Memory, MiB", ".0f"),
+    }
+    asked = {"count": given.count, "seed": given.seed}
+    print(page("pipeline/fuzz.md.j2", rows=rows, columns=columns, **asked))
     for name, one in bad:
         print(f"{name} {one.number}: {one.kind}: {one.said}")
     raise SystemExit(bool(bad))

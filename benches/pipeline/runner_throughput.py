@@ -15,14 +15,12 @@ import json
 import os
 import shutil
 import sys
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, count, hundredths
+from benches.common.pages import publish
 from benches.common.process_cost import CLI, costing
 from benches.common.small_rooms import HEIGHT, WIDTH, write_rooms
 
@@ -53,7 +51,7 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
         "start": cost.wall - took,
         "rate": 60 * scenes / took,
         # Ray ends its workers in a way that nobody is told what they took.
-        "cpu": None if runner == "ray" else cost.cpu / scenes,
+        **({} if runner == "ray" else {"cpu": cost.cpu / scenes}),
         "flow": 1 - sum(event["seconds"] for event in stages) / (workers * took),
         "peak": cost.peak,
         "largest": cost.largest,
@@ -64,29 +62,6 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
 
 def moment(event: dict) -> float:
     return datetime.fromisoformat(event["time"]).timestamp()
-
-
-TABLE = Table(
-    "Scenes a minute",
-    "{scenes} made-up rooms of three photographs, {height}x{width}, from an empty store to their "
-    "scores, all processes of a run on as many cores as it has workers. *start* is what is not "
-    "between the beginning of the flow, whose workers then start, and its last scene: server, "
-    "imports, report. *times*: scenes a minute by those of the first row. *not in stages*: share "
-    "of the workers' time in which no stage ran: starting them, passing work on, looking into the "
-    "store, waiting. Memory: all processes together, the server among them, and the largest. "
-    "`python -m benches.pipeline.runner_throughput WORK --scenes {scenes}` on {machine}.",
-    {
-        "runner": ("runner", str),
-        "workers": ("workers", count),
-        "start": ("start, s", hundredths),
-        "rate": ("scenes a minute", count),
-        "times": ("times", hundredths),
-        "cpu": ("CPU s a scene", lambda cpu: "" if cpu is None else hundredths(cpu)),
-        "flow": ("not in stages", lambda share: f"{100 * share:.0f} %"),
-        "peak": ("MB", count),
-        "largest": ("largest MB", count),
-    },
-)
 
 
 def main() -> None:
@@ -107,11 +82,8 @@ def main() -> None:
     ]
     for row in rows:
         row["times"] = row["rate"] / rows[0]["rate"]
-    about = TABLE.about.format(scenes=asked.scenes, height=HEIGHT, width=WIDTH, machine=machine())
-    text = replace(TABLE, about=about).markdown(rows)
-    print(text)
-    if asked.out is not None:
-        asked.out.write_text(text)
+    size = {"scenes": asked.scenes, "height": HEIGHT, "width": WIDTH}
+    publish("pipeline/runners.md.j2", asked.out, rows=rows, **size)
 
 
 if __name__ == "__main__":

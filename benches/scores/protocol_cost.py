@@ -16,25 +16,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benches.common.machine import machine
-from benches.common.markdown_tables import Table, ms
+from benches.common.pages import publish
 from benches.common.paired_timing import paired_times
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame
 from slgaussian.language.query import Rules
 
 HEIGHT, WIDTH = 416, 576
 QUERIES = 20
-
-TABLE = Table(
-    "Scoring a query",
-    f"CPU milliseconds a query, of {QUERIES} in a frame of {HEIGHT} x {WIDTH}, on all cores "
-    "together; the least of up to 11 rounds, as others used the machine too.",
-    {
-        "protocol": ("protocol", str),
-        "objects": ("objects, ms", ms),
-        "pixels": ("pixels, ms", ms),
-    },
-)
 
 
 def frame(objects: bool) -> Frame:
@@ -81,11 +69,8 @@ def main() -> None:
         {"protocol": name, **{kind: spent[kind][name] / QUERIES for kind in spent}}
         for name in spent["objects"]
     ]
-    made = f"Made by `python -m benches.scores.protocol_cost` on {machine()}."
-    page = f"{made}\n\n{TABLE.markdown(rows)}"
-    print(page)
-    if given.out:
-        given.out.write_text(page)
+    size = {"queries": QUERIES, "height": HEIGHT, "width": WIDTH}
+    publish("scores/protocol_cost.md.j2", given.out, rows=rows, **size)
 
 
 if __name__ == "__main__":
