@@ -61,6 +61,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # AUTO is as fast as none (82 against 80 GFLOP/s, matrices of 200 to 4096, AMD EPYC); COMPATIBLE,
 # which is also the same on all kinds of processors, has 35.
 os.environ.setdefault("MKL_CBWR", "AUTO")
+# Virtual machines may report AMX and not run it: then bfloat16 ends with an illegal instruction.
+os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_FP16")
 if "NUMBA_CACHE_DIR" not in os.environ:
     # Without a home that can be written, Numba keeps its own default, beside the sources.
     with contextlib.suppress(OSError):
