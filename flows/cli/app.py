@@ -739,7 +739,7 @@ def parts(
     \b
     slgaussian parts
     slgaussian parts --json
-    slgaussian parts --schema > slgaussian.schema.json
+    slgaussian parts --schema
     """
     from flows.cli import parts as known
 

@@ -170,4 +170,5 @@ def _annotation(part: type, field: dataclasses.Field[Any]) -> Any:
     if not isinstance(field.type, str):
         return field.type
     owner = next(c for c in part.__mro__ if field.name in inspect.get_annotations(c))
-    return eval(field.type, dict(vars(sys.modules[owner.__module__])))
+    alone = types.SimpleNamespace(__annotations__={field.name: field.type})
+    return typing.get_type_hints(alone, vars(sys.modules[owner.__module__]))[field.name]

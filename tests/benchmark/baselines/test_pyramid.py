@@ -62,7 +62,7 @@ def test_tiles_are_what_the_encoder_says_of_squares(given):
     for view in range(2):
         mask = np.zeros((1, 104, 144), bool)
         mask[0, rows[1] : rows[1] + 40, columns[2] : columns[2] + 40] = True
-        image, around = given.sample.context[view].image, given.surroundings[view]
+        image, around = given.sample.context[view].image, given.geometry.surroundings[view]
         alone = given.encoder.encode_regions(image, mask, around)[0]
         np.testing.assert_array_equal(level.values[view, 1, 2], alone)
     assert level.centres[0][1] == rows[1] + 20
