@@ -1,6 +1,6 @@
 """What well-kept libraries have of what kernels of ours do: the same answers, and how fast.
 
-python -m benches.common.library_kernels
+python -m benches.common.own_kernels
 
 The nearest code in L1 against ``scipy.spatial.cKDTree``, and the weighted median of depth against
 ``cv2.ximgproc.weightedMedianFilter``, on random numbers of the size of a photograph of 416 x 576.
