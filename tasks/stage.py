@@ -111,7 +111,7 @@ class Stage:
         self.task = Task(
             self._found_or_made,
             name=name,
-            task_run_name=lambda: _site.get().scene or name,
+            task_run_name=lambda: f"{name} of {_site.get().scene}",
             cache_policy=NO_CACHE,
             persist_result=False,
         )

@@ -165,12 +165,14 @@ def test_prefect_is_told_which_stages_were_found_in_the_store(runs, monkeypatch)
         monkeypatch.setattr(stage.task, "on_completion_hooks", [hook])
     runs()
     assert sorted(states) == sorted(
-        (name, scene, "Completed") for scene in "ab" for name in ("make", "halve", "add")
+        (name, f"{name} of {scene}", "Completed")
+        for scene in "ab"
+        for name in ("make", "halve", "add")
     )
     states.clear()
     runs(more=2)
     assert sorted(states) == sorted(
-        (name, scene, state)
+        (name, f"{name} of {scene}", state)
         for scene in "ab"
         for name, state in (("make", "Cached"), ("halve", "Cached"), ("add", "Completed"))
     )
