@@ -743,6 +743,8 @@ def parts(
     """
     from flows.cli import parts as known
 
+    if as_json and schema:
+        raise InputError("parts: --json and --schema are two outputs; choose one")
     typer.echo(known.schema() if schema else known.as_json() if as_json else known.listed())
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from flows.cli import parts
+from flows.cli.app import main
 from slgaussian.parts.registry import KINDS, names_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parts.md"
@@ -39,3 +40,10 @@ def test_the_schema_tells_configurations_from_others(values, fits):
     jsonschema = pytest.importorskip("jsonschema")
     known = jsonschema.Draft202012Validator(json.loads(parts.schema()))
     assert known.is_valid(values) == fits
+
+
+def test_two_outputs_at_once_are_refused(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["slgaussian", "parts", "--json", "--schema"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2 and "choose one" in capsys.readouterr().err
