@@ -23,6 +23,8 @@ import numpy as np
 
 from benches.common.photograph_pairs import SIZE, read_pairs
 from slgaussian.benchmark.annotations import read_labels
+from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.relative import Relative
 from slgaussian.datasets import nerfstudio
 from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
@@ -32,7 +34,7 @@ from slgaussian.masks import MaskTracker, Proposals, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
 from slgaussian.predict import load_predictor
-from slgaussian.predict.pose import GATE, Relative, refine, sift_matches
+from slgaussian.predict.pose import GATE, refine
 from slgaussian.scene import Sample, View
 
 BASELINES = (0.3, 0.6, 0.9, 1.2, 1.6)

@@ -23,11 +23,11 @@ import slgaussian.kernels.threads
 from benches.common.photograph_pairs import photographs
 from benches.common.resident_memory import held
 from slgaussian import datasets
+from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
 from slgaussian.predict import sweep
 from slgaussian.predict.links import INLIER, link_views
 from slgaussian.predict.planesweep import PlaneSweep
-from slgaussian.predict.pose import sift_matches
 from slgaussian.scene import Sample, View
 
 STAGES = (

@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.neighbours import neighbours
+from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.predict.links import neighbours
-from slgaussian.predict.pose import Relative, sift_matches
 from slgaussian.scene import Camera, Sample, View
 
 COARSE = 0.01

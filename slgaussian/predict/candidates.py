@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slgaussian.predict.pose import Relative
+from slgaussian.cameras.relative import Relative
 
 MIN_MATCHES = 12
 """Fewest triangulated matches that a depth range is estimated from."""

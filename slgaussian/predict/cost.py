@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 from numba.extending import intrinsic
 
-from slgaussian.predict.pose import Relative
+from slgaussian.cameras.relative import Relative
 
 OUTSIDE = 60
 """Cost of a candidate that lands outside the source: better than a bad match, worse than a good."""

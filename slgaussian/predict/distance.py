@@ -9,9 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import MIN_PARALLAX
-from slgaussian.predict.pose import GATE, Relative, sift_matches
+from slgaussian.predict.pose import GATE
 from slgaussian.scene import Camera
 
 ANCHORS = 4

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
-from slgaussian.predict.pose import Relative
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.sgm import aggregate, winners
 
 UNSEEN, AGREES, IN_FRONT, BEHIND = range(4)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.neighbours import nearest, neighbours
+from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.predict.candidates import MIN_MATCHES
-from slgaussian.predict.pose import GATE, Relative, refine, sift_matches
+from slgaussian.predict.pose import GATE, refine
 from slgaussian.scene import View
-
-NEIGHBOURS = 2
-"""Source views a reference is matched against, the nearest by baseline."""
 
 INLIER = 2.0
 """Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
@@ -44,9 +44,10 @@ class Link:
 
 
 def link_views(views: Sequence[View]) -> list[list[Link]]:
-    """For each view, links to its :data:`NEIGHBOURS` nearest views in order of distance.
+    """For each view, links to its nearest views in order of distance.
 
-    Two views whose matches show no parallax are not linked: nothing can be learnt from them.
+    As many as :data:`slgaussian.cameras.neighbours.NEIGHBOURS`. Two views whose matches show no
+    parallax are not linked: nothing can be learnt from them.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
         cameras.
     """
     greys = [view.grey for view in views]
-    sources = [_nearest(views, i) for i in range(len(views))]
+    sources = [nearest(views, i) for i in range(len(views))]
     links: dict[tuple[int, int], Link] = {}
     too_close: dict[int, str] = {}
     for i, j in neighbours(views):
@@ -92,16 +93,3 @@ def link_views(views: Sequence[View]) -> list[list[Link]]:
         if not found:
             raise InputError(too_close[i])
     return linked
-
-
-def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
-    """The pairs (i, j), i < j, in order, of which one is among the other's nearest views."""
-    sources = [_nearest(views, i) for i in range(len(views))]
-    return sorted({(min(i, j), max(i, j)) for i, js in enumerate(sources) for j in js})
-
-
-def _nearest(views: Sequence[View], i: int) -> list[int]:
-    center = views[i].camera.center
-    others = [j for j in range(len(views)) if j != i]
-    others.sort(key=lambda j: float(np.linalg.norm(views[j].camera.center - center)))
-    return others[:NEIGHBOURS]

@@ -19,8 +19,8 @@ from slgaussian.cameras.check import (
     explained,
     refuse,
 )
+from slgaussian.cameras.matches import sift_matches
 from slgaussian.errors import InputError
-from slgaussian.predict.pose import sift_matches
 from slgaussian.scene import Camera, Sample, View
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -131,7 +131,8 @@ def test_a_scene_can_be_sent_to_another_process(tmp_path):
 
 
 def test_matches_of_a_real_scene_lie_on_its_epipolar_lines(real_data):
-    from slgaussian.predict.pose import Relative, sift_matches
+    from slgaussian.cameras.matches import sift_matches
+    from slgaussian.cameras.relative import Relative
 
     scene = llff.read(real_data / "fern")
     assert len(scene.cameras) == 20

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from textured_planes import Plane, camera
 
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.cost import matching_cost
-from slgaussian.predict.pose import Relative
 
 # Written out, not imported: a slip in the module must show here.
 OUTSIDE, RADIUS = 60, 2

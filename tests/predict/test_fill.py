@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from textured_planes import DISTANCE, NORMAL, Plane, camera
 
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.fill import (
     AGREES,
     BEHIND,
@@ -15,7 +16,6 @@ from slgaussian.predict.fill import (
     weighted_median,
     without_speckles,
 )
-from slgaussian.predict.pose import Relative
 
 # Written out, not imported: a slip in the module must show here.
 MEDIAN_COLOR, MEDIAN_RADIUS = 40.0, 7

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from textured_planes import camera, sample
 
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.fill import AGREES, cross_check
 from slgaussian.predict.fuse import blend, meet
 from slgaussian.predict.links import Link
-from slgaussian.predict.pose import Relative
 
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0

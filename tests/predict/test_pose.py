@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from textured_planes import camera, sample
 
+from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.relative import Relative
 from slgaussian.predict.candidates import (
     candidates,
     inverse_depth_range,
@@ -12,7 +14,7 @@ from slgaussian.predict.candidates import (
     visible_share,
 )
 from slgaussian.predict.links import link_views
-from slgaussian.predict.pose import Relative, refine, sift_matches
+from slgaussian.predict.pose import refine
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
