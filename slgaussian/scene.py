@@ -31,6 +31,28 @@ Size = tuple[int, int] | str
 """
 
 
+@dataclass(frozen=True)
+class Estimated:
+    """How a camera was found that nobody gave.
+
+    Attributes
+    ----------
+    focal : (float, float)
+        Ends of the interval that holds the focal length nine times in ten, as fractions of it.
+    source : str
+        Where the focal length comes from: "EXIF", "matches", "guess" or "given".
+    confidence : float
+        0 to 1: that the poses of the scene are right to some degrees.
+    up : (float, float, float) or None
+        Unit vector against gravity in world axes, if a phone measured it.
+    """
+
+    focal: tuple[float, float]
+    source: str
+    confidence: float
+    up: tuple[float, float, float] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera.
@@ -45,6 +67,8 @@ class Camera:
         Image size in pixels.
     near, far : float or None
         Depth range along z in scene units, where the user knows it.
+    estimated : Estimated or None
+        How it was found from photographs alone; None if it was given.
 
     Raises
     ------
@@ -60,6 +84,7 @@ class Camera:
     height: int
     near: float | None = None
     far: float | None = None
+    estimated: Estimated | None = None
 
     def __repr__(self) -> str:
         focal, at = (
