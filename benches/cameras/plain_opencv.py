@@ -1,0 +1,51 @@
+"""Relative pose by OpenCV alone, as a short script does it: what other ways are held against."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+FEATURES = 4000
+CONTRAST = 0.02
+RATIO = 0.85
+PIXELS = 1.0
+
+
+def matches(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mutual RootSIFT matches of two RGB images: float64 [M, 2] each, pixel centres at +0.5."""
+    sift = cv2.SIFT_create(nfeatures=FEATURES, contrastThreshold=CONTRAST)
+    found = [
+        sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None) for image in (a, b)
+    ]
+    if any(described is None or len(described) < 2 for _, described in found):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    rows, columns = (np.sqrt(d / np.maximum(d.sum(1, keepdims=True), 1e-9)) for _, d in found)
+    similar = rows @ columns.T
+    best, back = similar.argmax(1), similar.argmax(0)
+    two = np.sqrt(np.maximum(2 - 2 * -np.partition(-similar, 1, axis=1)[:, :2], 0))
+    kept = (back[best] == np.arange(len(best))) & (two[:, 0] < RATIO * two[:, 1])
+    points = [np.array([point.pt for point in of]).reshape(-1, 2) + 0.5 for of, _ in found]
+    return points[0][kept], points[1][best[kept]]
+
+
+def relative_pose(
+    at_a: np.ndarray, at_b: np.ndarray, K_a: np.ndarray, K_b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """``X_b = R @ X_a + t`` from matches [M, 2] and [M, 2]: R [3, 3], t [3]; None without one."""
+    if len(at_a) < 8:
+        return None
+    rays = [cv2.undistortPoints(at[:, None], K, None) for at, K in ((at_a, K_a), (at_b, K_b))]
+    focal = (K_a[0, 0] + K_a[1, 1] + K_b[0, 0] + K_b[1, 1]) / 4
+    E, kept = cv2.findEssentialMat(
+        *rays, np.eye(3), method=cv2.USAC_ACCURATE, prob=0.999, threshold=PIXELS / focal
+    )
+    if E is None or E.shape != (3, 3):
+        return None
+    _, R, t, _ = cv2.recoverPose(E, *rays, np.eye(3), mask=kept)
+    return R, t[:, 0]
+
+
+def guessed(width: int, height: int, factor: float = 1.2) -> np.ndarray:
+    """Intrinsics with the focal length that COLMAP takes where nothing is known."""
+    focal = factor * max(width, height)
+    return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])

@@ -1,0 +1,210 @@
+"""Relative poses of pairs of photographs, by ours and by what else there is.
+
+    python -m benches.cameras.relative_pose DATA [--rows FILE]
+
+DATA is what :mod:`benches.cameras.posed_pairs` reads. Every method finds its own features and gets
+the photographs as they are; the error of a pair is the larger of the angles by which rotation and
+direction of translation are off. poselib is asked where it is installed. FILE keeps a row a pair
+and method, as JSON lines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from benches.cameras import plain_opencv
+from benches.cameras.pose_metrics import (
+    WRONG,
+    area_under_curve,
+    direction_error,
+    rotation_error,
+)
+from benches.cameras.posed_pairs import PosedPair, posed_pairs
+from benches.common.markdown_tables import percent, table
+from benches.common.photograph_pairs import data_folder
+from slgaussian.cameras.find import find_cameras
+from slgaussian.cameras.photograph import Photograph
+from slgaussian.errors import InputError
+from slgaussian.scene import View
+
+FEASIBLE = 10.0
+"""Degrees within which OpenCV's pose with the true intrinsics lies where a pair can be solved."""
+
+KNOWN, GUESSED = "OpenCV, K known", "OpenCV, f = 1.2 max(w, h)"
+
+
+class Answer(NamedTuple):
+    """``X_b = R @ X_a + t``, and the two focal lengths in pixels if they were found."""
+
+    R: np.ndarray
+    t: np.ndarray
+    focals: tuple[float, float] | None = None
+
+
+Method = Callable[[View, View], Answer | None]
+
+
+def opencv_known(a: View, b: View) -> Answer | None:
+    at_a, at_b = plain_opencv.matches(a.image, b.image)
+    found = plain_opencv.relative_pose(at_a, at_b, a.camera.K, b.camera.K)
+    return found and Answer(*found)
+
+
+def opencv_guessed(a: View, b: View) -> Answer | None:
+    at_a, at_b = plain_opencv.matches(a.image, b.image)
+    K_a, K_b = (plain_opencv.guessed(v.camera.width, v.camera.height) for v in (a, b))
+    found = plain_opencv.relative_pose(at_a, at_b, K_a, K_b)
+    return found and Answer(*found, (K_a[0, 0], K_b[0, 0]))
+
+
+def poselib_known(a: View, b: View) -> Answer | None:
+    import poselib
+
+    at_a, at_b = plain_opencv.matches(a.image, b.image)
+    cameras = [
+        {
+            "model": "PINHOLE",
+            "width": view.camera.width,
+            "height": view.camera.height,
+            "params": view.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
+        }
+        for view in (a, b)
+    ]
+    if len(at_a) < 8:
+        return None
+    pose, _ = poselib.estimate_relative_pose(at_a, at_b, *cameras, {"max_epipolar_error": 1.0}, {})
+    return Answer(pose.R, pose.t)
+
+
+def ours(a: View, b: View) -> Answer | None:
+    photographs = [
+        Photograph(name, view.image, view.camera.width, view.camera.height)
+        for name, view in (("a", a), ("b", b))
+    ]
+    try:
+        found = find_cameras(photographs)
+    except InputError:
+        return None
+    there = found.cameras["b"].w2c @ found.cameras["a"].c2w
+    return Answer(there[:3, :3], there[:3, 3], (found.focals["a"].pixels, found.focals["b"].pixels))
+
+
+def methods() -> dict[str, Method]:
+    asked: dict[str, Method] = {KNOWN: opencv_known, GUESSED: opencv_guessed}
+    if importlib.util.find_spec("poselib"):
+        asked["poselib, K known"] = poselib_known
+    return {**asked, "ours, focal unknown": ours}
+
+
+def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
+    """A row a pair and method; errors are NaN where a method gave no answer."""
+    rows = []
+    for pair in pairs:
+        there = pair.b.camera.w2c @ pair.a.camera.c2w
+        for name, method in methods().items():
+            start = time.process_time()
+            answer = method(pair.a, pair.b)
+            row = {
+                "group": pair.group,
+                "pair": pair.name,
+                "method": name,
+                "seconds": time.process_time() - start,
+            }
+            rows.append({**row, **_errors(answer, pair, there)})
+    return rows
+
+
+def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[str, float]:
+    if answer is None:
+        return dict.fromkeys(("rotation", "direction", "focal"), float("nan"))
+    true = [(view.camera.K[0, 0] + view.camera.K[1, 1]) / 2 for view in (pair.a, pair.b)]
+    judged = answer.focals is not None and pair.focal_known
+    return {
+        "rotation": rotation_error(answer.R, there[:3, :3]),
+        "direction": direction_error(answer.t, there[:3, 3]),
+        "focal": float(np.abs(np.divide(answer.focals, true) - 1).mean())
+        if judged
+        else float("nan"),
+    }
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row a group and method, with the shares that a table shows."""
+    groups = list(dict.fromkeys(row["group"] for row in rows))
+    named = {group: [group] for group in groups}
+    named |= {"all but places": [group for group in groups if group != "places"], "all": groups}
+    feasible = {
+        row["pair"]
+        for row in rows
+        if row["method"] == KNOWN and max(row["rotation"], row["direction"]) < FEASIBLE
+    }
+    out = []
+    for title, chosen in named.items():
+        for method in dict.fromkeys(row["method"] for row in rows):
+            own = [row for row in rows if row["group"] in chosen and row["method"] == method]
+            errors = np.array([max(row["rotation"], row["direction"]) for row in own])
+            answered = np.isfinite(errors)
+            solvable = np.array([row["pair"] in feasible for row in own])
+            focal = np.array([row["focal"] for row in own])
+            at5, at10, at20 = area_under_curve(np.where(answered, errors, np.inf))
+            line = {
+                "group": title,
+                "method": method,
+                "pairs": len(own),
+                "auc": f"{at5:.1f}/{at10:.1f}/{at20:.1f}",
+                "refused": int((~answered).sum()),
+                "wrong": int((errors[answered] > WRONG).sum()),
+                "wrong_share": float((errors[answered] > WRONG).mean()) if answered.any() else 0.0,
+                "refused_feasible": float((~answered)[solvable].mean()) if solvable.any() else 0.0,
+                "seconds": float(np.median([row["seconds"] for row in own])),
+            }
+            if np.isfinite(focal).any():
+                line["focal"] = float(np.nanmedian(focal))
+            out.append(line)
+    return out
+
+
+COLUMNS = {
+    "group": ("pairs of", str),
+    "method": ("method", str),
+    "pairs": ("pairs", "d"),
+    "auc": ("AUC 5/10/20°", str),
+    "focal": ("focal error, median", percent),
+    "refused": ("refused", "d"),
+    "wrong": ("wrong", "d"),
+    "wrong_share": ("of the answered", percent),
+    "refused_feasible": ("refused of the feasible", percent),
+    "seconds": ("CPU s, median", ".2f"),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=data_folder("office/pairs.json"), help="folder of places")
+    parser.add_argument("--rows", type=Path, help="where rows are kept")
+    given = parser.parse_args()
+    cv2.setNumThreads(1)
+    rows = measure(posed_pairs(given.data))
+    if given.rows:
+        given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    print(table(summary(rows), COLUMNS))
+    print(
+        f"\nWrong: more than {WRONG:g} degrees off, and not said. Feasible: pairs on which OpenCV "
+        f"with K known is within {FEASIBLE:g} degrees. Focal lengths are not judged where the "
+        "photographs themselves do not tell them."
+    )
+
+
+if __name__ == "__main__":
+    main()

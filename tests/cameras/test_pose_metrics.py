@@ -1,0 +1,23 @@
+"""The measure that relative poses are judged by."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benches.cameras.pose_metrics import area_under_curve, direction_error, rotation_error
+
+
+def test_angles_are_those_that_were_turned():
+    turn = Rotation.from_rotvec(np.radians([0, 7, 0])).as_matrix()
+    assert rotation_error(turn, np.eye(3)) == pytest.approx(7)
+    assert direction_error(turn @ [0, 0, 3.0], np.array([0, 0, 0.5])) == pytest.approx(7)
+    assert direction_error(np.array([0, 0, -1.0]), np.array([0, 0, 1.0])) == pytest.approx(180)
+
+
+def test_area_is_the_mean_recall_over_bounds():
+    # The share of pairs below a bound, linear between errors, as SuperGlue and LightGlue draw it.
+    assert area_under_curve([0.0, 0.0], [5.0]) == pytest.approx([100])
+    assert area_under_curve([np.inf, 30.0], [5.0, 20.0]) == pytest.approx([0, 0])
+    assert area_under_curve([0.0, np.inf], [5.0]) == pytest.approx([50])
+    # Recall rises from 0 to one half at 2, then stays.
+    assert area_under_curve([2.0, np.inf], [4.0]) == pytest.approx([100 * (0.5 + 1.0) / 4])
