@@ -1,0 +1,70 @@
+"""The procedural rooms seen by any camera: photographs whose cameras are exactly known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.datasets.procedural import raycast
+from slgaussian.datasets.procedural.rooms import FOCUS, Room, furnish
+from slgaussian.datasets.procedural.shading import photograph
+from slgaussian.datasets.procedural.textures import Materials
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.scene import Camera
+
+MIDDLE = FOCUS
+"""What there is most to see around, metres; z is up."""
+
+OBJECTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedRoom:
+    """A room that any camera may look at, wherever it stands inside."""
+
+    room: Room
+    materials: Materials
+
+    @staticmethod
+    def of(seed: int) -> RenderedRoom:
+        name = f"rendered_{seed}"
+        # Furnished for two small views, as the reader of these rooms does.
+        ends = [pinhole(65, 72, 52, looking(MIDDLE + [x, -3.3, 0.95])) for x in (-0.3, 0.3)]
+        room = furnish(rng_for(seed, name, "room"), OBJECTS, ends)
+        return RenderedRoom(room, room.materials(rng_for(seed, name, "materials")))
+
+    def light(self, camera: Camera) -> np.ndarray:
+        """Linear light float64 [H, W, 3], about 0 to 1."""
+        solids, casters = self.room.solids(), self.room.solids(casters=True)
+        return photograph(solids, casters, self.materials, self.room.light, camera)
+
+    def depth(self, camera: Camera) -> np.ndarray:
+        """Depths along z, float32 [H, W], metres; infinity where nothing is."""
+        t, _ = raycast.cast(self.room.solids(), camera.center, camera.rays())
+        return t.astype(np.float32)
+
+
+def looking(eye: np.ndarray, target: np.ndarray = MIDDLE, roll: float = 0.0) -> np.ndarray:
+    """Camera-to-world [4, 4] of a camera at ``eye`` towards ``target``, rolled by degrees."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(np.radians(roll)), np.sin(np.radians(roll))
+    c2w = np.eye(4)
+    c2w[:3, :3] = np.stack([c * right + s * down, c * down - s * right, forward], 1)
+    c2w[:3, 3] = eye
+    return c2w
+
+
+def pinhole(focal: float, width: int, height: int, c2w: np.ndarray) -> Camera:
+    """A camera whose optical axis meets the middle of its image."""
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(K, c2w, width, height)
+
+
+def encoded(light: np.ndarray) -> np.ndarray:
+    """SRGB in [0, 1] (IEC 61966-2-1) of linear light, clipped."""
+    light = np.clip(light, 0, 1)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
