@@ -1,7 +1,7 @@
-"""SLGaussian: two posed photographs in, a 3D scene of Gaussians that answers words out.
+"""SLGaussian: two photographs in, a 3D scene of Gaussians that answers words out.
 
 >>> import slgaussian as slg
->>> sample = slg.datasets.load("stereo").sample(context=["left", "right"])
+>>> sample = slg.photographs("a.jpg", "b.jpg")
 >>> field = slg.build_field(sample)
 >>> hit = field.render(sample.context[0].camera).query("red")
 """
@@ -23,6 +23,7 @@ _PUBLIC = {
     "LabelMaps": "slgaussian.labels",
     "MemoryBank": "slgaussian.language.bank",
     "SemanticField": "slgaussian.field",
+    "photographs": "slgaussian.datasets.unposed",
     "build_field": "slgaussian.build",
     "Method": "slgaussian.parts.method",
     "rasterize": "slgaussian.rasterize",

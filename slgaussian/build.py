@@ -41,7 +41,8 @@ def build_field(
     -------
     SemanticField
         Its own ``settings`` say all this, see :meth:`slgaussian.parts.method.Method.identity`, and
-        under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`.
+        under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`;
+        and where nobody gave cameras, under ``cameras`` how they were found.
 
     Raises
     ------
@@ -123,6 +124,8 @@ def lift_field(
     cameras = {view.name: view.camera for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
     said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
+    if sample.found:
+        said["cameras"] = dict(sample.found)
     return SemanticField(lifted, bank, cameras, said, method.encoder.places())
 
 

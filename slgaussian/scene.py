@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,6 +52,29 @@ class Estimated:
     source: str
     confidence: float
     up: tuple[float, float, float] | None = None
+
+    @staticmethod
+    def of(content: Any) -> Estimated:
+        """Inverse of :func:`dataclasses.asdict`, with a way through JSON between.
+
+        Raises
+        ------
+        ValueError
+            If it is anything else.
+        """
+        try:
+            low, high = map(float, content["focal"])
+            up = None
+            if content["up"] is not None:
+                x, y, z = map(float, content["up"])
+                up = x, y, z
+            found = Estimated((low, high), str(content["source"]), float(content["confidence"]), up)
+            known = bool(np.isfinite(found.up or ()).all())
+        except (TypeError, KeyError, ValueError):
+            known = False
+        if not (known and 0 < low <= high < np.inf and 0 <= found.confidence <= 1):
+            raise ValueError("says how a camera was estimated in no form that is known")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,6 +302,9 @@ class Sample:
         Held-out views, possibly none.
     phrases : mapping int -> str
         What each true instance id is called, where the truth is known.
+    found : mapping
+        How the cameras were found, as :meth:`slgaussian.cameras.found.FoundCameras.as_json` says
+        it; empty if they were given.
 
     Raises
     ------
@@ -290,6 +317,7 @@ class Sample:
     context: tuple[View, ...]
     targets: tuple[View, ...] = ()
     phrases: Mapping[int, str] = field(default_factory=dict)
+    found: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -347,12 +375,15 @@ class Scene:
         Reads and undistorts one view.
     phrases : mapping int -> str
         What each true instance id is called, where known.
+    found : mapping
+        As :class:`Sample` has it.
     """
 
     name: str
     cameras: Mapping[str, Camera]
     read: Callable[[str], View]
     phrases: Mapping[int, str] = field(default_factory=dict)
+    found: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -396,8 +427,9 @@ class Scene:
             View names, as :meth:`find` knows them.
         size : (height, width), "at most 312x432", "auto" or "original"
             A pair scales and centre-crops. "at most" shrinks views of more pixels than that to as
-            many, their shape kept; "auto" is at most :data:`PAPER_PIXELS`: a Gaussian a pixel of a
-            camera's full resolution would be millions.
+            many; "auto" is at most :data:`PAPER_PIXELS`: a Gaussian a pixel of a camera's full
+            resolution would be millions. Both keep the views' shape; of views of several sizes, all
+            are cropped about the middle to the least height by the least width among them.
         near, far : float, optional
             Depth range along z in scene units, for all views; without it each keeps what its
             camera says, mostly nothing, and a predictor finds its own.
@@ -415,11 +447,15 @@ class Scene:
                     f"scene {self.name!r}: the context names {name!r} twice; depth needs "
                     "photographs taken from different positions"
                 )
-        views = [self.read(name) for name in names]
-        views = [view if size == "original" else view.resized(*_fit(view, size)) for view in views]
-        views = [replace(view, camera=view.camera.ranged(near, far)) for view in views]
+        cameras = [self.cameras[name] for name in names]
+        least = min(c.height for c in cameras), min(c.width for c in cameras)
+        views = []
+        for name in names:  # and not all at once: photographs are large
+            view = self.read(name)
+            view = view if size == "original" else view.resized(*_fit(*least, size))
+            views.append(replace(view, camera=view.camera.ranged(near, far)))
         n = len(context)
-        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases)
+        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
 
 
 def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
@@ -463,11 +499,10 @@ def _check_pair(scene: str, a: View, b: View) -> None:
         )
 
 
-def _fit(view: View, size: Size) -> tuple[int, int]:
-    """Height and width of a view that is brought to a size other than "original"."""
+def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
+    """Height and width that views are brought to by a size other than "original"."""
     if not isinstance(size, str):
         return size
-    height, width = view.image.shape[:2]
     scale = min(1.0, (_most_pixels(size) / (height * width)) ** 0.5)
     return max(1, round(height * scale)), max(1, round(width * scale))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.images import opened
 from slgaussian.labels import LabelMaps
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Camera, Estimated, Sample, View
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, address
 
@@ -53,6 +54,12 @@ def sample_to_arrays(sample: Sample) -> Arrays:
         full = np.ones(first.image.shape[:2], bool)
         masks = [full if view.opaque is None else view.opaque for view in views]
         arrays["opaque"] = np.stack(masks).astype(np.uint8)
+    estimated = [view.camera.estimated for view in views]
+    if any(one is not None for one in estimated):
+        said = ["" if one is None else json.dumps(asdict(one)) for one in estimated]
+        arrays["estimated"] = np.array(said, np.str_)
+    if sample.found:
+        arrays["found"] = np.array(json.dumps(dict(sample.found), sort_keys=True))
     return arrays
 
 
@@ -64,6 +71,10 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
         known = name in arrays and arrays[name][index].any()
         return arrays[name][index] if known else None
 
+    def estimated(index: int) -> Estimated | None:
+        said = str(arrays["estimated"][index]) if "estimated" in arrays else ""
+        return Estimated.of(json.loads(said)) if said else None
+
     views = [
         View(
             name=str(name),
@@ -74,6 +85,7 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
                 height,
                 near=float(arrays["near_far"][i, 0]) or None,
                 far=float(arrays["near_far"][i, 1]) or None,
+                estimated=estimated(i),
             ),
             image=arrays["images"][i],
             depth=truth("depth", i),
@@ -85,7 +97,8 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
     n = int(arrays["n_context"])
     ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
     phrases_by_id = dict(zip(ids, phrases, strict=True))
-    return Sample(str(arrays["scene"]), tuple(views[:n]), tuple(views[n:]), phrases_by_id)
+    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
+    return Sample(str(arrays["scene"]), tuple(views[:n]), tuple(views[n:]), phrases_by_id, found)
 
 
 def labels_to_arrays(label_maps: LabelMaps) -> Arrays:

@@ -13,7 +13,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.parts.method import Method
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Camera, Estimated, Sample, View
 from tests.known import known_field
 
 H, W, FOCAL, DEPTH = 48, 64, 60.0, 3.0
@@ -152,6 +152,21 @@ def test_a_saved_field_loads_the_same(field, tmp_path):
     assert np.array_equal(a.rgb, b.rgb)
     assert np.array_equal(a.ids, b.ids)
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["field"]
+
+
+def test_cameras_that_were_found_say_so_in_a_saved_field(field, tmp_path):
+    said = Estimated((0.9, 1.2), "EXIF", 0.8, (0.0, -1.0, 0.0))
+    cameras = {**field.cameras, "a": replace(field.cameras["a"], estimated=said)}
+    SemanticField(field.gaussians, field.bank, cameras, field.settings).save(tmp_path / "field")
+    again = SemanticField.load(tmp_path / "field")
+    assert [again.cameras[name].estimated for name in "ab"] == [said, None]
+    file = tmp_path / "field/field.json"
+    content = json.loads(file.read_text())
+    assert "estimated" not in content["cameras"]["b"]
+    content["cameras"]["a"]["estimated"]["confidence"] = 7
+    file.write_text(json.dumps(content))
+    with pytest.raises(SpecError, match=r"damaged .*estimated"):
+        SemanticField.load(tmp_path / "field")
 
 
 def test_saving_twice_gives_the_same_bytes(field, tmp_path):

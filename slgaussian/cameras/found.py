@@ -104,6 +104,34 @@ class FoundCameras:
             "confidence": round(self.confidence, 3),
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
             "k1": dict(self.k1),
-            "pairs": [asdict(pair) for pair in self.pairs],
+            "pairs": [
+                {key: _plain(value) for key, value in asdict(pair).items()} for pair in self.pairs
+            ],
             "warnings": list(self.warnings),
         }
+
+    def summary(self) -> str:
+        """One line for people: of several focal lengths the range, of several pairs the weakest."""
+        pixels = [focal.pixels for focal in self.focals.values()]
+        low, high = (
+            min(focal.low for focal in self.focals.values()),
+            max(focal.high for focal in self.focals.values()),
+        )
+        sources = " and ".join(sorted({focal.source for focal in self.focals.values()}))
+        several = f" to {max(pixels):.0f}" if max(pixels) - min(pixels) >= 1 else ""
+        used = [pair for pair in self.pairs if pair.verdict != UNUSED] or self.pairs
+        told = ""
+        if used:
+            weakest = min(used, key=lambda pair: pair.inliers)
+            of = "" if len(used) == 1 else f" of the weakest of {len(used)} pairs"
+            told = f"; {weakest.inliers} of {weakest.matches} matches{of} agree"
+            if np.isfinite(weakest.angle):
+                told += f", lines of sight {weakest.angle:.0f} degrees apart"
+        return (
+            f"cameras found: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
+            f"{high:.0f}, from {sources}){told}; confidence {self.confidence:.0%}"
+        )
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -8,6 +8,9 @@ import numpy as np
 
 from slgaussian.formats.brief import brief
 
+LONGEST = 1200
+"""Pixels of the longer side to which readers shrink what features are found in."""
+
 
 @dataclass(frozen=True, eq=False)
 class Photograph:

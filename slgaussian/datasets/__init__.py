@@ -20,13 +20,14 @@ READERS = {
     "lerf_ovs": "slgaussian.datasets.lerf_ovs:read",
     "ovs3d": "slgaussian.datasets.ovs3d:read",
     "re10k": "slgaussian.datasets.re10k:read",
+    "photographs": "slgaussian.datasets.unposed:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
 FILES = {
     name: READERS[name].replace(":read", ":files")
-    for name in ("nerfstudio", "colmap", "llff", "lerf_ovs", "ovs3d", "re10k")
+    for name in ("nerfstudio", "colmap", "llff", "lerf_ovs", "ovs3d", "re10k", "photographs")
 }
 """What says which files a format reads, by format."""
 
@@ -38,7 +39,8 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
     """Read a scene with the reader of that format; arguments are the reader's own.
 
     ``load("nerfstudio", "photos/")``, ``load("lerf_ovs", "lerf_ovs/", "figurines")``,
-    ``load("re10k", "re10k/test", "5aca87f95a9412c6")``, ``load("procedural", seed=3)``.
+    ``load("re10k", "re10k/test", "5aca87f95a9412c6")``, ``load("procedural", seed=3)``; and
+    ``load("photographs", "photos/")``, which finds the cameras itself.
 
     Raises
     ------

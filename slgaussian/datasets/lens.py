@@ -15,6 +15,16 @@ OUTSIDE = -1e4
 Maps = tuple[np.ndarray, np.ndarray]
 
 
+def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> Maps:
+    """The maps of OpenCV's lens k1, k2, p1, p2, k3 before a camera K [3, 3], of width and height.
+
+    The straight photograph has the same K.
+    """
+    centred = K.copy()
+    centred[:2, 2] -= 0.5  # OpenCV counts from pixel centres
+    return cv2.initUndistortRectifyMap(centred, lens, None, centred, size, cv2.CV_32FC1)
+
+
 def straightened(
     image: np.ndarray, depth: np.ndarray | None, maps: Maps
 ) -> tuple[np.ndarray, np.ndarray | None]:

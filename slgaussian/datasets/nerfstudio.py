@@ -17,7 +17,7 @@ from typing import Any, overload
 import cv2
 import numpy as np
 
-from slgaussian.datasets.lens import Maps, straight_mask, straightened
+from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
@@ -234,10 +234,10 @@ class _Frame:
         fisheye = self.values.get("camera_model") == FISHEYE
         if not fisheye and not any((*k, *p)):
             return None
-        K = camera.K.copy()
-        K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
         size = (camera.width, camera.height)
         if fisheye:
+            K = camera.K.copy()
+            K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
             return cv2.fisheye.initUndistortRectifyMap(
                 K, np.array(k), np.eye(3), K, size, cv2.CV_32FC1
             )
@@ -247,7 +247,7 @@ class _Frame:
                 "to 0 or the camera_model to OPENCV_FISHEYE"
             )
         lens = np.array([k[0], k[1], p[0], p[1], k[2]])
-        return cv2.initUndistortRectifyMap(K, lens, None, K, size, cv2.CV_32FC1)
+        return perspective_maps(camera.K, size, lens)
 
     def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
         pixels, opaque = open_photograph(path, (camera.width, camera.height))

@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
+from slgaussian.datasets.exif import SIDEWAYS
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
 from slgaussian.scene import Camera, View
 
-EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
+EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
 """Endings of photographs, tried in this order where a name leaves its own out."""
 
 OPAQUE = 128
 """Least alpha, of 255, of a pixel that shows something."""
 
-_ROWS = 256  # turned into numbers of 8 bytes at a time, of which a whole image has too many
+_ROWS = 256  # looked at a time: copies of a whole image in other forms take too much memory
 
 
 def rgb(image: Image.Image) -> np.ndarray:
@@ -35,7 +36,12 @@ def rgb(image: Image.Image) -> np.ndarray:
         return _by_rows(
             np.asarray(image.convert("RGBA")), lambda part: part[..., :3] * part[..., 3:] / 255
         )
-    return np.ascontiguousarray(np.asarray(image.convert("RGB")))
+    width, height = image.size
+    found = np.empty((height, width, 3), np.uint8)
+    for top in range(0, height, _ROWS):
+        end = min(top + _ROWS, height)
+        found[top:end] = np.asarray(image.crop((0, top, width, end)).convert("RGB"))
+    return found
 
 
 def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -48,33 +54,35 @@ def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> 
 
 
 def open_rgb(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Pixels of a file as uint8 [H, W, 3], as :func:`rgb` gives them; InputError if damaged.
-
-    Poses and intrinsics belong to the pixels that some tool read: the stored ones with COLMAP, the
-    upright ones with others. ``size``, width and height by the camera, tells which: an EXIF
-    orientation is applied only if the stored photograph has not that shape and the turned one has.
-    """
-    try:
-        with opened(path) as image:
-            return rgb(ImageOps.exif_transpose(image) if _is_turned(image, size) else image)
-    except (OSError, ValueError) as bad:
-        raise unreadable(path, bad) from None
+    """Pixels of a file as uint8 [H, W, 3], as :func:`open_photograph` gives them."""
+    return open_photograph(path, size)[0]
 
 
 def open_photograph(
-    path: Path, size: tuple[int, int] | None = None
+    path: Path, size: tuple[int, int] | None = None, upright: bool = False
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Pixels of a file as :func:`open_rgb` gives them, and which are opaque: bool [H, W].
+    """Pixels of a file as :func:`rgb` gives them, and which are opaque: bool [H, W].
 
     None if all are; a pixel counts as transparent from half on.
+
+    Poses and intrinsics belong to the pixels that some tool read: the stored ones with COLMAP, the
+    upright ones with others. ``size``, width and height by the camera, tells which: an EXIF
+    orientation is applied only if the stored photograph has not that shape and the turned one has;
+    always if it is to be ``upright``.
+
+    Raises
+    ------
+    InputError
+        If the file is not there or damaged.
     """
-    pixels = open_rgb(path, size)
     try:
         with opened(path) as image:
+            if upright or _is_turned(image, size):
+                ImageOps.exif_transpose(image, in_place=True)
+            pixels = rgb(image)
             if "A" not in image.getbands() and "transparency" not in image.info:
                 return pixels, None
-            upright = ImageOps.exif_transpose(image) if _is_turned(image, size) else image
-            opaque = np.asarray(upright.convert("RGBA"))[..., 3] >= OPAQUE
+            opaque = np.asarray(image.convert("RGBA"))[..., 3] >= OPAQUE
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
     return pixels, None if opaque.all() else opaque
@@ -91,7 +99,7 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Whether a camera of that size saw the photograph as its EXIF orientation turns it."""
-    if size is None or image.getexif().get(ExifTags.Base.Orientation) not in (5, 6, 7, 8):
+    if size is None or image.getexif().get(ExifTags.Base.Orientation) not in SIDEWAYS:
         return False
     return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
 
@@ -132,16 +140,23 @@ def image_folder(scene: Path, name: str | None = None) -> Path:
 
 
 def posed_view(
-    path: Path, name: str, camera: Camera, maps: Callable[[], Maps | None] = lambda: None
+    path: Path,
+    name: str,
+    camera: Camera,
+    maps: Callable[[], Maps | None] = lambda: None,
+    upright: bool = False,
 ) -> View:
     """The view of a stored photograph, straightened if there are maps, which are asked for last.
+
+    ``upright`` if the camera is certainly that of the upright photograph, see
+    :func:`open_photograph`.
 
     Raises
     ------
     InputError
         If it cannot be read, or is not of its camera's size.
     """
-    pixels, opaque = open_photograph(path, (camera.width, camera.height))
+    pixels, opaque = open_photograph(path, (camera.width, camera.height), upright)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(

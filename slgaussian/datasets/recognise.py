@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from slgaussian.datasets import colmap, llff, nerfstudio, re10k
-from slgaussian.datasets.photographs import image_folder
+from slgaussian.datasets import colmap, llff, nerfstudio, re10k, unposed
+from slgaussian.datasets.photographs import image_folder, photographs_in
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
@@ -31,12 +31,17 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         Those that views are wanted for. Of COLMAP and LLFF they may lie elsewhere than in the
         folder ``images`` of the scene; of RealEstate10K they are named ``<clip>/<frame>``.
 
+    A folder of photographs without any such file has the cameras that are found for them.
+
     Raises
     ------
     InputError
         If there are no cameras of a known format, or they cannot be read.
     """
     format, place = recognise(Path(path))
+    if format == "photographs":
+        listed = unposed.named([place])
+        return unposed.posed(listed, unposed.find(listed)), unposed.folder_of(listed)
     if format == "nerfstudio":
         return nerfstudio.read(place), place if place.is_dir() else place.parent
     if format == "re10k":
@@ -54,8 +59,15 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
     """The cameras that ``path`` holds, by name, as :func:`posed_scene` knows them.
 
     No photograph is needed where the format says their size and names, as all do but LLFF.
+
+    Raises
+    ------
+    InputError
+        As :func:`posed_scene`; and if there are only photographs, whose world is their own.
     """
     format, place = recognise(Path(path))
+    if format == "photographs":
+        raise InputError(f"{path}: holds photographs and no cameras; expected {EXPECTED}")
     return (
         nerfstudio.read_cameras(place) if format == "nerfstudio" else posed_scene(path)[0].cameras
     )
@@ -80,6 +92,9 @@ def recognise(path: Path) -> tuple[str, Path]:
             return "llff", path
         if (path / re10k.INDEX).is_file():
             return "re10k", path
+        photographs = photographs_in(path) or photographs_in(image_folder(path))
+        if photographs and not _scenes_in(path) and not any(path.glob("*.json")):
+            return "photographs", path
         raise InputError(f"{path}: holds no cameras: {_found_in(path)}; expected {EXPECTED}")
     try:
         with path.open("rb") as file:
@@ -131,14 +146,18 @@ def _clip(place: Path, photographs: Sequence[str]) -> Scene:
     return replace(clip, cameras=cameras, read=read)
 
 
-def _found_in(folder: Path) -> str:
-    scenes = sorted(
+def _scenes_in(folder: Path) -> list[str]:
+    return sorted(
         {
             inside.relative_to(folder).parts[0]
             for mark in (nerfstudio.FILE, llff.FILE, "sparse")
             for inside in folder.glob(f"*/{mark}")
         }
     )
+
+
+def _found_in(folder: Path) -> str:
+    scenes = _scenes_in(folder)
     if scenes:
         return (
             f"it holds the folders of {len(scenes)} scenes, such as {scenes[0]}; give one of them"

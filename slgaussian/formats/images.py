@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,7 +23,7 @@ MOST_PIXELS = 2**30 // 12
 from where on Pillow warns of files that are made to fill the memory."""
 
 KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
-"""What Pillow calls the kinds of file that are opened."""
+"""What Pillow calls the kinds of file that are opened; HEIC too where a package reads it."""
 
 
 class TooLargeError(ValueError):
@@ -50,6 +51,8 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
         If it is none of these kinds, is damaged, has no pixel or more than :data:`MOST_PIXELS`,
         there or where its pixels are taken. :func:`unreadable` makes a sentence of both.
     """
+    if isinstance(source, str | Path) and _phone_kind(source) == "HEIC" and _reads_heic():
+        kinds = (*kinds, "HEIF")
     try:
         with Image.open(source, formats=tuple(kinds)) as image:
             check_size(*image.size)
@@ -93,12 +96,13 @@ def read_npy(file: Path) -> np.ndarray:
 def unreadable(path: str | Path, bad: Exception) -> InputError:
     """The error that says of a file that its content cannot be read, and why."""
     kind = _phone_kind(path)
-    if kind is not None:
+    if kind == "AVIF" or (kind == "HEIC" and not _reads_heic()):
         jpeg = Path(path).with_suffix(".jpg").name
+        package = "`pip install pillow-heif`, or " if kind == "HEIC" else ""
         return InputError(
-            f"{path}: is a photograph in {kind}, which is not read; convert it to JPEG, as with "
-            f"`magick {Path(path).name} {jpeg}` (ImageMagick) or `sips -s format jpeg "
-            f"{Path(path).name} --out {jpeg}` (macOS), and name the new file in the camera file"
+            f"{path}: is a photograph in {kind}, which is not read; {package}convert it to JPEG, "
+            f"as with `magick {Path(path).name} {jpeg}` (ImageMagick) or `sips -s format jpeg "
+            f"{Path(path).name} --out {jpeg}` (macOS), and give the new file"
         )
     if isinstance(bad, TooLargeError):
         return InputError(f"{path}: cannot be read: {bad}")
@@ -121,6 +125,17 @@ def _phone_kind(path: str | Path) -> str | None:
         (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"), "HEIC"
     )
     return brands.get(start[8:12])
+
+
+@cache
+def _reads_heic() -> bool:
+    """Whether the package of the extra `heic` is here; Pillow then knows the kind too."""
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        return False
+    register_heif_opener()
+    return True
 
 
 def _reason(bad: Exception) -> str:

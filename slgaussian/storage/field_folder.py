@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.scene import Camera
+from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.specs import load_spec, mismatch
 from slgaussian.storage.store import (
     Arrays,
@@ -75,6 +75,7 @@ class About:
                 "height": camera.height,
                 "near": camera.near,
                 "far": camera.far,
+                **({"estimated": asdict(camera.estimated)} if camera.estimated else {}),
             }
             for name, camera in self.cameras.items()
         }
@@ -106,7 +107,7 @@ class About:
                 by = f", made by {maker:.60}" if isinstance(maker, str) else ""
                 raise mismatch(file, "format", f"{found}{by}", f"{FORMAT}; {AGAIN}")
             cameras = {
-                name: Camera(**{**own, "K": np.array(own["K"]), "c2w": np.array(own["c2w"])})
+                name: Camera(**{**own, **_converted(own)})
                 for name, own in content["cameras"].items()
             }
             settings, places = dict(content["settings"]), dict(content["places"])
@@ -119,6 +120,13 @@ class About:
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
         return About(settings, cameras, digests), places
+
+
+def _converted(camera: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a camera has another form in the file."""
+    known = {name: np.array(camera[name]) for name in ("K", "c2w")}
+    said = camera.get("estimated")
+    return known if said is None else {**known, "estimated": Estimated.of(said)}
 
 
 def write(path: Path, text: str, fill: Callable[[str, Path], object]) -> None:

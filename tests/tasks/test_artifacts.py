@@ -10,6 +10,7 @@ from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import SceneResult, truth_from_instances
 from slgaussian.errors import InputError
+from slgaussian.scene import Estimated
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import (
     result_from_arrays,
@@ -50,6 +51,17 @@ def test_a_sample_with_all_its_truths(sample, store):
         np.testing.assert_array_equal(new.camera.K, old.camera.K)
         np.testing.assert_array_equal(new.camera.c2w, old.camera.c2w)
         assert (new.camera.near, new.camera.far) == (old.camera.near, old.camera.far)
+
+
+def test_cameras_that_were_found_say_so_in_the_store_too(sample, store):
+    said = Estimated((0.9, 1.2), "EXIF", 0.8, (0.0, -1.0, 0.0))
+    left, right = sample.context
+    camera = replace(left.camera, estimated=said)
+    partly = replace(sample, context=(replace(left, camera=camera), right), found={"k1": {"a": 0}})
+    back = sample_from_arrays(through(store, "sample", sample_to_arrays(partly)))
+    assert [view.camera.estimated for view in back.context] == [said, None]
+    assert back.found == {"k1": {"a": 0}}
+    assert not {"estimated", "found"} & sample_to_arrays(sample).keys()
 
 
 def test_a_truth_that_only_some_views_have_stays_theirs(sample, store):

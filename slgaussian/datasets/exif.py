@@ -1,0 +1,171 @@
+"""What the file of a photograph says of the lens and of the way up: EXIF, and Apple's maker note.
+
+Tags and their meaning are those of CIPA DC-008, "Exchangeable image file format for digital still
+cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html,
+https://exiftool.org/TagNames/Apple.html).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from PIL import ExifTags, Image
+
+FILM_DIAGONAL = 43.27
+"""Millimetres of the diagonal of 35 mm film, 36 x 24."""
+
+WIDEST, LONGEST_FOCAL = 0.3, 20.0
+"""Focal lengths out of this range, in units of the longer side, are no lens but a mistake."""
+
+SENSOR_WIDTHS = 1.0, 100.0
+"""Millimetres that a sensor may be wide; other focal plane resolutions are a mistake."""
+
+UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+"""Millimetres in the units of a focal plane resolution."""
+
+TURNS = {
+    1: ((1, 0), (0, 1)), 2: ((-1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 4: ((1, 0), (0, -1)),
+    5: ((0, 1), (1, 0)), 6: ((0, -1), (1, 0)), 7: ((0, -1), (-1, 0)), 8: ((0, 1), (-1, 0)),
+}  # fmt: skip
+"""By EXIF orientation, what takes directions (right, down) in stored pixels to upright ones."""
+
+SIDEWAYS = (5, 6, 7, 8)
+"""EXIF orientations whose upright photograph is as wide as the stored one is high."""
+
+APPLE = b"Apple iOS\0\0\1MM"
+"""How an iPhone's maker note begins; a directory in big-endian order follows."""
+
+ACCELERATION = 8
+SIGNED_RATIONAL = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What the file of a photograph says.
+
+    Attributes
+    ----------
+    lens, focal, up
+        As :class:`slgaussian.cameras.photograph.Photograph` has them.
+    """
+
+    lens: str
+    focal: float | None
+    up: np.ndarray | None
+
+
+def told_by(image: Image.Image) -> Told:
+    """What the header of an opened image says; nonsense counts as nothing said."""
+    try:
+        return _told_by(image)
+    except Exception:  # a damaged header raises almost anything, and the pixels may be good
+        return Told("", None, None)
+
+
+def _told_by(image: Image.Image) -> Told:
+    exif = image.getexif()
+    base, own = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
+    # pillow-heif turns pixels upright itself, and keeps here how they had been.
+    orientation = image.info.get("original_orientation") or base.get(ExifTags.Base.Orientation, 1)
+    lens = _lens(base, own)
+    up = None if "front" in lens.lower() else _up(own.get(ExifTags.Base.MakerNote), orientation)
+    return Told(lens, _focal(own, *image.size), up)
+
+
+def _lens(base: Mapping[int, Any], own: Mapping[int, Any]) -> str:
+    tags = ExifTags.Base
+    named = [base.get(tags.Make), base.get(tags.Model), own.get(tags.LensModel)]
+    words = [" ".join(name.replace("\0", " ").split()) for name in named if isinstance(name, str)]
+    lengths = {"mm": tags.FocalLength, "mm of 35": tags.FocalLengthIn35mmFilm}
+    numbers = {unit: _number(own.get(tag)) for unit, tag in lengths.items()}
+    words += [f"{number:.4g} {unit}" for unit, number in numbers.items() if number]
+    return ", ".join(filter(None, words))
+
+
+def _focal(own: Mapping[int, Any], width: int, height: int) -> float | None:
+    """Focal length in pixels of a photograph of that size, upright or not."""
+    tags = ExifTags.Base
+    across, down = (_number(own.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
+    taken = (across, down) if across and down else (float(width), float(height))
+    # A photograph of another shape than was taken is cropped: nobody knows where, and how shrunk.
+    was, is_now = max(taken) / min(taken), max(width, height) / min(width, height)
+    if abs(np.log(was / is_now)) > 0.01:
+        return None
+    for found in (_by_film(own, width, height), _by_sensor(own, taken, width, height)):
+        if found is not None and WIDEST <= found / max(width, height) <= LONGEST_FOCAL:
+            return found
+    return None
+
+
+def _by_film(own: Mapping[int, Any], width: int, height: int) -> float | None:
+    """By the focal length that has the same angle on film; digital zoom is in it."""
+    film = _number(own.get(ExifTags.Base.FocalLengthIn35mmFilm))
+    return film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
+
+
+def _by_sensor(
+    own: Mapping[int, Any], taken: tuple[float, float], width: int, height: int
+) -> float | None:
+    """By the focal length in millimetres and the pixels of the sensor in one, both ways alike."""
+    tags = ExifTags.Base
+    focal = _number(own.get(tags.FocalLength))
+    across, down = (
+        _number(own.get(tag)) for tag in (tags.FocalPlaneXResolution, tags.FocalPlaneYResolution)
+    )
+    unit = UNITS.get(own.get(tags.FocalPlaneResolutionUnit, 2))
+    if not (focal and across and down and unit) or abs(np.log(across / down)) > 0.05:
+        return None
+    if not SENSOR_WIDTHS[0] <= max(taken) * unit / across <= SENSOR_WIDTHS[1]:
+        return None
+    zoom = _number(own.get(tags.DigitalZoomRatio)) or 1.0
+    return focal * zoom * across / unit * max(width, height) / max(taken)
+
+
+def _number(value: Any) -> float | None:
+    """A positive finite number, of whatever a file has under a tag; else None."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if 0 < number < np.inf else None
+
+
+def _up(note: Any, orientation: Any) -> np.ndarray | None:
+    """Up in OpenCV's axes of the upright photograph, by the accelerometer of an iPhone.
+
+    At rest it measures one g upwards. Its x, y and z, seen from the front, point to the left, to
+    the bottom and into the phone (ExifTool), and stored rows lie along its side: the sensor's right
+    is the phone's bottom, and its bottom the phone's left.
+    """
+    measured = _acceleration(note) if isinstance(note, bytes) else None
+    if measured is None or orientation not in TURNS:
+        return None
+    left, bottom, into = measured
+    up = np.array([*(np.array(TURNS[orientation], float) @ (bottom, left)), into])
+    length = float(np.linalg.norm(up))
+    # The orientation comes from the same sensor. Where they disagree, the file was edited.
+    level = np.hypot(up[0], up[1]) > 0.5
+    if not 0.8 < length < 1.2 or (level and -up[1] < abs(up[0]) / 2):
+        return None
+    return up / length
+
+
+def _acceleration(note: bytes) -> tuple[float, float, float] | None:
+    if not note.startswith(APPLE):
+        return None
+    try:
+        (count,) = struct.unpack_from(">H", note, len(APPLE))
+        for at in range(len(APPLE) + 2, len(APPLE) + 2 + 12 * count, 12):
+            tag, kind, many, place = struct.unpack_from(">HHII", note, at)
+            if (tag, kind, many) == (ACCELERATION, SIGNED_RATIONAL, 3):
+                parts = struct.unpack_from(">6i", note, place)
+                x, y, z = (float(Fraction(*parts[k : k + 2])) for k in (0, 2, 4))
+                return x, y, z
+    except (struct.error, ZeroDivisionError):
+        pass
+    return None

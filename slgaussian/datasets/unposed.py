@@ -1,0 +1,209 @@
+"""Photographs and nothing else: a scene whose cameras are found from them.
+
+Photographs are taken upright, as their EXIF orientation has them. The world is the first camera's,
+and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.found`): in a folder
+the first are those by name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image, ImageOps
+
+from slgaussian.cameras.find import find_cameras
+from slgaussian.cameras.found import FoundCameras
+from slgaussian.cameras.photograph import LONGEST, Photograph
+from slgaussian.datasets.exif import SIDEWAYS, told_by
+from slgaussian.datasets.lens import Maps, perspective_maps
+from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, rgb
+from slgaussian.errors import InputError
+from slgaussian.formats.images import opened, unreadable
+from slgaussian.scene import Sample, Scene, Size, View
+
+Place = str | Path
+
+
+def photographs(
+    *files: Place, size: Size = "auto", near: float | None = None, far: float | None = None
+) -> Sample:
+    """Two or more photographs, or folders of them, as a sample whose cameras are found.
+
+    Parameters
+    ----------
+    *files : path
+        All become context views, in this order; those of a folder by name.
+    size : (height, width), "at most 312x432", "auto" or "original"
+    near, far : float, optional
+        Depth range, as :meth:`slgaussian.scene.Scene.sample` takes it and ``size``. The unit is the
+        distance of the first two cameras.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or cameras cannot be found; the message says why and what to do.
+    """
+    scene = read(files)
+    return scene.sample(list(scene.cameras), size=size, near=near, far=far)
+
+
+def read(path: Place | Sequence[Place]) -> Scene:
+    """A scene of photographs, called by their names; the cameras of all of them are found at once.
+
+    They are found anew only if a photograph, or the order, is another than before in the process.
+
+    Parameters
+    ----------
+    path : path or sequence of path
+        A folder of photographs, in itself or below ``images``; or files and folders.
+
+    Raises
+    ------
+    InputError
+        As :func:`photographs`.
+    """
+    files = named([path] if isinstance(path, str | Path) else path)
+    return posed(files, find(files))
+
+
+def files(path: Place, views: Sequence[str]) -> list[Path]:
+    """The files that those views are read from: every one has its say in where cameras are."""
+    return list(named([path]).values())
+
+
+def named(places: Sequence[Place]) -> dict[str, Path]:
+    """The photographs at some places, by their path below the folder that holds all of them.
+
+    Raises
+    ------
+    InputError
+        If a folder holds none, there are fewer than two, or one is named twice.
+    """
+    found: list[Path] = []
+    for place in map(Path, places):
+        if not place.is_dir():
+            found.append(place)
+            continue
+        inside = photographs_in(place) or photographs_in(image_folder(place))
+        if not inside:
+            raise InputError(
+                f"{place}: holds no photographs; expected files such as .jpg or .png there, or "
+                "below images"
+            )
+        found += inside
+    whole = [Path(os.path.abspath(file)) for file in found]
+    for i, file in enumerate(whole):
+        if file in whole[:i]:
+            raise InputError(f"{found[i]}: is given twice; give each photograph once")
+    if len(found) < 2:
+        only = str(found[0]) if found else "nothing"
+        raise InputError(
+            f"photographs: found {only}, expected at least two; add a photograph of the same "
+            "things from a step aside"
+        )
+    folder = _common(whole)
+    return {
+        place.relative_to(folder).as_posix(): file for place, file in zip(whole, found, strict=True)
+    }
+
+
+def folder_of(files: Mapping[str, Path]) -> Path:
+    """The folder from which photographs are named, absolute."""
+    return _common([Path(os.path.abspath(file)) for file in files.values()])
+
+
+def _common(files: Sequence[Path]) -> Path:
+    return Path(os.path.commonpath([file.parent for file in files]))
+
+
+def find(files: Mapping[str, Path]) -> FoundCameras:
+    """The cameras of photographs by name; of the same files in the same order, found once.
+
+    Raises
+    ------
+    InputError
+        As :func:`photographs`.
+    """
+    return _find(tuple((name, str(file), _digest(file)) for name, file in files.items()))
+
+
+@lru_cache(maxsize=8)
+def _find(files: tuple[tuple[str, str, str], ...]) -> FoundCameras:
+    return find_cameras([photograph(Path(file), name) for name, file, _ in files])
+
+
+def _digest(file: Path) -> str:
+    try:
+        with file.open("rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as bad:
+        raise InputError(
+            f"{file}: cannot be read ({bad.strerror}); give the files of photographs"
+        ) from None
+
+
+def photograph(file: Path, name: str) -> Photograph:
+    """A photograph as cameras are found from: upright, small, and with what its file says.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        with opened(file) as image:
+            if image.format == "TIFF":
+                image.load()  # which Pillow turns as it loads them
+            whole, told = image.size, told_by(image)
+            turn = image.getexif().get(ExifTags.Base.Orientation)
+            small_size = _shrunk(*whole)
+            # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
+            image.draft("RGB", small_size)
+            part = max(1, round(whole[0] / image.size[0]))
+            covered = (0.0, 0.0, whole[0] / part, whole[1] / part)  # less than the last pixels
+            plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
+            small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
+    except (OSError, ValueError) as bad:
+        raise unreadable(file, bad) from None
+    small.getexif()[ExifTags.Base.Orientation] = turn
+    pixels = rgb(ImageOps.exif_transpose(small))
+    width, height = whole[::-1] if turn in SIDEWAYS else whole
+    return Photograph(name, pixels, width, height, told.lens, told.focal, told.up)
+
+
+def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
+    """The scene of photographs by name, and of the cameras that were found for them.
+
+    Views are straight where a lens distortion was found.
+    """
+    name = folder_of(files).name or "photographs"
+    return Scene(name, found.cameras, _Reader(files, found).read, found=found.as_json())
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    files: Mapping[str, Path]
+    found: FoundCameras
+
+    def read(self, name: str) -> View:
+        """Open and straighten one view."""
+        if name not in self.files:
+            raise InputError(f"photographs: none is called {name!r}")
+        camera, k1 = self.found.cameras[name], self.found.k1[name]
+
+        def maps() -> Maps | None:
+            size, lens = (camera.width, camera.height), np.array([k1, 0, 0, 0, 0])
+            return perspective_maps(camera.K, size, lens) if k1 else None
+
+        return posed_view(self.files[name], name, camera, maps, upright=True)
+
+
+def _shrunk(width: int, height: int) -> tuple[int, int]:
+    part = min(1.0, LONGEST / max(width, height))
+    return max(1, round(width * part)), max(1, round(height * part))

@@ -1,0 +1,142 @@
+"""What files say of lens and gravity, and what is no sense and left out."""
+
+import numpy as np
+import pytest
+from PIL import ExifTags
+from taken_photographs import apple_note, taken
+
+from slgaussian.datasets.unposed import photograph
+
+TAGS = ExifTags.Base
+DIAGONAL = float(np.hypot(400, 300))
+
+
+@pytest.fixture
+def pixels():
+    """An upright landscape photograph with a bright top left quarter, uint8 [300, 400, 3]."""
+    found = np.full((300, 400, 3), 60, np.uint8)
+    found[:150, :200] = 200
+    return found
+
+
+@pytest.mark.parametrize(
+    ("own", "focal"),
+    [
+        ({TAGS.FocalLengthIn35mmFilm: 26}, 26 * DIAGONAL / 43.27),
+        ({TAGS.FocalLengthIn35mmFilm: 36, TAGS.DigitalZoomRatio: 1.5}, 36 * DIAGONAL / 43.27),
+        ({TAGS.FocalLengthIn35mmFilm: 0}, None),
+        ({TAGS.FocalLengthIn35mmFilm: 2}, None),
+        ({TAGS.FocalLengthIn35mmFilm: 2000}, None),
+        ({TAGS.FocalLength: 4.2}, None),
+        # 4000 pixels of a sensor 8 mm wide, stored here at 400.
+        (
+            {
+                TAGS.FocalLength: 6.0,
+                TAGS.FocalPlaneXResolution: 5000.0,
+                TAGS.FocalPlaneYResolution: 5000.0,
+                TAGS.FocalPlaneResolutionUnit: 3,
+                TAGS.ExifImageWidth: 4000,
+                TAGS.ExifImageHeight: 3000,
+            },
+            300.0,
+        ),
+        (
+            {
+                TAGS.FocalLength: 6.0,
+                TAGS.FocalPlaneXResolution: 5000.0,
+                TAGS.FocalPlaneYResolution: 2500.0,
+                TAGS.FocalPlaneResolutionUnit: 3,
+            },
+            None,
+        ),
+        (
+            {
+                TAGS.FocalLengthIn35mmFilm: 26,
+                TAGS.ExifImageWidth: 400,
+                TAGS.ExifImageHeight: 400,
+            },
+            None,
+        ),
+    ],
+    ids=[
+        "film", "zoomed", "zero", "too short", "too long", "millimetres alone", "sensor",
+        "half the rows", "cropped",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_focal_length(tmp_path, pixels, own, focal, orientation):
+    found = photograph(taken(tmp_path / "a.jpg", pixels, orientation, own=own), "a")
+    assert found.focal == (None if focal is None else pytest.approx(focal))
+
+
+def test_the_lens_tells_zooms_apart(tmp_path, pixels):
+    base = {TAGS.Make: "Apple", TAGS.Model: "iPhone X"}
+    lenses = set()
+    for number, film in enumerate((28, 28, 36)):
+        own = {TAGS.FocalLength: 4.0, TAGS.FocalLengthIn35mmFilm: film, TAGS.LensModel: "back 4mm"}
+        file = taken(tmp_path / f"{number}.jpg", pixels, base=base, own=own)
+        lenses.add(photograph(file, "a").lens)
+    assert lenses == {
+        "Apple, iPhone X, back 4mm, 4 mm, 28 mm of 35",
+        "Apple, iPhone X, back 4mm, 4 mm, 36 mm of 35",
+    }
+    assert photograph(taken(tmp_path / "b.png", pixels), "b").lens == ""
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+@pytest.mark.parametrize("orientation", [None, 1, 3, 6, 8])
+def test_a_photograph_is_upright_whatever_is_stored(tmp_path, pixels, orientation, suffix):
+    found = photograph(taken(tmp_path / f"a{suffix}", pixels, orientation), "a")
+    assert (found.width, found.height) == (400, 300)
+    assert np.abs(found.image.astype(int) - pixels).max() < 30
+    assert found.image[20, 20, 0] > 150 > found.image[20, -20, 0]
+
+
+def test_a_large_one_is_shrunk_and_keeps_places(tmp_path):
+    # Not a multiple of what JPEG is decoded at: an edge at .4 of the width stays there.
+    pixels = np.full((2003, 5005, 3), 40, np.uint8)
+    pixels[:, :2002] = 220
+    found = photograph(taken(tmp_path / "a.jpg", pixels), "a")
+    assert found.image.shape == (480, 1200, 3) and (found.width, found.height) == (5005, 2003)
+    row = found.image[240, :, 0].astype(float)
+    assert ((row - 40) / 180).sum() == pytest.approx(480, abs=0.15)
+
+
+# What an iPhone measures (x to its right, y to its top, z out of its screen, and gravity's
+# direction): held upright, tilted down by 30 degrees, with the home button at the right, flat.
+@pytest.mark.parametrize(
+    ("note", "orientation", "up"),
+    [
+        ((0, -1, 0), 6, (0, -1, 0)),
+        ((0, -0.866, -0.5), 6, (0, -0.866, -0.5)),
+        ((-1, 0, 0), 1, (0, -1, 0)),
+        ((-0.866, 0, 0.5), 1, (0, -0.866, 0.5)),
+        ((1, 0, 0), 3, (0, -1, 0)),
+        ((0, 1, 0), 8, (0, -1, 0)),
+        ((0.2588, -0.9659, 0), 6, (-0.2588, -0.9659, 0)),
+        ((0, 0, -1), 6, (0, 0, -1)),
+        ((0, -1, 0), 1, None),
+        ((0, -3, 0), 6, None),
+    ],
+    ids=[
+        "portrait", "tilted down", "landscape", "tilted up", "landscape the other way", "head down",
+        "rolled", "straight down", "turned by a program", "shaken",
+    ],
+)  # fmt: skip
+def test_up_by_an_iphone(tmp_path, pixels, note, orientation, up):
+    own = {TAGS.MakerNote: apple_note(*note)}
+    file = taken(tmp_path / "a.jpg", pixels, orientation, {TAGS.Make: "Apple"}, own)
+    found = photograph(file, "a").up
+    if up is None:
+        assert found is None
+    else:
+        np.testing.assert_allclose(found, up, atol=1e-3)
+
+
+def test_other_notes_and_the_other_side_say_nothing(tmp_path, pixels):
+    good = apple_note(-1, 0, 0)
+    for number, (note, lens) in enumerate(
+        [(b"Nikon" + good, "back"), (good[:40], "back"), (good, "front camera 2.9mm")]
+    ):
+        own = {TAGS.MakerNote: note, TAGS.LensModel: lens}
+        assert photograph(taken(tmp_path / f"{number}.jpg", pixels, own=own), "a").up is None

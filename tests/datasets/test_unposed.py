@@ -1,0 +1,184 @@
+"""A folder of photographs and nothing else is a scene, however they were stored."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+from taken_photographs import stereo_pair, taken
+
+import slgaussian as slg
+from slgaussian import datasets
+from slgaussian.cameras.found import GOOD, Focal, FoundCameras, FoundPair
+from slgaussian.datasets import unposed
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Estimated
+
+
+def made_up(photographs):
+    """Cameras side by side, looking ahead: what is found is the finder's own affair."""
+    cameras, focals = {}, {}
+    for number, photograph in enumerate(photographs):
+        f = photograph.focal or 0.8 * max(photograph.width, photograph.height)
+        pose = np.eye(4)
+        pose[0, 3] = number
+        K = [[f, 0, photograph.width / 2], [0, f, photograph.height / 2], [0, 0, 1]]
+        said = Estimated((0.9, 1.1), "guess", 0.75, (0.0, -1.0, 0.0))
+        size = photograph.width, photograph.height
+        cameras[photograph.name] = Camera(np.array(K), pose, *size, estimated=said)
+        focals[photograph.name] = Focal(f, 0.9 * f, 1.1 * f, "guess")
+    names = list(cameras)
+    pairs = (FoundPair((names[0], names[1]), 200, 150, float("nan"), 1.0, GOOD, ""),)
+    k1 = dict.fromkeys(cameras, 0.0)
+    return FoundCameras(cameras, focals, k1, pairs, np.zeros((0, 3)), 0.75)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the finder was asked for, whose answer is made up."""
+    calls = []
+
+    def find(photographs):
+        calls.append([photograph.name for photograph in photographs])
+        return made_up(photographs)
+
+    monkeypatch.setattr(unposed, "find_cameras", find)
+    unposed._find.cache_clear()
+    yield calls
+    unposed._find.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return [np.ascontiguousarray(picture[:200, :300]) for picture in stereo_pair()]
+
+
+@pytest.fixture
+def folder(tmp_path, pair):
+    (tmp_path / "photos").mkdir()
+    taken(tmp_path / "photos/b.png", pair[1], 6)
+    taken(tmp_path / "photos/a.png", pair[0], 8)
+    return tmp_path / "photos"
+
+
+def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
+    scene = datasets.load("photographs", folder)
+    assert scene.name == "photos" and list(scene.cameras) == ["a.png", "b.png"]
+    for name, picture in zip(scene.cameras, pair, strict=True):
+        np.testing.assert_array_equal(scene.read(name).image, picture)
+    assert scene.found["confidence"] == 0.75 and scene.found["pairs"][0]["angle"] is None
+    sample = scene.sample(["a", "b"], size=(100, 150))
+    assert sample.found == scene.found and sample.resized(50, 75).found == scene.found
+    for view in sample.context:
+        assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75, (0.0, -1.0, 0.0))
+    assert datasets.files("photographs", folder, ["a.png"]) == [folder / "a.png", folder / "b.png"]
+
+
+def test_cameras_are_found_once_and_anew_when_a_photograph_changes(folder, asked):
+    datasets.load("photographs", folder)
+    datasets.load("photographs", [folder / "a.png", folder / "b.png"])
+    assert asked == [["a.png", "b.png"]]
+    datasets.load("photographs", [folder / "b.png", folder / "a.png"])
+    assert asked[1:] == [["b.png", "a.png"]]
+    shutil.copy(folder / "a.png", folder / "b.png")
+    datasets.load("photographs", folder)
+    assert len(asked) == 3
+
+
+def test_photographs_in_python(folder, asked):
+    sample = slg.photographs(folder / "b.png", folder / "a.png", near=0.5, far=9.0)
+    assert [view.name for view in sample.context] == ["b.png", "a.png"]
+    assert (sample.context[0].camera.near, sample.context[0].camera.far) == (0.5, 9.0)
+    other = folder.parent / "other"
+    shutil.copytree(folder, other)
+    sample = slg.photographs(folder / "a.png", other / "b.png")
+    assert [view.name for view in sample.context] == ["photos/a.png", "other/b.png"]
+
+
+def test_sizes_and_shapes_may_be_mixed(tmp_path, pair, asked):
+    landscape, portrait = pair[0], pair[1][:, 60:240].copy()  # 200x300 and 200x180
+    large = np.asarray(Image.fromarray(portrait).resize((360, 400)))
+    files = [taken(tmp_path / "a.jpg", landscape), taken(tmp_path / "b.jpg", large, 6)]
+    sample = slg.photographs(*files)
+    assert [view.image.shape for view in sample.context] == [(200, 300, 3)] * 2
+    for view in sample.context:  # the middle stays the middle
+        np.testing.assert_allclose(view.camera.K[:2, 2], (150, 100), atol=0.5)
+    assert sample.context[1].camera.K[0, 0] == pytest.approx(0.8 * 400 * 300 / 360)
+
+
+def test_distortion_that_was_found_is_undone(folder, asked, monkeypatch, pair):
+    def bent(photographs):
+        found = made_up(photographs)
+        return FoundCameras(
+            found.cameras, found.focals, dict.fromkeys(found.k1, -0.3), found.pairs,
+            found.points, found.confidence,
+        )  # fmt: skip
+
+    monkeypatch.setattr(unposed, "find_cameras", bent)
+    scene = datasets.load("photographs", folder)
+    view = scene.read("a.png")
+    rows, columns = 30, 40  # of the straight photograph
+    K = scene.cameras["a.png"].K
+    x, y = (np.array([columns, rows]) + 0.5 - K[:2, 2]) / K[0, 0]
+    part = 1 - 0.3 * (x * x + y * y)
+    u, v = np.round(np.array([x, y]) * part * K[0, 0] + K[:2, 2] - 0.5).astype(int)
+    near = pair[0][v - 1 : v + 2, u - 1 : u + 2].reshape(-1, 3).astype(int)
+    assert np.abs(near - view.image[rows, columns]).max(1).min() < 12
+    assert np.abs(pair[0].astype(int) - view.image).mean() > 5
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (["a.png"], r"found .*a\.png, expected at least two"),
+        ([], "found nothing, expected at least two"),
+        (["a.png", "b.png", "../photos/a.png"], "given twice"),
+        (["a.png", "gone.jpg"], r"gone\.jpg: cannot be read \(No such file"),
+        (["a.png", "text.jpg"], r"text\.jpg: cannot be read"),
+        (["empty", "a.png"], "empty: holds no photographs"),
+    ],
+)
+def test_what_cannot_be_used_is_named(folder, asked, places, said):
+    (folder / "text.jpg").write_text("no picture")
+    (folder / "empty").mkdir()
+    with pytest.raises(InputError, match=said):
+        slg.photographs(*(folder / place for place in places))
+
+
+def test_a_photograph_by_phone_is_a_sentence_without_the_package(tmp_path, pair, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pillow_heif", None)
+    from slgaussian.formats import images
+
+    images._reads_heic.cache_clear()
+    file = tmp_path / "IMG_1.HEIC"
+    file.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
+    with pytest.raises(InputError, match=r"IMG_1\.HEIC.*`pip install pillow-heif`, or convert it"):
+        unposed.photograph(file, "a")
+    images._reads_heic.cache_clear()
+
+
+def test_heic_is_read_where_a_package_does(tmp_path, pair):
+    heif = pytest.importorskip("pillow_heif")
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    stored = np.rot90(pair[0]).copy()
+    heif.from_pillow(Image.fromarray(stored)).save(tmp_path / "a.heic", exif=exif.tobytes())
+    found = unposed.photograph(tmp_path / "a.heic", "a")
+    assert (found.width, found.height) == (300, 200)
+    assert np.abs(found.image.astype(int) - pair[0]).mean() < 8
+    assert found.focal == pytest.approx(26 * np.hypot(300, 200) / 43.27)
+    assert datasets.photographs.open_photograph(tmp_path / "a.heic", upright=True)[0].shape == (
+        200, 300, 3,
+    )  # fmt: skip
+
+
+def test_an_ordinary_pair_with_the_real_finder(tmp_path):
+    left, right = stereo_pair()
+    files = [taken(tmp_path / "a.jpg", left, 6), taken(tmp_path / "b.jpg", right, 6)]
+    sample = slg.photographs(*files, size=(120, 176))
+    first, second = (view.camera for view in sample.context)
+    np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-9)
+    assert np.linalg.norm(second.center) == pytest.approx(1)
+    assert second.center[0] > 0.9  # to the right, as the second photograph was taken
+    assert first.estimated is not None and sample.found["focals"].keys() == {"a.jpg", "b.jpg"}
