@@ -1,4 +1,7 @@
-"""Points that two photographs show both: features found, described and matched."""
+"""Points that two photographs show both: features found, described and matched.
+
+SIFT (Lowe 2004) by OpenCV with the descriptors of RootSIFT (Arandjelovic and Zisserman 2012).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,70 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
+from slgaussian.formats.brief import brief
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What is remarkable in one image.
+
+    Attributes
+    ----------
+    points : float64 [N, 2]
+        Pixels, pixel centres at +0.5.
+    descriptors : float32 [N, 128]
+        Unit vectors.
+    scales : float64 [N]
+        Deviation of the Gaussian that each was found with, pixels.
+    angles : float64 [N]
+        Orientations, radians, clockwise from x.
+    """
+
+    points: np.ndarray
+    descriptors: np.ndarray
+    scales: np.ndarray
+    angles: np.ndarray
+
+    __repr__ = brief
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def find_features(grey: np.ndarray, most: int, contrast: float) -> Features:
+    """The ``most`` strongest features of a grey uint8 image [H, W]."""
+    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
+    keys, raw = sift.detectAndCompute(grey, None)
+    if raw is None:
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), *np.zeros((2, 0)))
+    # Unit vectors, so products rank as distances do.
+    descriptors = np.sqrt(raw / np.maximum(raw.sum(1, keepdims=True), 1e-9))
+    # OpenCV counts pixel centres at 0.
+    points = np.array([key.pt for key in keys]) + 0.5
+    scales = np.array([key.size for key in keys]) / 2
+    return Features(points, descriptors, scales, np.radians([key.angle for key in keys]))
+
+
+def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Features that are each other's nearest, and nearer than ``ratio`` times the next (Lowe).
+
+    Returns
+    -------
+    int [M], int [M], float [M]
+        Which of each, and the ratio of each match: the smaller the surer.
+    """
+    if len(a) < 2 or len(b) < 2:
+        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+    similarity = a.descriptors @ b.descriptors.T
+    best, back = similarity.argmax(1), similarity.argmax(0)
+    top = np.partition(similarity, -2, axis=1)[:, -2:]
+    nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * top[:, k], 0)) for k in (1, 0))
+    kept = np.flatnonzero((back[best] == np.arange(len(a))) & (nearest < ratio * next_nearest))
+    return kept, best[kept], nearest[kept] / next_nearest[kept]
+
 
 def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mutual SIFT matches (Lowe 2004, ratio 0.8) of two grey uint8 images.
+    """Mutual SIFT matches (ratio 0.8) of two grey uint8 images.
 
     Returns
     -------
@@ -41,25 +105,9 @@ class _Grey:
 
 @lru_cache(maxsize=4)  # the cameras are checked by what depth is found from later
 def _sift_matches(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
-    ref, src = first.pixels, second.pixels
-    sift = cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
-    found = [sift.detectAndCompute(image, None) for image in (ref, src)]
-    none = np.zeros((0, 2)), np.zeros((0, 2))
-    if any(descriptors is None or len(descriptors) < 2 for _, descriptors in found):
-        return none
-    (points_a, a), (points_b, b) = found
-    # RootSIFT (Arandjelovic and Zisserman 2012): unit vectors, so products rank as distances do.
-    a, b = (np.sqrt(d / np.maximum(d.sum(1, keepdims=True), 1e-9)) for d in (a, b))
-    similarity = a @ b.T
-    best, back = similarity.argmax(1), similarity.argmax(0)
-    top = np.partition(similarity, -2, axis=1)[:, -2:]
-    nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * top[:, k], 0)) for k in (1, 0))
-    keep = (back[best] == np.arange(len(a))) & (nearest < 0.8 * next_nearest)
-    if not keep.any():
-        return none
-    # OpenCV counts pixel centres at 0.
-    xy_a = np.array([p.pt for p in points_a])[keep] + 0.5
-    xy_b = np.array([p.pt for p in points_b])[best[keep]] + 0.5
-    for xy in (xy_a, xy_b):
-        xy.setflags(write=False)
-    return xy_a, xy_b
+    a, b = (find_features(image.pixels, 4000, 0.02) for image in (first, second))
+    i, j, _ = match(a, b, 0.8)
+    found = a.points[i], b.points[j]
+    for points in found:
+        points.setflags(write=False)
+    return found
