@@ -4,6 +4,9 @@ Photographs come in any unit and any world axes. Up is the direction that most s
 floors, tables and ceilings face it, walls stand along it. The floor is the lowest large surface
 that faces up, and the unit of length is the height of the cameras above it: about 1.5 m where
 people take photographs, less on most robots.
+
+Cameras that were found from photographs alone have the axes of the first one, however it was held,
+which say nothing; but up is known if a phone measured gravity.
 """
 
 from __future__ import annotations
@@ -101,10 +104,9 @@ def find_room(cameras: Sequence[Camera], depths: Iterable[np.ndarray]) -> Room:
         points.append(camera.unproject(depth)[::STEP, ::STEP][known])
         normals.append(normal[known])
     eyes = np.array([camera.c2w[:3, 3] for camera in cameras])
-    upright = -np.mean([camera.c2w[:3, 1] for camera in cameras], 0)
     known = np.concatenate([depth[depth > 0] for depth in depths])
     median = float(np.median(known)) if len(known) else 1.0
-    up = _find_up(np.concatenate(normals), upright / np.linalg.norm(upright))
+    up = _up(cameras, np.concatenate(normals))
     facing = np.concatenate(normals) @ up > np.cos(np.radians(1.5 * LEVEL))
     heights = np.concatenate(points) @ up
     floor = _lowest(heights[facing], FLOOR * len(heights), THICK * median)
@@ -143,11 +145,30 @@ def _normals(camera: Camera, depth: np.ndarray) -> np.ndarray:
     return out
 
 
-def _find_up(normals: np.ndarray, upright: np.ndarray) -> np.ndarray:
-    """The direction near ``upright`` that the normals [N, 3] speak for most."""
+def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
+    """Up, from what is known of the cameras and from the normals [N, 3] of surfaces."""
+    upright = -np.mean([camera.c2w[:3, 1] for camera in cameras], 0)
+    upright /= np.linalg.norm(upright)
+    found = [camera.estimated for camera in cameras if camera.estimated is not None]
+    measured = [one.up for one in found if one.up is not None]
+    if measured:
+        gravity = np.mean(measured, 0)
+        return gravity / np.linalg.norm(gravity)
+    if found:
+        return _find_up(normals, upright, None)
     axis = np.zeros(3)
     axis[np.abs(upright).argmax()] = np.sign(upright[np.abs(upright).argmax()])
-    near = axis if axis @ upright > np.cos(np.radians(NEAR_AXIS)) else upright
+    near = axis @ upright > np.cos(np.radians(NEAR_AXIS))
+    return _find_up(normals, upright, axis if near else upright)
+
+
+def _find_up(normals: np.ndarray, upright: np.ndarray, told: np.ndarray | None) -> np.ndarray:
+    """The direction near ``upright`` that the normals [N, 3] speak for most.
+
+    ``told`` is preferred, as :data:`TWICE` has it; without it the normals decide alone, and
+    ``upright`` where they say too little.
+    """
+    near = upright if told is None else told
     if len(normals) == 0:
         return near
     best = upright
@@ -160,8 +181,10 @@ def _find_up(normals: np.ndarray, upright: np.ndarray) -> np.ndarray:
         return near
     best = (np.sign(cosine[level])[:, None] * normals[level]).sum(0)
     best /= np.linalg.norm(best)
-    supported = _evidence(normals, np.stack([best, near]), LEVEL / 2)
-    return near if supported[0] <= TWICE * supported[1] else best
+    if told is None:
+        return best
+    supported = _evidence(normals, np.stack([best, told]), LEVEL / 2)
+    return told if supported[0] <= TWICE * supported[1] else best
 
 
 def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray:

@@ -1,14 +1,17 @@
 """Up, floor and heights of rooms, whatever the axes and the unit of the poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from benches.cameras.rendered_rooms import RenderedRoom, looking, pinhole
 from slgaussian.datasets.procedural import reader
 from slgaussian.geometry.room import LEVEL, find_room
-from slgaussian.scene import Camera
+from slgaussian.scene import Camera, Estimated
 
 SIZE = 104, 144
 
@@ -67,6 +70,55 @@ def test_a_world_axis_near_up_is_taken_for_it(room):
     turn = Rotation.from_euler("x", LEVEL / 4, degrees=True).as_matrix()
     changed = [moved(camera, turn, np.zeros(3), 1) for camera in cameras]
     np.testing.assert_array_equal(find_room(changed, depths).up, [0, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def held():
+    """Two cameras pitched by 25 degrees in the first one's frame, which is rolled by 10, with true
+    depths and true up."""
+    eyes = np.array([[-0.3, -3.0, 1.6], [0.3, -3.0, 1.6]])
+    ahead = np.array([0, 1, -np.tan(np.radians(25))])
+    poses = [looking(eye, eye + ahead, roll) for eye, roll in zip(eyes, (10, 4), strict=True)]
+    cameras = [pinhole(0.9 * SIZE[1], *SIZE[::-1], pose) for pose in poses]
+    depths = [RenderedRoom.of(2).depth(camera) for camera in cameras]
+    said = Estimated((0.8, 1.25), "guess", 0.5)
+    frame = cameras[0].w2c
+    found = [replace(camera, c2w=frame @ camera.c2w, estimated=said) for camera in cameras]
+    return found, depths, frame[:3, 2]
+
+
+def off(room, up: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(min(1, room.up @ up))))
+
+
+def test_axes_of_found_cameras_are_not_taken_for_up(held):
+    cameras, depths, up = held
+    found = find_room(cameras, depths)
+    assert off(found, up) < 1
+    assert found.floor == pytest.approx(-1.6, rel=0.02)  # the first camera is the origin
+    # An axis near up, which would be taken for it if these cameras were given.
+    near = np.array([np.sin(np.radians(2.5)), -np.cos(np.radians(2.5)), 0])
+    level = Rotation.align_vectors([near], [up])[0].as_matrix()
+    turned = [
+        replace(moved(camera, level, np.zeros(3), 1), estimated=cameras[0].estimated)
+        for camera in cameras
+    ]
+    assert off(find_room(turned, depths), near) < 1
+    given = find_room([replace(camera, estimated=None) for camera in turned], depths)
+    np.testing.assert_array_equal(given.up, [0, -1, 0])
+
+
+def test_gravity_that_a_phone_measured_is_up(held):
+    cameras, depths, up = held
+    nothing = [np.zeros_like(depth) for depth in depths]
+    assert off(find_room(cameras, nothing), up) > 20  # the cameras' upright is all there is
+    told = [
+        replace(camera, estimated=replace(camera.estimated, up=tuple(up))) for camera in cameras
+    ]
+    assert off(find_room(told, nothing), up) < 1e-5
+    found = find_room(told, depths)
+    assert off(found, up) < 1e-5
+    assert found.floor == pytest.approx(-1.6, rel=0.02)
 
 
 def test_without_a_floor_nothing_is_said_of_heights(room):
