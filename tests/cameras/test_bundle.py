@@ -1,0 +1,211 @@
+"""Bundle adjustment against SciPy's least squares, against differences, and on hard cases."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bundles import shaken, true_bundle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from slgaussian.cameras import bundle as module
+from slgaussian.cameras.bundle import Bundle, adjust, homogeneous
+
+
+def turned_by(bundle: Bundle, truth: Bundle) -> float:
+    """Degrees of the worst rotation between two bundles' cameras."""
+    off = Rotation.from_matrix(bundle.R @ truth.R.transpose(0, 2, 1))
+    return float(np.degrees(off.magnitude().max()))
+
+
+def moved_by(bundle: Bundle, truth: Bundle) -> float:
+    """Degrees of the worst direction of a translation between two bundles' cameras."""
+    a, b = (one.t[1:] / np.linalg.norm(one.t[1:], axis=1)[:, None] for one in (bundle, truth))
+    return float(np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)).max()))
+
+
+def reference_cost(bundle: Bundle, scale: float) -> float:
+    """The cost that SciPy finds when it moves all cameras, points and focal lengths freely."""
+    V, N = len(bundle.R), len(bundle.points)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        turn, t, points, logs = np.split(x, np.cumsum([3 * V - 3, 3 * V - 3, 3 * N]))
+        R = bundle.R.copy()
+        R[1:] = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix() @ bundle.R[1:]
+        now = replace(
+            bundle,
+            R=R,
+            t=np.concatenate([bundle.t[:1], t.reshape(-1, 3)]),
+            points=points.reshape(-1, 3),
+            focals=np.exp(logs),
+        )
+        # As 3 log(1 + r^2 / s^2) = (root of it)^2, plain least squares minimises the same cost.
+        r = now.residuals()
+        r2 = (r**2).sum(1, keepdims=True) / scale**2
+        seen = r / scale * np.sqrt(3 * np.log1p(r2) / np.maximum(r2, 1e-12))
+        wrong = np.log(now.focals / bundle.focal_prior) / bundle.focal_sigma
+        return np.concatenate([seen.ravel(), wrong])
+
+    start = [np.zeros(3 * V - 3), bundle.t[1:], bundle.points, np.log(bundle.focals)]
+    flat = np.concatenate([np.ravel(one) for one in start])
+    found = least_squares(residuals, flat, method="trf", x_scale="jac", max_nfev=80)
+    return 2 * float(found.cost)
+
+
+@pytest.mark.parametrize(("views", "points", "outliers"), [(2, 14, 0.0), (3, 12, 0.1)])
+def test_as_low_a_cost_as_scipy_finds(views, points, outliers):
+    truth = true_bundle(views, points, 3, outliers=outliers)
+    start = shaken(replace(truth, focal_sigma=np.full(1, 0.3)), 4)
+    found = adjust(start, scale=1.0, iterations=200, tolerance=1e-13)
+    assert found.cost == pytest.approx(reference_cost(found.bundle, 1.0), rel=1e-6, abs=1e-6)
+    assert found.cost <= reference_cost(start, 1.0) * (1 + 1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(2, 4), st.integers(1, 8), st.integers(1, 2), st.integers(0, 2**31))
+def test_derivatives_are_those_of_differences(views, points, lenses, seed):
+    truth = true_bundle(views, points, seed, lenses=lenses, k1=-0.1)
+    start = shaken(truth, seed)
+    q = homogeneous(start.points)
+    camera, point = module._derivatives(start, q, module._project(start, q))
+    columns = module._Layout.of(start).columns[start.view]
+    h = 1e-6
+    for k in range(6 * views + 2 * lenses):
+        step = np.zeros(6 * views + 2 * lenses)
+        step[k] = h
+        ends = []
+        for sign in (1, -1):
+            s = sign * step
+            lens = s[6 * views :].reshape(2, lenses)
+            poses = s[: 6 * views].reshape(views, 6)
+            moved = replace(
+                start,
+                R=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ start.R,
+                t=start.t + poses[:, 3:],
+                focals=start.focals * np.exp(lens[0]),
+                k1=start.k1 + lens[1],
+            )
+            ends.append(module._project(moved, q).residuals)
+        found = np.einsum("mik,mk->mi", camera, (columns == k).astype(float))
+        np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * h), atol=1e-3)
+    across = module._tangents(q)
+    for k in range(3):
+        ends = [module._project(start, q + sign * h * across[:, :, k]) for sign in (1, -1)]
+        difference = (ends[0].residuals - ends[1].residuals) / (2 * h)
+        np.testing.assert_allclose(point[:, :, k], difference, atol=1e-2, rtol=1e-5)
+
+
+def test_without_noise_the_truth_comes_back():
+    truth = true_bundle(4, 80, 1, noise=0.0, lenses=2, k1=-0.05)
+    start = replace(shaken(truth, 2), k1=np.zeros(2), k1_sigma=np.inf)
+    found = adjust(start, iterations=100, tolerance=1e-14).bundle
+    assert turned_by(found, truth) < 1e-4
+    np.testing.assert_allclose(found.t, truth.t, atol=1e-5)
+    np.testing.assert_allclose(found.focals, 600, rtol=1e-5)
+    np.testing.assert_allclose(found.k1, -0.05, atol=1e-5)
+    told = np.bincount(truth.point) > 1
+    np.testing.assert_allclose(found.points[told], truth.points[told], rtol=1e-4, atol=1e-4)
+
+
+def test_points_near_infinity():
+    near = true_bundle(2, 60, 5, noise=0.3)
+    far = true_bundle(2, 60, 5, noise=0.3, depths=(1e5, 1e7))
+    both = replace(
+        near,
+        points=np.concatenate([near.points, far.points]),
+        view=np.concatenate([near.view, far.view]),
+        point=np.concatenate([near.point, far.point + 60]),
+        xy=np.concatenate([near.xy, far.xy]),
+        focal_sigma=np.zeros(1),
+    )
+    # Where only their direction is known they start near, and one of them behind the camera.
+    start = shaken(both, 6, 0.01)
+    start.points[60:] *= 20 / start.points[60:, 2:]
+    start.points[60] *= -100
+    found = adjust(start)
+    assert np.abs(found.residuals).max() < 2
+    assert turned_by(found.bundle, near) < 0.1
+    assert np.abs(found.bundle.points[60:, 2]).min() > 300
+
+
+def test_thirty_percent_of_outliers():
+    truth = true_bundle(2, 400, 7, outliers=0.3)
+    truth = replace(truth, focal_sigma=np.full(1, 0.3))
+    found = adjust(shaken(truth, 8, 0.01))
+    assert turned_by(found.bundle, truth) < 0.5
+    assert moved_by(found.bundle, truth) < 1.5
+    assert np.linalg.norm(found.residuals, axis=1).max() > 30
+
+
+def test_a_tiny_baseline_is_said_to_be_uncertain():
+    """Points 400 to 900 baselines away tell the rotation, and little of where the other stood."""
+    truth = replace(true_bundle(2, 200, 9, baseline=0.01, noise=0.2), focal_sigma=np.zeros(1))
+    found = adjust(shaken(truth, 10, 0.005))
+    turned, moved = found.degrees(1)
+    assert turned < 0.1 < 4 < moved
+    assert moved_by(found.bundle, truth) < 2 * moved
+
+
+def test_points_behind_the_cameras_tell_of_a_baseline_that_drowns_in_noise():
+    truth = replace(true_bundle(2, 200, 9, baseline=0.01), focal_sigma=np.zeros(1))
+    found = adjust(truth)
+    assert moved_by(found.bundle, truth) > 20
+    assert (found.bundle.depths() < 0).mean() > 0.3
+
+
+def test_a_focal_length_that_nothing_tells_is_said_to_be_uncertain():
+    """Parallel optical axes: any focal length explains the matches as well."""
+    truth = true_bundle(2, 200, 11, turned=0.0)
+    free = adjust(truth)
+    known = adjust(replace(truth, focal_sigma=np.full(1, 0.2), focal_prior=np.full(1, 650.0)))
+    told = adjust(replace(true_bundle(3, 200, 11, turned=0.4)))
+    assert free.focal_deviations[0] > 0.1 > told.focal_deviations[0] * 10
+    assert 0.05 < known.focal_deviations[0] <= 0.2
+    assert 600 < known.bundle.focals[0] < 655
+
+
+def test_fixed_things_stay():
+    truth = replace(true_bundle(3, 40, 12, lenses=3), focal_sigma=np.array([0.0, 0.1, np.inf]))
+    found = adjust(shaken(truth, 13))
+    assert found.bundle.focals[0] == 600 != found.bundle.focals[1]
+    assert not found.bundle.k1.any()
+    assert np.array_equal(found.bundle.R[0], np.eye(3))
+    assert not found.bundle.t[0].any()
+    assert np.linalg.norm(found.bundle.t[1]) == pytest.approx(np.linalg.norm(truth.t[1]))
+    assert found.focal_deviations[0] == 0 < found.focal_deviations[1] < 0.1
+
+
+def test_the_order_of_observations_does_not_matter():
+    start = shaken(true_bundle(3, 40, 14), 15)
+    other = np.random.default_rng(0).permutation(len(start.view))
+    mixed = replace(start, view=start.view[other], point=start.point[other], xy=start.xy[other])
+    a, b = adjust(start), adjust(mixed)
+    np.testing.assert_allclose(a.bundle.t, b.bundle.t, atol=1e-6)
+    np.testing.assert_allclose(a.residuals[other], b.residuals, atol=1e-5)
+    assert np.array_equal(b.bundle.xy, mixed.xy)
+
+
+def test_many_points_in_pieces_are_the_same(monkeypatch):
+    start = shaken(true_bundle(3, 40, 14), 15)
+    whole = adjust(start)
+    monkeypatch.setattr(module, "_CHUNK", 500)
+    np.testing.assert_allclose(adjust(start).bundle.t, whole.bundle.t, atol=1e-8)
+
+
+@pytest.mark.parametrize("views", [2, 4])
+def test_what_is_said_to_be_uncertain_is_as_wrong_as_said(views):
+    """Over many draws of the noise, errors divided by what was said of them spread by about one."""
+    turned, focal = [], []
+    for seed in range(40):
+        truth = replace(true_bundle(views, 80, 20, turned=0.3), focal_sigma=np.full(1, 0.3))
+        rng = np.random.default_rng(seed)
+        clean = replace(truth, xy=truth.residuals() + truth.xy)
+        draw = replace(clean, xy=clean.xy + rng.normal(0, 0.5, clean.xy.shape))
+        found = adjust(draw, scale=1.0)
+        off = Rotation.from_matrix(found.bundle.R[1] @ truth.R[1].T).as_rotvec()
+        turned.append(off @ np.linalg.solve(found.covariance[6:9, 6:9], off) / 3)
+        focal.append(np.log(found.bundle.focals[0] / 600) / found.focal_deviations[0])
+    assert 0.6 < np.sqrt(np.mean(turned)) < 1.6
+    assert 0.6 < np.sqrt(np.mean(np.square(focal))) < 1.6
