@@ -13,6 +13,7 @@ from flows.room_scenes import seeds
 from flows.runners.progress import Progress
 from slgaussian import datasets
 from slgaussian.datasets import nerfstudio, re10k
+from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.scene import Scene
@@ -39,8 +40,9 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     Parameters
     ----------
     sources : sequence of str
-        nerfstudio folders or ``transforms.json`` files, whose clip is called as the folder, and
-        ``procedural:FIRST-LAST`` for the rooms of these seeds, ``procedural_FIRST`` and so on.
+        Folders or files of cameras of any format that is known, or folders of photographs alone,
+        whose cameras are found; the clip is called as the folder. And ``procedural:FIRST-LAST`` for
+        the rooms of these seeds, ``procedural_FIRST`` and so on.
     out : path
     settings : PackSettings
 
@@ -96,7 +98,7 @@ def _scenes(
         else:
             path = Path(source)
             folder = path.parent if path.name == nerfstudio.FILE else path
-            named = {folder.resolve().name: partial(nerfstudio.read, path)}
+            named = {folder.resolve().name: partial(_posed, path)}
         for name, load in named.items():
             if name in seen:
                 raise InputError(
@@ -105,6 +107,10 @@ def _scenes(
                 )
             seen[name] = source
             yield name, load
+
+
+def _posed(path: Path) -> Scene:
+    return posed_scene(path)[0]
 
 
 def _room(seed: int, settings: PackSettings) -> Callable[[], Scene]:

@@ -46,7 +46,7 @@ COMMON = {
     "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
-    "field": ("preset", "size", *PARTS, "trust_cameras", "seed"),
+    "field": ("preset", "size", *PARTS, "trust_cameras"),
     "masks": ("preset", "size", *PARTS[:3], "replicas"),
     "query": ("threshold",),
     "segment": ("threshold",),
@@ -63,8 +63,7 @@ CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"
 """The headings of the commands."""
 
 app = App(
-    help="Two posed photographs in, a 3D scene of Gaussians that answers words out. Begin with "
-    "`slgaussian demo`. Every command has a --help with examples.",
+    help="Two photographs in, a scene that answers words out. Try `slgaussian demo`.",
 )
 app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
 
@@ -73,13 +72,19 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results."
 Folder = Annotated[
     Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
 ]
-Photos = Annotated[list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs.")]
+Photos = Annotated[
+    list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs, or a folder of them.")
+]
 Cameras = Annotated[
-    Path,
+    Path | None,
     typer.Option(
-        help="Their cameras: transforms.json, poses_bounds.npy, or the folder of a COLMAP model or "
-        "scene."
+        help="Their cameras: transforms.json, poses_bounds.npy, or a COLMAP folder; found if left "
+        "out."
     ),
+]
+Refine = Annotated[
+    bool,
+    typer.Option("--refine", help="Find given cameras anew, in their own world."),
 ]
 Texts = Annotated[
     list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
@@ -302,23 +307,63 @@ def run(
 def field(
     settings: dict,
     photos: Photos,
-    cameras: Cameras,
+    cameras: Cameras = None,
+    refine: Refine = False,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
-    """Build a field from two or more posed photographs.
+    """Build a field from two or more photographs.
 
     A field is a folder with the scene as Gaussians and what words need to find its objects.
-    `query`, `segment`, `render` and `export` open it.
+    `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
+    first two are 1 apart.
 
     \b
-    slgaussian field a.png b.png --cameras transforms.json -o field/
+    slgaussian field a.jpg b.jpg -o field/
     slgaussian field images/1.jpg images/2.jpg --cameras sparse/0 -o field/
     slgaussian query field/ "red basket" -o hit.png
     """
     from flows.cli.fields import build
 
-    made = build(photos, cameras, out, settings)
+    made = build(photos, cameras, refine, out, settings)
     typer.echo(made)
+
+
+@app.command(rich_help_panel=FIELDS)
+def cameras(
+    photos: Photos,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out", "-o", help="transforms.json, or a folder ending in / for a COLMAP model."
+        ),
+    ] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(metavar="<name>", help="How to write them: nerfstudio or colmap."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Find the cameras of photographs.
+
+    Prints a row for each pair: matches, those that its pose explains, degrees between the lines of
+    sight, by how many degrees the pose may be off, and a verdict. The world is the first camera's;
+    the first two are 1 apart. A transforms.json says all this too, and `--cameras` reads it.
+
+    \b
+    slgaussian cameras a.jpg b.jpg
+    slgaussian cameras photos/ -o transforms.json
+    slgaussian cameras photos/ -o model/
+    slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
+    """
+    import json
+
+    from flows.cli import posing
+
+    found = posing.keep(photos, out, format)
+    posing.tell(found)
+    typer.echo(json.dumps(found.as_json()) if as_json else posing.tabled(found))
+    if out is not None and not as_json:
+        typer.echo(out)
 
 
 @app.command(rich_help_panel=FIELDS)
@@ -326,23 +371,24 @@ def field(
 def masks(
     settings: dict,
     photos: Photos,
-    cameras: Cameras,
+    cameras: Cameras = None,
+    refine: Refine = False,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
-    """Label the objects of posed photographs, alike in all views.
+    """Label the objects of photographs, alike in all views.
 
     Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
     look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
 
     \b
-    slgaussian masks a.png b.png --cameras transforms.json -o ids/
-    slgaussian masks a.png b.png --cameras transforms.json --proposer sam -o ids/
-    slgaussian field a.png b.png --cameras transforms.json --tracker precomputed \\
+    slgaussian masks a.jpg b.jpg -o ids/
+    slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
+    slgaussian field a.jpg b.jpg --tracker precomputed \\
         --precomputed-folder ids/ -o field/
     """
     from flows.cli.labelling import label, tabled
 
-    typer.echo(tabled(label(photos, cameras, out, settings)))
+    typer.echo(tabled(label(photos, cameras, refine, out, settings)))
     typer.echo(out)
 
 
@@ -521,7 +567,7 @@ def pack(
         list[str],
         typer.Argument(
             metavar="SOURCE",
-            help="nerfstudio folder, or procedural:FIRST-LAST (seeds of rooms).",
+            help="Folder of photographs, or procedural:FIRST-LAST (seeds of rooms).",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the chunks.")],

@@ -13,18 +13,17 @@ from typing import Any
 import numpy as np
 
 from flows.cli.drawings import check_drawing, drawing
+from flows.cli.posing import posed_sample
 from flows.cli.viewpoints import Choice, Viewpoint
-from flows.settings import Settings, make_settings
+from flows.settings import make_settings
 from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
 from slgaussian.cameras.quality import Quality
-from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import harmonics, rasterize
-from slgaussian.scene import Sample, Scene
 from slgaussian.semantic.decode import VISIBLE
 from slgaussian.storage.field_folder import check_target
 
@@ -47,10 +46,12 @@ COMMON_THINGS = (
 """What is looked for in a new field, so that its first question has an answer."""
 
 
-def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, Any]) -> Path:
+def build(
+    photos: Sequence[str], cameras: Path | None, refine: bool, out: Path, options: dict[str, Any]
+) -> Path:
     """Build a field from photographs and save it to folder ``out``.
 
-    A photograph is a file that the camera file lists, or the name of one of its views.
+    Photographs and cameras are as :func:`flows.cli.posing.posed_sample` takes them.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     method = make_settings(options, "field")
     check_target(out)
     start = time.perf_counter()
-    sample = posed_sample(photos, cameras, method)
+    sample = posed_sample(photos, cameras, refine, method)
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(method.part_names().values())
     print(
@@ -78,13 +79,6 @@ def build(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
     print(f"ask it: {shlex.join(command)}", file=sys.stderr)
     return out
-
-
-def posed_sample(photos: Sequence[str], cameras: Path, method: Settings) -> Sample:
-    """The photographs with their cameras, at the size that ``method`` asks for."""
-    scene, folder = posed_scene(cameras, photos)
-    names = [_view_of(scene, photo, folder) for photo in photos]
-    return scene.sample(names, size=method.size, near=method.near, far=method.far)
 
 
 def picture(source: Path, choice: Choice, out: Path) -> None:
@@ -152,19 +146,3 @@ def _word(field: SemanticField) -> str:
         return COMMON_THINGS[0]
     best = max(field.describe(COMMON_THINGS), key=lambda one: one.relevancy, default=None)
     return best.text if best is not None and best.relevancy > 0.5 else COMMON_THINGS[0]
-
-
-def _view_of(scene: Scene, photo: str, folder: Path) -> str:
-    place = Path(photo).resolve()
-    for name in scene.cameras:
-        listed = (folder / name).resolve()
-        # A missing file is found too, and reading it then says what is missing.
-        if listed in (place, place.with_suffix("")):
-            return name
-    if Path(photo).is_file():
-        raise InputError(
-            f"{photo}: no camera for this photograph; {folder} has cameras for "
-            f"{len(scene.cameras)}, such as {', '.join(list(scene.cameras)[:4])}: give one of "
-            "them, or add a camera"
-        )
-    return scene.find(photo)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flows.cli.fields import posed_sample
+from flows.cli.posing import posed_sample
 from flows.settings import make_settings
 from slgaussian.benchmark import pictures
 from slgaussian.build import predict
@@ -36,8 +36,10 @@ class Labelled:
     maps: LabelMaps
 
 
-def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, Any]) -> Labelled:
-    """Label the objects of posed photographs and write the maps to folder ``out``.
+def label(
+    photos: Sequence[str], cameras: Path | None, refine: bool, out: Path, options: dict[str, Any]
+) -> Labelled:
+    """Label the objects of photographs and write the maps to folder ``out``.
 
     The predictor serves the tracker, which wants depth; no word is read and no field is made.
     ``out`` has one map a view, ``masks.json`` with what made them, and ``look.jpg``. A folder that
@@ -50,7 +52,7 @@ def label(photos: Sequence[str], cameras: Path, out: Path, options: dict[str, An
     """
     method = make_settings(options, "masks")
     check_target(out, ABOUT, "a folder of masks")
-    sample = posed_sample(photos, cameras, method)
+    sample = posed_sample(photos, cameras, refine, method)
     names = map_names([view.name for view in sample.context])
     parts = [method.part(step) for step in STEPS]
     predictor, proposer, tracker = parts

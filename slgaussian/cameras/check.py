@@ -51,6 +51,12 @@ WIDE = 20.0
 TURNED = 30.0
 """Degrees between the optical axes of two cameras above which depth suffers, as measured there."""
 
+OTHERWISE = (
+    "`slgaussian field --refine` finds them anew from the photographs, --trust-cameras goes on all "
+    "the same"
+)
+"""What a user whose cameras are refused may do beside mending them."""
+
 Pair = tuple[Camera, Camera]
 
 
@@ -212,12 +218,12 @@ def _refusal(check: PairCheck) -> str:
             f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
             f"{check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, and no "
             "usual mistake explains it; check that each photograph has its own pose and its own "
-            "intrinsics (--trust-cameras goes on all the same)"
+            f"intrinsics ({OTHERWISE})"
         )
     return (
         f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
         f"{check.pixels[0]:.1f} pixels, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
-        f"{check.correction} (--trust-cameras goes on all the same)"
+        f"{check.correction} ({OTHERWISE})"
     )
 
 

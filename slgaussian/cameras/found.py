@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.scene import Camera
 
@@ -109,6 +111,49 @@ class FoundCameras:
             ],
             "warnings": list(self.warnings),
         }
+
+    def in_frame_of(self, given: Mapping[str, Camera]) -> FoundCameras:
+        """The same cameras in the world of others of the same names.
+
+        The first camera takes the pose of its namesake, and distances become as large as those of
+        the others, by the median over pairs. Depth ranges that those have stay theirs.
+
+        Raises
+        ------
+        InputError
+            If the others all stand at one place.
+        """
+        names = list(self.cameras)
+        ratios = [
+            np.linalg.norm(given[a].center - given[b].center)
+            / max(float(np.linalg.norm(self.cameras[a].center - self.cameras[b].center)), 1e-12)
+            for a, b in combinations(names, 2)
+        ]
+        scale = float(np.median(ratios))
+        if not 0 < scale < np.inf:
+            raise InputError(
+                "the given cameras all stand at one place, so that they say no scale for those "
+                "that are found; leave them out (--cameras)"
+            )
+        # The first is the origin of a found world; of any other it is brought there first.
+        start, goal = self.cameras[names[0]], given[names[0]]
+        turn = goal.c2w[:3, :3] @ start.c2w[:3, :3].T
+
+        def placed(points: np.ndarray) -> np.ndarray:
+            return goal.center + scale * (points - start.center) @ turn.T
+
+        cameras = {}
+        for name, camera in self.cameras.items():
+            c2w = np.eye(4)
+            c2w[:3, :3], c2w[:3, 3] = turn @ camera.c2w[:3, :3], placed(camera.center)
+            said = camera.estimated
+            if said is not None and said.up is not None:
+                x, y, z = (turn @ said.up).tolist()
+                said = replace(said, up=(x, y, z))
+            own = [None if end is None else scale * end for end in (camera.near, camera.far)]
+            moved = replace(camera, c2w=c2w, near=own[0], far=own[1], estimated=said)
+            cameras[name] = moved.ranged(given[name].near, given[name].far)
+        return replace(self, cameras=cameras, points=placed(self.points))
 
     def summary(self) -> str:
         """One line for people: of several focal lengths the range, of several pairs the weakest."""

@@ -7,9 +7,11 @@ the image, with pixel centres at +0.5, as here.
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, overload
@@ -17,6 +19,7 @@ from typing import Any, overload
 import cv2
 import numpy as np
 
+from slgaussian.cameras.found import FoundCameras
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
@@ -28,11 +31,19 @@ from slgaussian.datasets.photographs import (
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened, read_npy, unreadable
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Estimated, Scene, View
+from slgaussian.storage.store import write_atomic
 
 FILE = "transforms.json"
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
+OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
+"""By which the columns of a pose in OpenCV's axes become those of one in OpenGL's, and back."""
+
+OWN = "slgaussian"
+"""The key of what this package adds: at the top how cameras were found, as
+:meth:`slgaussian.cameras.found.FoundCameras.as_json` has it, and in each frame what else a camera
+is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
 
 DEPTH_UNIT = 0.001
 """Scene units in one unit of a depth file, where ``depth_unit_scale_factor`` does not say."""
@@ -68,17 +79,74 @@ def read(path: str | Path) -> Scene:
     file = path / FILE if path.is_dir() else path
     meta = _load(file)
     frames: dict[str, _Frame] = {}
+    shared = {key: value for key, value in meta.items() if key != OWN}
+    found = meta.get(OWN, {})
+    if not isinstance(found, dict):
+        raise InputError(f"{file}: {OWN} is {found!r}, expected an object; write the file again")
     for number, entry in enumerate(meta["frames"]):
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name:
             raise InputError(f"{file}: frame {number} has no file_path; add the photograph's path")
         if name in frames:
             raise InputError(f"{file}: two frames have the file_path {name!r}; remove one")
-        frames[name] = _Frame(file, name, {**meta, **entry})
+        frames[name] = _Frame(file, name, {**shared, **entry})
     size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
     name = file.resolve().parent.name or "scene"
-    return Scene(name, cameras, _Reader(file, frames, cameras).read)
+    return Scene(name, cameras, _Reader(file, frames, cameras).read, found=found)
+
+
+def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> None:
+    """Write cameras that were found, and how, such that :func:`read` gives the same ones.
+
+    Parameters
+    ----------
+    file : path
+        What is there is replaced.
+    photographs : mapping str -> path
+        Files by the names of their cameras.
+    found : FoundCameras
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    folder = os.path.abspath(file.parent)
+    paths = {
+        name: Path(os.path.relpath(os.path.abspath(photograph), folder)).as_posix()
+        for name, photograph in photographs.items()
+    }
+    frames = []
+    for name, camera in found.cameras.items():
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        own: dict[str, Any] = {"near": camera.near, "far": camera.far}
+        if camera.estimated is not None:
+            own["estimated"] = asdict(camera.estimated)
+        frames.append(
+            {
+                "file_path": paths[name],
+                "transform_matrix": (camera.c2w * OPENGL).tolist(),
+                "fl_x": fx,
+                "fl_y": fy,
+                "cx": cx,
+                "cy": cy,
+                "w": camera.width,
+                "h": camera.height,
+                "k1": found.k1[name],
+                OWN: own,
+            }
+        )
+    about = found.as_json()
+    for key in ("focals", "k1"):
+        about[key] = {paths[name]: value for name, value in about[key].items()}
+    for pair in about["pairs"]:
+        pair["views"] = [paths[name] for name in pair["views"]]
+    content = {"camera_model": "OPENCV", "frames": frames, OWN: about}
+    try:
+        write_atomic(file, (json.dumps(content, indent=1) + "\n").encode())
+    except OSError as bad:
+        raise InputError(f"{file}: cannot be written ({bad.strerror}); choose another") from bad
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
@@ -221,11 +289,32 @@ class _Frame:
             raise self.error("transform_matrix is not a 4x4 matrix of numbers") from None
         if c2w.shape != (4, 4):
             raise self.error(f"transform_matrix has shape {c2w.shape}, expected (4, 4)")
-        c2w[:, 1:3] *= -1  # OpenGL axes to OpenCV's
+        c2w *= OPENGL
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
-            return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), c2w, int(w), int(h))
+            camera = Camera(K, c2w, int(w), int(h))
+            return camera if self.own is None else self._more(camera, self.own)
         except InputError as bad:
             raise self.error(str(bad)) from None
+
+    @property
+    def own(self) -> dict[str, Any] | None:
+        """What :func:`write` added; None in a file by others."""
+        own = self.values.get(OWN)
+        if own is not None and not isinstance(own, dict):
+            raise self.error(f"{OWN} is {own!r}, expected an object")
+        return own
+
+    def _more(self, camera: Camera, own: Mapping[str, Any]) -> Camera:
+        more = _Frame(self.file, self.name, own)
+        said = own.get("estimated")
+        try:
+            estimated = None if said is None else Estimated.of(said)
+        except ValueError as bad:
+            raise self.error(f"estimated {bad}") from None
+        return replace(
+            camera, near=more.number("near"), far=more.number("far"), estimated=estimated
+        )
 
     def undistortion(self, camera: Camera) -> Maps | None:
         """Where each pixel of the view lies in the stored photograph, as maps for cv2.remap."""
@@ -250,7 +339,8 @@ class _Frame:
         return perspective_maps(camera.K, size, lens)
 
     def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
-        pixels, opaque = open_photograph(path, (camera.width, camera.height))
+        size = (camera.width, camera.height)
+        pixels, opaque = open_photograph(path, size, upright=self.own is not None)
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "

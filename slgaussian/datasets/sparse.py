@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
+from slgaussian.storage.store import write_atomic
 
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
@@ -120,6 +122,49 @@ def _checked(file: Path, read: Callable[[Path], T]) -> T:
         raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
     except _Wrong as bad:
         raise InputError(f"{file}: {bad}; it is damaged or cut short, copy it again") from None
+
+
+def write_text(folder: Path, model: SparseModel, maker: str) -> None:
+    """Write the text files of a model; points have no colour, and no image shows them.
+
+    ``maker`` goes into the first line of each, for people.
+
+    Raises
+    ------
+    InputError
+        If they cannot be written.
+    """
+
+    def words(*entries: object) -> str:
+        return " ".join(map(str, entries))
+
+    lines: dict[str, list[str]] = {
+        "cameras": [
+            words(number, one.model, one.width, one.height, *map(float, one.params))
+            for number, one in model.cameras.items()
+        ],
+        "images": [
+            line
+            for number, one in model.images.items()
+            for line in (words(number, *_pose(one.w2c), one.camera, one.name), "")
+        ],
+        "points3D": [
+            words(number, *point, 128, 128, 128, 0)
+            for number, point in enumerate(model.points.tolist(), 1)
+        ],
+    }
+    try:
+        for kind, text in lines.items():
+            content = "\n".join([f"# {maker}", *text]) + "\n"
+            write_atomic(folder / f"{kind}.txt", content.encode())
+    except OSError as bad:
+        raise InputError(f"{folder}: cannot be written ({bad.strerror}); choose another") from bad
+
+
+def _pose(w2c: np.ndarray) -> list[float]:
+    """Quaternion, w first, and translation."""
+    turn = Rotation.from_matrix(w2c[:3, :3]).as_quat(canonical=True)
+    return [*np.roll(turn, 1).tolist(), *w2c[:3, 3].tolist()]
 
 
 class _Wrong(Exception):

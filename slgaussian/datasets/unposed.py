@@ -10,10 +10,11 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
@@ -21,11 +22,11 @@ from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, told_by
-from slgaussian.datasets.lens import Maps, perspective_maps
+from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
-from slgaussian.scene import Sample, Scene, Size, View
+from slgaussian.scene import Camera, Sample, Scene, Size, View
 
 Place = str | Path
 
@@ -186,6 +187,57 @@ def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
     return Scene(name, found.cameras, _Reader(files, found).read, found=found.as_json())
 
 
+def refined(
+    scene: Scene, names: Sequence[str], files: Mapping[str, Path]
+) -> tuple[Scene, FoundCameras]:
+    """Some views of a scene with cameras that are found anew, in the world of those that it has.
+
+    Parameters
+    ----------
+    scene : Scene
+    names : sequence of str
+        Two views or more, the first of which keeps its pose.
+    files : mapping str -> path
+        The photographs of some of them, whose EXIF is heard.
+
+    Raises
+    ------
+    InputError
+        If cameras cannot be found, or those of the scene all stand at one place.
+    """
+    taken = [_of_view(scene.read(name), files.get(name)) for name in names]
+    given = {name: scene.cameras[name] for name in names}
+    found = find_cameras(taken).in_frame_of(given)
+
+    def read(name: str) -> View:
+        view = scene.read(name)
+        camera, k1 = found.cameras[name], found.k1[name]
+        if not k1:
+            return replace(view, camera=camera)
+        maps = _lens(camera, k1)
+        image, depth = straightened(view.image, view.depth, maps)
+        opaque = straight_mask(view.opaque, maps)
+        return View(view.name, camera, image, depth, opaque=opaque)
+
+    return Scene(scene.name, found.cameras, read, scene.phrases, found.as_json()), found
+
+
+def _of_view(view: View, file: Path | None) -> Photograph:
+    """A view that was read as a photograph; its size and its turn may be other than its file's."""
+    height, width = view.image.shape[:2]
+    small = cv2.resize(view.image, _shrunk(width, height), interpolation=cv2.INTER_AREA)
+    if file is None:
+        return Photograph(view.name, small, width, height)
+    told = photograph(file, view.name)
+    part = max(width, height) / max(told.width, told.height)
+    focal = None if told.focal is None else told.focal * part
+    return Photograph(view.name, small, width, height, told.lens, focal)
+
+
+def _lens(camera: Camera, k1: float) -> Maps:
+    return perspective_maps(camera.K, (camera.width, camera.height), np.array([k1, 0, 0, 0, 0]))
+
+
 @dataclass(frozen=True, eq=False)
 class _Reader:
     files: Mapping[str, Path]
@@ -198,10 +250,18 @@ class _Reader:
         camera, k1 = self.found.cameras[name], self.found.k1[name]
 
         def maps() -> Maps | None:
-            size, lens = (camera.width, camera.height), np.array([k1, 0, 0, 0, 0])
-            return perspective_maps(camera.K, size, lens) if k1 else None
+            return _lens(camera, k1) if k1 else None
 
         return posed_view(self.files[name], name, camera, maps, upright=True)
+
+
+def is_turned(file: Path) -> bool:
+    """Whether a photograph is stored otherwise than upright."""
+    try:
+        with opened(file) as image:
+            return image.getexif().get(ExifTags.Base.Orientation, 1) != 1
+    except (OSError, ValueError) as bad:
+        raise unreadable(file, bad) from None
 
 
 def _shrunk(width: int, height: int) -> tuple[int, int]:

@@ -9,7 +9,8 @@ from PIL import Image
 from flows.cli.app import main
 from flows.corpus_settings import PackSettings
 from flows.packing import pack
-from slgaussian.datasets import re10k
+from slgaussian.cameras.found import FoundCameras
+from slgaussian.datasets import nerfstudio, re10k, unposed
 from slgaussian.errors import InputError
 
 SMALL = PackSettings(views=3, size=(36, 64))
@@ -41,6 +42,16 @@ def test_folders_and_rooms_become_clips(photos, tmp_path):
     assert clips[2].view(1).camera.center == pytest.approx([1, 0, 0])
     assert pack(["procedural:7"], out, SMALL).chunks == ["000001.torch"]
     assert list(re10k.read_index(out))[-1] == "procedural_7"
+
+
+def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypatch):
+    known = nerfstudio.read(photos).cameras
+    made = FoundCameras(known, {}, dict.fromkeys(known, 0.0), (), np.zeros((0, 3)), 0.5)
+    monkeypatch.setattr(unposed, "find", lambda files: made)
+    (photos / "transforms.json").unlink()
+    assert pack([str(photos)], tmp_path / "chunks", SMALL).clips == 1
+    (clip,) = re10k.read_chunk(tmp_path / "chunks/000000.torch")
+    assert clip.view(1).camera.center == pytest.approx([1, 0, 0])
 
 
 def test_a_clip_that_is_there_is_refused_before_any_work(tmp_path, monkeypatch):

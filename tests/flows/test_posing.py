@@ -1,0 +1,149 @@
+"""Photographs without cameras on the command line: found, said, kept, read again, and refined."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command import ROOM, room, run, said, save_photographs
+from PIL import ExifTags, Image
+
+import slgaussian as slg
+from slgaussian import datasets
+from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
+from slgaussian.datasets import unposed
+from slgaussian.scene import Camera, Estimated
+
+SIZE = 96, 128
+PHOTOS = [f"{name}.png" for name in ROOM["context"]]
+SAID = Estimated((0.9, 1.15), "matches", 0.42, (0.0, -1.0, 0.0))
+
+
+def truth(photographs) -> FoundCameras:
+    """The room's own cameras, as if they had been found: in the world of the first."""
+    known = room(*SIZE).cameras
+    names = [photograph.name for photograph in photographs]
+    cameras = {n: replace(known[n.removesuffix(".png")], estimated=SAID) for n in names}
+    K, there = np.eye(3), np.eye(4)
+    there[0, 3] = 1
+    frame = {names[0]: Camera(K, np.eye(4), 1, 1), names[1]: Camera(K, there, 1, 1)}
+    f = float(cameras[names[0]].K[0, 0])
+    pair = FoundPair((names[0], names[1]), 90, 60, float("nan"), 2.5, DOUBTFUL, "few matches")
+    found = FoundCameras(
+        cameras,
+        dict.fromkeys(names, Focal(f, 0.9 * f, 1.15 * f, "matches")),
+        dict.fromkeys(names, 0.0),
+        (pair,),
+        np.array([[0.5, 0.25, 3.0]]),
+        0.42,
+        ("the poses may be off by some degrees; take a third photograph",),
+    )
+    return found.in_frame_of(frame)
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """A folder, which is the current one, of two photographs, and the right cameras apart."""
+    save_photographs(tmp_path, *SIZE)
+    (tmp_path / "given").mkdir()
+    (tmp_path / "transforms.json").rename(tmp_path / "given.json")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(unposed, "find_cameras", truth)
+    unposed._find.cache_clear()
+    yield tmp_path
+    unposed._find.cache_clear()
+
+
+def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, monkeypatch, capsys):
+    assert run(monkeypatch, "field", *PHOTOS, "-o", "field") == 0
+    told = capsys.readouterr().err
+    assert "warning: the poses may be off by some degrees" in told
+    assert "pixels (" in told and "from matches); 60 of 90 matches agree; confidence 42%" in told
+    field = slg.SemanticField.load("field")
+    first, second = field.cameras.values()
+    np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-12)
+    assert np.linalg.norm(second.center) == pytest.approx(1)
+    assert first.estimated.source == "matches" and first.estimated.confidence == 0.42
+    about = field.settings["cameras"]
+    assert about["confidence"] == 0.42 and about["pairs"][0]["verdict"] == "doubtful"
+
+
+@pytest.mark.parametrize("out", ["there/transforms.json", "model/"])
+def test_cameras_that_are_written_are_those_that_were_found(photos, out, monkeypatch, capsys):
+    assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0
+    printed = capsys.readouterr()
+    assert "60" in printed.out and "doubtful: few matches" in printed.out
+    assert "cameras found: " in printed.err
+    found = unposed.find(unposed.named(PHOTOS))
+    known = datasets.recognise.cameras_in(photos / out)
+    assert len(known) == 2
+    for mine, other in zip(found.cameras.values(), known.values(), strict=True):
+        np.testing.assert_allclose(mine.K, other.K, atol=1e-9)
+        np.testing.assert_allclose(mine.c2w, other.c2w, atol=1e-9)
+        assert out == "model/" or other.estimated == mine.estimated
+    assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0  # its own are replaced
+    assert run(monkeypatch, "masks", *PHOTOS, "--cameras", out, "-o", "ids") == 0
+
+
+def test_a_file_of_cameras_says_how_they_were_found(photos, monkeypatch, capsys):
+    for name in PHOTOS:  # a turned photograph is upright again when it is read by the file
+        image = Image.open(name).transpose(Image.Transpose.ROTATE_180)
+        exif = Image.Exif()
+        exif[ExifTags.Base.Orientation] = 3
+        image.save(name, exif=exif)
+    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "t.json", "--json") == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["pairs"][0]["angle"] is None
+    assert "are stored turned" in printed.err
+    content = json.loads((photos / "t.json").read_text())
+    assert content["slgaussian"]["pairs"][0]["views"] == PHOTOS
+    scene = datasets.load("nerfstudio", photos / "t.json")
+    assert scene.found == content["slgaussian"]
+    true = room(*SIZE).read(ROOM["context"][0]).image
+    np.testing.assert_array_equal(scene.read(PHOTOS[0]).image, true)
+    assert scene.sample(PHOTOS).context[0].camera.estimated is not None
+
+    content["frames"][0]["slgaussian"]["estimated"]["focal"] = "long"
+    (photos / "t.json").write_text(json.dumps(content))
+    assert run(monkeypatch, "field", *PHOTOS, "--cameras", "t.json") == 2
+    assert "t.json: frame 'view_00.png': estimated says how" in said(capsys)
+
+
+def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsys):
+    given = json.loads((photos / "given.json").read_text())
+    right = datasets.load("nerfstudio", photos / "given.json").cameras
+    for frame in given["frames"]:
+        frame["fl_x"], frame["fl_y"] = 2 * frame["fl_x"], 2 * frame["fl_y"]
+    (photos / "given.json").write_text(json.dumps(given))
+    words = ("field", *PHOTOS, "--cameras", "given.json", "-o", "field")
+    assert run(monkeypatch, *words, "--refine") == 0
+    field = slg.SemanticField.load("field")
+    for name in PHOTOS:
+        np.testing.assert_allclose(field.cameras[name].c2w, right[name].c2w, atol=1e-9)
+        np.testing.assert_allclose(field.cameras[name].K, right[name].K, atol=1e-9)
+        turned = right[PHOTOS[0]].c2w[:3, :3] @ SAID_IN_FIRST
+        np.testing.assert_allclose(field.cameras[name].estimated.up, turned, atol=1e-9)
+
+
+def test_what_makes_no_sense_is_refused_before_any_work(photos, monkeypatch, capsys):
+    monkeypatch.setattr(unposed, "find_cameras", lambda photographs: pytest.fail("worked"))
+    (photos / "mine.json").write_text('{"frames": []}')
+    for words, error in [
+        (("field", *PHOTOS, "--refine"), "--refine: finds given cameras anew, and none are given"),
+        (("cameras", *PHOTOS, "-o", "mine.json"), "mine.json: is there already, and not written"),
+        (("cameras", *PHOTOS, "--format", "bundler", "-o", "x"), "found 'bundler', expected"),
+        (("cameras", *PHOTOS, "--format", "colmap"), "not where; add -o"),
+        (("cameras", PHOTOS[0]), "expected at least two"),
+        (("field", "a.jpg", "b.jpg"), "a.jpg: cannot be read (No such file"),
+    ]:
+        assert run(monkeypatch, *words) == 2
+        assert error in said(capsys)
+    assert (photos / "mine.json").read_text() == '{"frames": []}'
+
+
+def first_up() -> np.ndarray:
+    """The measured up of :data:`SAID`, of the room's world, in the world of the first camera."""
+    return room(*SIZE).cameras[ROOM["context"][0]].c2w[:3, :3].T @ SAID.up
+
+
+SAID_IN_FIRST = first_up()
