@@ -84,6 +84,7 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
         "options": {name: str(value) for name, value in scene.options.items()},
         "context": scene.context,
         "targets": scene.targets,
+        "cameras": refs["ingest"].meta.get("cameras", "given"),
         "sample": refs["ingest"].digest,
         "truth": refs["truth"].digest,
         "files": files,

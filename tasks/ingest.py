@@ -89,8 +89,23 @@ class Photographs:
 
 @stage("ingest", version=3)
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
-    """The sample of a scene: spec ``sample``."""
-    return site.store.put("sample", sample_to_arrays(photographs.read()))
+    """The sample of a scene: spec ``sample``.
+
+    ``meta["cameras"]`` says whether its cameras were given, or found and how surely.
+    """
+    sample = photographs.read()
+    meta = {"cameras": _cameras_of(sample)}
+    return site.store.put("sample", sample_to_arrays(sample), meta)
+
+
+def _cameras_of(sample: Sample) -> str:
+    said = [view.camera.estimated for view in (*sample.context, *sample.targets)]
+    found = [one for one in said if one is not None]
+    if not found:
+        return "given"
+    sources = " and ".join(sorted({one.source for one in found}))
+    sure = min(one.confidence for one in found)
+    return f"estimated, focal length from {sources}, confidence {sure:.0%}"
 
 
 def _check_held_out(sample: Sample) -> None:

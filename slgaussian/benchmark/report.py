@@ -114,7 +114,7 @@ def render_report(
     scenes : sequence of Scene
     manifest : mapping
         Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``format`` and
-        ``scene`` say which scene of which data set it is.
+        ``scene`` say which scene of which data set it is, and ``cameras`` whether they were given.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
     attribution : sequence of mapping
@@ -174,6 +174,7 @@ def render_report(
         ),
         "level": LEVEL,
         "least": LEAST,
+        "estimated": _estimated(manifest),
         "manifest": flatten({k: v for k, v in manifest.items() if k != "data"}),
         "data": [(name, flatten(entry)) for name, entry in manifest.get("data", {}).items()],
         "times_here": TIMES_HERE,
@@ -409,6 +410,13 @@ def _places(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Format and name in the data set of each scene."""
     entries = manifest.get("data", {}).items()
     return {name: (of.get("format", ""), of.get("scene", "")) for name, of in entries}
+
+
+def _estimated(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The scenes whose cameras were not given, and what is said of those."""
+    entries = manifest.get("data", {}).items()
+    said = [(name, of.get("cameras", "given")) for name, of in entries]
+    return [(name, cameras) for name, cameras in said if cameras != "given"]
 
 
 def _plots(

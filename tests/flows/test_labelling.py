@@ -68,7 +68,7 @@ def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, caps
     with monkeypatch.context() as patched:
         patched.setattr("flows.cli.labelling.pictures.encode_jpeg", lambda *a: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            label(PHOTOS, tmp_path, tmp_path / "ids", {"near": 0.8, "far": 12.0})
+            label(PHOTOS, tmp_path, False, tmp_path / "ids", {"near": 0.8, "far": 12.0})
     after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     assert after == before
     assert sorted(f.name for f in tmp_path.iterdir()) == ["ids", "kept", "transforms.json", *PHOTOS]

@@ -9,10 +9,13 @@ from command import ROOM, room, run, said, save_photographs
 from PIL import ExifTags, Image
 
 import slgaussian as slg
+from flows.pipeline import run as run_all
+from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
 from slgaussian.datasets import unposed
 from slgaussian.scene import Camera, Estimated
+from slgaussian.storage.store import ArtifactStore
 
 SIZE = 96, 128
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
@@ -123,6 +126,28 @@ def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsy
         np.testing.assert_allclose(field.cameras[name].K, right[name].K, atol=1e-9)
         turned = right[PHOTOS[0]].c2w[:3, :3] @ SAID_IN_FIRST
         np.testing.assert_allclose(field.cameras[name].estimated.up, turned, atol=1e-9)
+
+
+@pytest.mark.usefixtures("server")
+def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos):
+    scenes = [
+        {"name": "alone", "format": "photographs", "path": photos, "context": PHOTOS},
+        {"name": "given", "path": photos / "given.json", "context": PHOTOS},
+    ]
+    asked = [{**scene, "queries": ["red ball"]} for scene in scenes]
+    settings = make_settings({"size": "auto", "out": photos / "out", "scenes": asked}, "test")
+    assert not run_all(settings, ArtifactStore(photos / "store")).failures
+    said = "estimated, focal length from matches, confidence 42%"
+    data = json.loads((photos / "out/manifest.json").read_text())["data"]
+    assert {name: of["cameras"] for name, of in data.items()} == {"alone": said, "given": "given"}
+    assert data["alone"]["files"].keys() == {*PHOTOS}
+    for page in ("report.html", "report.md"):
+        told = (photos / "out" / page).read_text()
+        assert f"Cameras were not given, but found, of alone ({said})." in told
+    kept = slg.SemanticField.load(photos / "out/fields/alone")
+    assert {camera.estimated.confidence for camera in kept.cameras.values()} == {0.42}
+    assert kept.settings["cameras"]["confidence"] == 0.42
+    assert "cameras" not in slg.SemanticField.load(photos / "out/fields/given").settings
 
 
 def test_what_makes_no_sense_is_refused_before_any_work(photos, monkeypatch, capsys):
