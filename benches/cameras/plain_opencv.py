@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from slgaussian.cameras.matches import find_features, match
+
 FEATURES = 4000
 CONTRAST = 0.02
 RATIO = 0.85
@@ -13,19 +15,12 @@ PIXELS = 1.0
 
 def matches(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mutual RootSIFT matches of two RGB images: float64 [M, 2] each, pixel centres at +0.5."""
-    sift = cv2.SIFT_create(nfeatures=FEATURES, contrastThreshold=CONTRAST)
     found = [
-        sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None) for image in (a, b)
+        find_features(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), FEATURES, CONTRAST)
+        for image in (a, b)
     ]
-    if any(described is None or len(described) < 2 for _, described in found):
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    rows, columns = (np.sqrt(d / np.maximum(d.sum(1, keepdims=True), 1e-9)) for _, d in found)
-    similar = rows @ columns.T
-    best, back = similar.argmax(1), similar.argmax(0)
-    two = np.sqrt(np.maximum(2 - 2 * -np.partition(-similar, 1, axis=1)[:, :2], 0))
-    kept = (back[best] == np.arange(len(best))) & (two[:, 0] < RATIO * two[:, 1])
-    points = [np.array([point.pt for point in of]).reshape(-1, 2) + 0.5 for of, _ in found]
-    return points[0][kept], points[1][best[kept]]
+    at_a, at_b, _ = match(*found, RATIO)
+    return found[0].points[at_a], found[1].points[at_b]
 
 
 def relative_pose(

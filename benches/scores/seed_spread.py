@@ -29,7 +29,7 @@ from flows.labelled import labelled_scenes
 from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
-from slgaussian.benchmark.annotations import read_truth
+from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_from_instances
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.build import label_views, lift_field, predict, remember
@@ -114,30 +114,32 @@ def read(scene: SceneSettings, settings: Settings) -> Sample:
 def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]:
     """The metrics of a scene with each seed."""
     threads.limit(threads.cores())
-    settings = Settings()
-    sample = read(scene, settings)
+    sample = read(scene, Settings())
     if scene.labels is None:
         truth = truth_from_instances(sample)
     else:
         truth = read_truth(scene.labels, scene.categories, sample.targets)
-    found = []
-    for seed in seeds:
-        method = replace(settings.built_by, seed=seed)
-        gaussians, quality = predict(sample, method.predictor, seed, trust_cameras=True)
-        geometry = SceneGeometry.of(sample.context, gaussians)
-        labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
-        bank = remember(sample, geometry, labels, method.encoder, method.codes, seed)
-        field = lift_field(sample, gaussians, labels, bank, method, quality)
-        result = evaluate(
-            field,
-            sample,
-            labels,
-            truth,
-            EvaluationSettings(queries=scene.queries, protocols=[settings.protocol], drawn=False),
-            gaussians=gaussians,
-        )
-        found.append({key: float(value) for key, value in result.scene_metrics.items()})
-    return found
+    return [score(sample, scene, truth, seed) for seed in seeds]
+
+
+def score(sample: Sample, scene: SceneSettings, truth: Truth, seed: int) -> dict[str, float]:
+    """The metrics of a field that is built from a sample of a scene."""
+    settings = Settings()
+    method = replace(settings.built_by, seed=seed)
+    gaussians, quality = predict(sample, method.predictor, seed, trust_cameras=True)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, geometry, labels, method.encoder, method.codes, seed)
+    field = lift_field(sample, gaussians, labels, bank, method, quality)
+    result = evaluate(
+        field,
+        sample,
+        labels,
+        truth,
+        EvaluationSettings(queries=scene.queries, protocols=[settings.protocol], drawn=False),
+        gaussians=gaussians,
+    )
+    return {key: float(value) for key, value in result.scene_metrics.items()}
 
 
 def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[dict[str, Any]]:
