@@ -357,11 +357,11 @@ def cameras(
     """
     import json
 
-    from flows.cli import posing
+    from flows.cli import finding
 
-    found = posing.keep(photos, out, format)
-    posing.tell(found)
-    typer.echo(json.dumps(found.as_json()) if as_json else posing.tabled(found))
+    found = finding.keep(photos, out, format)
+    finding.tell(found)
+    typer.echo(json.dumps(found.as_json()) if as_json else finding.tabled(found))
     if out is not None and not as_json:
         typer.echo(out)
 

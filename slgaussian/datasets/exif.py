@@ -37,6 +37,9 @@ TURNS = {
 SIDEWAYS = (5, 6, 7, 8)
 """EXIF orientations whose upright photograph is as wide as the stored one is high."""
 
+TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))
+"""By EXIF orientation, what makes the upright photograph of the stored one."""
+
 APPLE = b"Apple iOS\0\0\1MM"
 """How an iPhone's maker note begins; a directory in big-endian order follows."""
 
@@ -59,6 +62,23 @@ class Told:
     up: np.ndarray | None
 
 
+def orientation_of(image: Image.Image) -> int:
+    """The EXIF orientation of an opened image, 1 to 8; 1 if it says none, or nonsense.
+
+    Pillow turns TIFF itself when it loads the pixels: after that, it is 1.
+    """
+    try:
+        found = image.getexif().get(ExifTags.Base.Orientation, 1)
+    except Exception:  # a damaged header raises almost anything
+        return 1
+    return found if found in TURNS else 1
+
+
+def upright(image: Image.Image, orientation: int) -> Image.Image:
+    """What an image of an EXIF orientation shows; Pillow's own way chokes on other bad tags."""
+    return image if orientation == 1 else image.transpose(TRANSPOSED[orientation])
+
+
 def told_by(image: Image.Image) -> Told:
     """What the header of an opened image says; nonsense counts as nothing said."""
     try:
@@ -71,7 +91,7 @@ def _told_by(image: Image.Image) -> Told:
     exif = image.getexif()
     base, own = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
     # pillow-heif turns pixels upright itself, and keeps here how they had been.
-    orientation = image.info.get("original_orientation") or base.get(ExifTags.Base.Orientation, 1)
+    orientation = image.info.get("original_orientation") or orientation_of(image)
     lens = _lens(base, own)
     up = None if "front" in lens.lower() else _up(own.get(ExifTags.Base.MakerNote), orientation)
     return Told(lens, _focal(own, *image.size), up)

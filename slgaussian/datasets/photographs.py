@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, ImageOps
+from PIL import Image
 
-from slgaussian.datasets.exif import SIDEWAYS
+from slgaussian.datasets.exif import SIDEWAYS, orientation_of
+from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
@@ -77,12 +78,13 @@ def open_photograph(
     """
     try:
         with opened(path) as image:
-            if upright or _is_turned(image, size):
-                ImageOps.exif_transpose(image, in_place=True)
-            pixels = rgb(image)
-            if "A" not in image.getbands() and "transparency" not in image.info:
+            turn = upright or _is_turned(image, size)
+            image.load()
+            shown = turned_upright(image, orientation_of(image)) if turn else image
+            pixels = rgb(shown)
+            if "A" not in shown.getbands() and "transparency" not in image.info:
                 return pixels, None
-            opaque = np.asarray(image.convert("RGBA"))[..., 3] >= OPAQUE
+            opaque = np.asarray(shown.convert("RGBA"))[..., 3] >= OPAQUE
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
     return pixels, None if opaque.all() else opaque
@@ -99,7 +101,7 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Whether a camera of that size saw the photograph as its EXIF orientation turns it."""
-    if size is None or image.getexif().get(ExifTags.Base.Orientation) not in SIDEWAYS:
+    if size is None or orientation_of(image) not in SIDEWAYS:
         return False
     return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import ExifTags, Image, ImageOps
+from PIL import Image
 
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
-from slgaussian.datasets.exif import SIDEWAYS, told_by
+from slgaussian.datasets.exif import SIDEWAYS, orientation_of, told_by, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, rgb
 from slgaussian.errors import InputError
@@ -162,7 +162,7 @@ def photograph(file: Path, name: str) -> Photograph:
             if image.format == "TIFF":
                 image.load()  # which Pillow turns as it loads them
             whole, told = image.size, told_by(image)
-            turn = image.getexif().get(ExifTags.Base.Orientation)
+            orientation = orientation_of(image)
             small_size = _shrunk(*whole)
             # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
             image.draft("RGB", small_size)
@@ -172,9 +172,8 @@ def photograph(file: Path, name: str) -> Photograph:
             small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
-    small.getexif()[ExifTags.Base.Orientation] = turn
-    pixels = rgb(ImageOps.exif_transpose(small))
-    width, height = whole[::-1] if turn in SIDEWAYS else whole
+    pixels = rgb(upright(small, orientation))
+    width, height = whole[::-1] if orientation in SIDEWAYS else whole
     return Photograph(name, pixels, width, height, told.lens, told.focal, told.up)
 
 
@@ -259,7 +258,7 @@ def is_turned(file: Path) -> bool:
     """Whether a photograph is stored otherwise than upright."""
     try:
         with opened(file) as image:
-            return image.getexif().get(ExifTags.Base.Orientation, 1) != 1
+            return orientation_of(image) != 1
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from PIL import ExifTags
+from PIL import ExifTags, Image, ImageOps
 from taken_photographs import apple_note, taken
 
+from slgaussian.datasets.exif import TURNS, orientation_of, upright
 from slgaussian.datasets.unposed import photograph
 
 TAGS = ExifTags.Base
@@ -140,3 +141,36 @@ def test_other_notes_and_the_other_side_say_nothing(tmp_path, pixels):
     ):
         own = {TAGS.MakerNote: note, TAGS.LensModel: lens}
         assert photograph(taken(tmp_path / f"{number}.jpg", pixels, own=own), "a").up is None
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientations_are_those_of_pillow_and_directions_follow(tmp_path, pixels, orientation):
+    image = Image.fromarray(pixels)
+    image.getexif()[TAGS.Orientation] = orientation
+    image.save(tmp_path / "a.png", exif=image.getexif())
+    with Image.open(tmp_path / "a.png") as stored:
+        assert orientation_of(stored) == orientation
+        shown = np.asarray(upright(stored, orientation))
+        np.testing.assert_array_equal(shown, np.asarray(ImageOps.exif_transpose(stored)))
+    # A mark left and high of the middle, as a direction, is turned as the pixels are.
+    right, down = np.array(TURNS[orientation]) @ (-1, -0.5)
+    height, width = shown.shape[:2]
+    there = shown[int(height / 2 + 100 * down), int(width / 2 + 100 * right), 0]
+    assert there == 200
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow's, of what it skips
+def test_nonsense_in_the_header_says_nothing(tmp_path, pixels):
+    own = {TAGS.FocalLengthIn35mmFilm: 26, TAGS.LensModel: "x"}
+    data = bytearray(taken(tmp_path / "a.jpg", pixels, 6, {TAGS.Make: "A"}, own).read_bytes())
+    start = data.index(b"Exif")
+    end = start - 2 + int.from_bytes(data[start - 2 : start], "big")
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        bad = data.copy()
+        for at in rng.integers(start + 14, end, 8):
+            bad[at] = rng.integers(0, 256)
+        (tmp_path / "b.jpg").write_bytes(bad)
+        found = photograph(tmp_path / "b.jpg", "b")
+        assert {found.width, found.height} == {400, 300}
+        assert found.focal is None or 120 < found.focal < 8000
