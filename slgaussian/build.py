@@ -73,7 +73,7 @@ def predict(
     """
     checks = check_pairs(sample)
     if not trust_cameras:
-        refuse(sample.scene, checks)
+        refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
     gaussians = predictor.load()(sample, seed)
     opaque = _opaque(sample.context)
     if opaque is not None:

@@ -120,15 +120,16 @@ class PairCheck:
         return self.judged and (few or self.correction is not None)
 
 
-def refuse(scene: str, checks: Sequence[PairCheck]) -> None:
+def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> None:
     """Raise InputError if the matches of a pair refute its cameras.
 
-    The message says what would mend them, if a usual mistake is the cause.
+    The message says what would mend them, if a usual mistake is the cause. Of those that nobody
+    gave (``estimated``) it says to take other photographs.
     """
     bad = [check for check in checks if check.refuted]
     if bad:
         worst = min(bad, key=lambda check: (check.coarse, check.fine))
-        raise InputError(f"scene {scene!r}: {_refusal(worst)}")
+        raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
 def check_pairs(sample: Sample) -> list[PairCheck]:
@@ -209,10 +210,17 @@ def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarr
     return np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
 
 
-def _refusal(check: PairCheck) -> str:
+def _refusal(check: PairCheck, estimated: bool) -> str:
     a, b = check.views
     told = f"{check.coarse:.0%} of the {check.matches} matches"
     agreed = check.agreeing / check.matches
+    if estimated:
+        return (
+            f"{a!r} and {b!r}: the cameras that were found explain {told} between the photographs "
+            f"to within {check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, "
+            "so they are wrong; take the photographs from places nearer to each other, or give "
+            "their cameras with --cameras (--trust-cameras goes on all the same)"
+        )
     if check.correction is None:
         return (
             f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "

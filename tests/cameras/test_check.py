@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from slgaussian import build_field, datasets
+from slgaussian.build import predict
 from slgaussian.cameras.check import (
     COARSE,
     agree,
@@ -21,7 +22,8 @@ from slgaussian.cameras.check import (
 )
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.parts.method import Method
+from slgaussian.scene import Camera, Estimated, Sample, View
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -97,6 +99,16 @@ def test_a_usual_mistake_is_refused_and_named(room, mistake, said):
     with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as refused:
         checked(changed(room, mistake))
     assert said in str(refused.value) and "procedural_0" in str(refused.value)
+
+
+def test_cameras_that_were_given_may_be_refined_and_found_ones_not(room):
+    wrong = changed(room, lambda c: focal(c, 3))
+    with pytest.raises(InputError, match="`slgaussian field --refine` finds them anew"):
+        predict(wrong, Method().predictor, 0)
+    said = Estimated((0.9, 1.1), "guess", 0.5)
+    with pytest.raises(InputError, match="that were found explain .*give their cameras") as refused:
+        predict(changed(wrong, lambda c: replace(c, estimated=said)), Method().predictor, 0)
+    assert "--refine" not in str(refused.value)
 
 
 def test_exchanged_poses_are_named(room):
