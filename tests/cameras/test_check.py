@@ -106,7 +106,9 @@ def test_cameras_that_were_given_may_be_refined_and_found_ones_not(room):
     with pytest.raises(InputError, match="`slgaussian field --refine` finds them anew"):
         predict(wrong, Method().predictor, 0)
     said = Estimated((0.9, 1.1), "guess", 0.5)
-    with pytest.raises(InputError, match="that were found explain .*give their cameras") as refused:
+    with pytest.raises(
+        InputError, match=r"that were found explain .*give their cameras"
+    ) as refused:
         predict(changed(wrong, lambda c: replace(c, estimated=said)), Method().predictor, 0)
     assert "--refine" not in str(refused.value)
 
