@@ -382,13 +382,18 @@ def _step(
     np.einsum("ii->i", S)[6 * V :] += (1 + damping) * layout.prior
     free = _free(bundle, layout)
     H = free.T @ S @ free
-    norm = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    norm = _unit(np.diag(H))
     H = H * norm[:, None] * norm + 1e-14 * np.eye(len(H))
     step = free @ (norm * np.linalg.solve(H, norm * (free.T @ side)))
     local = step[layout.columns][bundle.view]
     pulled = layout.by_point @ (normal.between @ local[..., None])[..., 0]
     moved = (inverse @ (normal.point_side - pulled)[..., None])[..., 0]
     return step, moved
+
+
+def _unit(diagonal: np.ndarray) -> np.ndarray:
+    """Factors that bring a matrix with this diagonal to ones."""
+    return 1 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-100)))
 
 
 def _moved(
@@ -442,7 +447,7 @@ def _covariance(
     H = free.T @ (S / max(noise, 1e-4)) @ free
     V = len(bundle.R)
     H += (free[6 * V :].T * layout.prior) @ free[6 * V :]
-    norm = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    norm = _unit(np.diag(H))
     values, vectors = np.linalg.eigh(H * norm[:, None] * norm)
     # What no observation says anything of is very uncertain, not certain.
     inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T

@@ -1,0 +1,163 @@
+"""Cameras of chains of three to eight photographs, by ours and by COLMAP's incremental mapper.
+
+    python -m benches.cameras.chains DATA [--rows FILE]
+
+DATA is what :mod:`benches.cameras.posed_chains` reads. Both get the photographs and nothing else,
+and both know that they are of one lens. The error of a pair of a chain is the larger of the angles
+by which rotation and direction of translation are off; pairs of views that were not placed count as
+wrong. pycolmap (the extra ``colmap``) is asked where it is installed, with two-view tracks, start
+pairs from 4 degrees and 30 inliers on. FILE keeps a row a chain and method, as JSON lines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import itertools
+import json
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benches.cameras.pose_metrics import (
+    WRONG,
+    area_under_curve,
+    direction_error,
+    rotation_error,
+)
+from benches.cameras.posed_chains import PosedChain, posed_chains
+from benches.common.markdown_tables import percent, table
+from benches.common.photograph_pairs import data_folder
+from slgaussian.cameras.find import find_cameras
+from slgaussian.cameras.photograph import Photograph
+from slgaussian.errors import InputError
+from slgaussian.scene import View
+
+Answer = Mapping[int, tuple[np.ndarray, np.ndarray, float]]
+"""World to camera, R [3, 3] and t [3], and focal length in pixels, of the views placed."""
+
+
+def ours(views: Sequence[View]) -> Answer:
+    photographs = [
+        Photograph(v.name, v.image, v.camera.width, v.camera.height, lens="one") for v in views
+    ]
+    try:
+        found = find_cameras(photographs)
+    except InputError as refusal:
+        print(f"    {refusal}")
+        return {}
+    cameras = [found.cameras[view.name] for view in views]
+    return {i: (c.w2c[:3, :3], c.w2c[:3, 3], float(c.K[0, 0])) for i, c in enumerate(cameras)}
+
+
+def colmap(views: Sequence[View]) -> Answer:
+    import pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    with tempfile.TemporaryDirectory() as folder:
+        images, database = Path(folder, "images"), Path(folder, "database.db")
+        images.mkdir()
+        names = [f"{i}.png" for i in range(len(views))]
+        for name, view in zip(names, views, strict=True):
+            Image.fromarray(view.image).save(images / name)
+        pycolmap.set_random_seed(0)
+        pycolmap.extract_features(
+            database,
+            images,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            reader_options=pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL"),
+            device=pycolmap.Device.cpu,
+        )
+        pycolmap.match_exhaustive(database, device=pycolmap.Device.cpu)
+        options = pycolmap.IncrementalPipelineOptions()
+        options.min_model_size = 2
+        options.triangulation.ignore_two_view_tracks = False
+        options.mapper.init_min_tri_angle = 4.0
+        options.mapper.init_min_num_inliers = 30
+        found = pycolmap.incremental_mapping(database, images, Path(folder), options)
+        if not found:
+            return {}
+        model = max(found.values(), key=lambda one: one.num_reg_images())
+        out = {}
+        for image in model.images.values():
+            if image.has_pose:
+                pose = image.cam_from_world().matrix()
+                focal = float(model.cameras[image.camera_id].focal_length)
+                out[names.index(image.name)] = (pose[:, :3], pose[:, 3], focal)
+        return out
+
+
+def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
+    """Errors of all pairs, degrees, and of the focal length, in parts."""
+    errors = []
+    for i, j in itertools.combinations(range(len(chain.views)), 2):
+        if i not in answer or j not in answer:
+            errors.append(180.0)
+            continue
+        (R_a, t_a, _), (R_b, t_b, _) = answer[i], answer[j]
+        R = R_b @ R_a.T
+        true = chain.views[j].camera.w2c @ chain.views[i].camera.c2w
+        found = rotation_error(R, true[:3, :3]), direction_error(t_b - R @ t_a, true[:3, 3])
+        errors.append(max(found))
+    focals = [
+        abs(f / chain.views[i].camera.K[0, 0] - 1) for i, (_, _, f) in answer.items()
+    ] * chain.focal_known
+    return {
+        "placed": len(answer),
+        "views": len(chain.views),
+        "errors": errors,
+        "focal": float(np.median(focals)) if focals else None,
+    }
+
+
+def summary(group: str, method: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    errors = [error for row in rows for error in row["errors"]]
+    answered = [error for error in errors if error < 180]
+    focals = [row["focal"] for row in rows if row["focal"] is not None]
+    return {
+        "place": group,
+        "method": method,
+        "chains": str(len(rows)),
+        "placed": percent(sum(r["placed"] for r in rows) / sum(r["views"] for r in rows)),
+        "AUC 5/10/20": "/".join(f"{area:.0f}" for area in area_under_curve(errors)),
+        "wrong": percent(float(np.mean([e > WRONG for e in answered])) if answered else 0.0),
+        "focal off": f"{100 * float(np.median(focals)):.1f} %" if focals else "",
+        "s a chain": f"{np.mean([row['seconds'] for row in rows]):.1f}",
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=data_folder("office_walk"), metavar="DATA")
+    parser.add_argument("--rows", type=Path)
+    given = parser.parse_args()
+    methods: dict[str, Callable[[Sequence[View]], Answer]] = {"ours": ours}
+    if importlib.util.find_spec("pycolmap"):
+        methods["pycolmap"] = colmap
+    rows: list[dict[str, Any]] = []
+    for chain in posed_chains(given.data):
+        for method, call in methods.items():
+            start = time.process_time()
+            answer = call(chain.views)
+            seconds = time.process_time() - start
+            row = {"group": chain.group, "name": chain.name, "method": method}
+            rows.append(row | judged(chain, answer) | {"seconds": seconds})
+            print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
+    if given.rows:
+        given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    print()
+    lines = []
+    for group in ["all", *dict.fromkeys(row["group"] for row in rows)]:
+        for method in methods:
+            mine = [r for r in rows if r["method"] == method and group in ("all", r["group"])]
+            lines.append(summary(group, method, mine))
+    print(table(lines, {key: (key, str) for key in lines[0]}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,465 @@
+"""Cameras of three and more photographs, one after the other, from pairs that were solved.
+
+Matches of the pairs are joined into tracks. The pair with the most and widest inliers is the start;
+every other view is placed by the points that it sees (perspective n points, by OpenCV's RANSAC, and
+the relative poses of its pairs), and all are adjusted together: the way of Snavely et al. 2006,
+"Photo tourism", and of COLMAP (Schonberger and Frahm 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
+from slgaussian.formats.brief import brief
+
+PIXELS = 3.0
+"""Farther than this from where its point lands, an observation is left out."""
+
+LOOSE = 3.0
+"""That many times as far as long as the focal length is not adjusted to the view."""
+
+WIDE = 1.5
+"""Degrees between lines of sight from which on a point's depth is good enough to place a view."""
+
+LEAST, SHARE = 12, 0.25
+"""A view is placed if it sees so many points where they land, and such a share of those it sees."""
+
+STARTS, ENOUGH = 4, 0.9
+"""Start pairs tried until all views are placed and such a share of all observations lies where
+their points land."""
+
+FEW, MANY = 250, 1000
+"""Tracks that each view brings to an adjustment on the way, and at the end; the longest first."""
+
+DISTORTED_VIEWS, DISTORTED_TRACKS = 4, 300
+"""Fewest views and tracks that distortion is estimated from."""
+
+DISTORTION = 0.1
+"""Standard deviation of its prior."""
+
+EVIDENCE = 30.0
+"""By so much must the cost fall for distortion to be believed: errors of matches go together, so
+that three of them are worth one, and then this is five natural logarithms of likelihood."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """Two views that were solved as a pair.
+
+    Attributes
+    ----------
+    views : (int, int)
+    features : (int64 [M], int64 [M])
+        Of each view, those that match and that the relative pose explains.
+    R, t : float64 [3, 3], [3]
+        ``X_second = R @ X_first + t``, up to scale.
+    focals : (float, float)
+        Pixels.
+    angle : float
+        Degrees between the two lines of sight, median.
+    """
+
+    views: tuple[int, int]
+    features: tuple[np.ndarray, np.ndarray]
+    R: np.ndarray
+    t: np.ndarray
+    focals: tuple[float, float]
+    angle: float
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Views in one world.
+
+    Attributes
+    ----------
+    order : int64 [P]
+        The views that were placed; those of ``adjusted`` in its order.
+    adjusted : Adjusted
+        Its world is the first of ``order``, and the first two are at distance 1.
+    tracks : int64 [N]
+        How many views each of its points is seen in.
+    """
+
+    order: np.ndarray
+    adjusted: Adjusted
+    tracks: np.ndarray
+
+    __repr__ = brief
+
+
+def place(
+    keypoints: Sequence[np.ndarray],
+    centers: np.ndarray,
+    group: np.ndarray,
+    focal_prior: np.ndarray,
+    focal_sigma: np.ndarray,
+    ties: Sequence[Tie],
+) -> Placed | None:
+    """Place as many views as possible.
+
+    Parameters
+    ----------
+    keypoints : sequence of float64 [n, 2]
+        Pixels of each view's features.
+    centers : float64 [V, 2]
+        Principal points.
+    group : int64 [V]
+        Which views share a focal length.
+    focal_prior, focal_sigma : float64 [G]
+        As :class:`slgaussian.cameras.bundle.Bundle` has them.
+    ties : sequence of Tie
+        The order does not matter.
+
+    Returns
+    -------
+    Placed or None
+        The views in ascending order, their world the first of them; None without a start.
+    """
+    if not ties:
+        return None
+    ties = sorted(ties, key=lambda tie: tie.views)
+    tracks = _tracks(keypoints, ties)
+    starts = sorted(ties, key=lambda tie: -len(tie.features[0]) * min(tie.angle, 8.0) ** 0.5)
+    found: list[tuple[tuple[int, int], _Growing]] = []
+    for start in starts[:STARTS]:
+        grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
+        if not grown.grow(start):
+            continue
+        explained = grown.explained()
+        found.append(((len(grown.placed), explained), grown))
+        if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
+            break
+    return max(found, key=lambda one: one[0])[1].finished() if found else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracks:
+    """Observations, sorted by track."""
+
+    view: np.ndarray
+    track: np.ndarray
+    xy: np.ndarray
+    count: int
+
+
+def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> _Tracks:
+    """Matches joined; whatever would be seen twice in one view is left out."""
+    offsets = np.cumsum([0, *(len(points) for points in keypoints)])
+    view = np.repeat(np.arange(len(keypoints)), np.diff(offsets))
+    ends = [
+        np.concatenate([offsets[tie.views[k]] + tie.features[k] for tie in ties]) for k in (0, 1)
+    ]
+    total = int(offsets[-1])
+    joined = coo_array((np.ones(len(ends[0])), tuple(ends)), shape=(total, total))
+    _, label = connected_components(joined, directed=False)
+    size = np.bincount(label)
+    twice, times = np.unique(label * len(keypoints) + view, return_counts=True)
+    good = size > 1
+    good[twice[times > 1] // len(keypoints)] = False
+    seen = np.flatnonzero(good[label])
+    kept, track = np.unique(label[seen], return_inverse=True)
+    order = np.argsort(track, kind="stable")
+    return _Tracks(
+        view[seen][order],
+        track[order],
+        np.concatenate(list(keypoints))[seen][order],
+        len(kept),
+    )
+
+
+class _Growing:
+    """Views placed so far; the world is that of the start pair's first."""
+
+    def __init__(
+        self,
+        tracks: _Tracks,
+        centers: np.ndarray,
+        group: np.ndarray,
+        focal_prior: np.ndarray,
+        focal_sigma: np.ndarray,
+        ties: Sequence[Tie],
+    ) -> None:
+        self.tracks = tracks
+        self.centers = centers
+        self.group = group
+        self.focal_prior, self.focal_sigma = focal_prior, focal_sigma
+        self.ties = ties
+        self.R = np.tile(np.eye(3), (len(centers), 1, 1))
+        self.t = np.zeros((len(centers), 3))
+        self.focals = focal_prior.copy()
+        self.k1 = np.zeros(len(focal_prior))
+        self.placed: list[int] = []
+        self.k1_sigma = 0.0
+        self.known: set[int] = set()  # lenses of placed views
+
+    def grow(self, start: Tie) -> bool:
+        """Place all that can be; False if the start itself cannot."""
+        a, b = start.views
+        self._meet(a, start.focals[0])
+        self._meet(b, start.focals[1])
+        self.R[b], self.t[b] = start.R, start.t / np.linalg.norm(start.t)
+        self.placed = [a, b]
+        if self._adjust(LOOSE, FEW) is None or self._adjust(1.0, FEW) is None:
+            return False
+        adjusted = 2
+        while (left := self._most_seen()) is not None:
+            view, pose = left
+            self.R[view], self.t[view] = pose
+            self.placed.append(view)
+            # Adjusting all after each of many views would cost their number squared.
+            if len(self.placed) >= 1.2 * adjusted:
+                self._adjust(LOOSE, FEW)
+                self._adjust(1.0, FEW)
+                adjusted = len(self.placed)
+        return True
+
+    def finished(self) -> Placed | None:
+        """All adjusted, in the frame of the first view."""
+        self.placed.sort()
+        self._reframe()
+        for _ in range(2):
+            last = self._adjust(1.0, MANY)
+        if last is None:
+            return None
+        if len(self.placed) >= DISTORTED_VIEWS and len(last.bundle.points) >= DISTORTED_TRACKS:
+            bent = adjust(replace(last.bundle, k1_sigma=DISTORTION))
+            if bent.cost < last.cost - EVIDENCE:
+                self.k1_sigma = DISTORTION
+                self._take(bent)
+                last = self._adjust(1.0, MANY) or bent
+        sizes = np.bincount(last.bundle.point, minlength=len(last.bundle.points))
+        return Placed(np.array(self.placed), last, sizes)
+
+    def explained(self) -> int:
+        """How many observations lie where their points land."""
+        return int(self._points(1.0)[1].sum())
+
+    def _meet(self, view: int, focal: float) -> None:
+        """Take a lens's first focal length from a pair."""
+        lens = int(self.group[view])
+        if lens not in self.known and self.focal_sigma[lens] > 0:
+            self.focals[lens] = focal
+        self.known.add(lens)
+
+    def _reframe(self) -> None:
+        a, b = self.placed[:2]
+        R, t = self.R[a].copy(), self.t[a].copy()
+        self.R = self.R @ R.T
+        self.t = self.t - self.R @ t
+        self.t[a] = 0
+        self.t /= max(float(np.linalg.norm(self.t[b])), 1e-12)
+
+    def _rays(self, mine: np.ndarray) -> np.ndarray:
+        """Undistorted positions [M, 2] on the plane at depth 1 of observations."""
+        view = self.tracks.view[mine]
+        lens = self.group[view]
+        bent = (self.tracks.xy[mine] - self.centers[view]) / self.focals[lens][:, None]
+        uv = bent
+        for _ in range(5):
+            uv = bent / (1 + self.k1[lens] * (uv**2).sum(1))[:, None]
+        return uv
+
+    def _points(self, loose: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points [T, 3] of all tracks, which observations are good, and degrees across [T]."""
+        tracks = self.tracks
+        inside = np.zeros(len(self.centers), bool)
+        inside[self.placed] = True
+        good = inside[tracks.view]
+        X = np.zeros((tracks.count, 3))
+        every = np.flatnonzero(good)
+        uv = np.zeros_like(tracks.xy)
+        uv[every] = self._rays(every)
+        pose = np.concatenate([self.R, self.t[:, :, None]], 2)
+        for _ in range(4):
+            mine = np.flatnonzero(good)
+            seen = np.bincount(tracks.track[mine], minlength=tracks.count)
+            mine = mine[seen[tracks.track[mine]] > 1]
+            good = np.zeros(len(good), bool)
+            good[mine] = True
+            view, track = tracks.view[mine], tracks.track[mine]
+            if not len(mine):
+                break
+            rows = uv[mine, :, None] * pose[view, 2:3] - pose[view, :2]
+            start = np.flatnonzero(np.diff(track, prepend=-1))
+            A = np.add.reduceat(rows.transpose(0, 2, 1) @ rows, start)
+            q = np.linalg.eigh(A)[1][:, :, 0]
+            w = np.where(np.abs(q[:, 3]) > 1e-9, q[:, 3], 1e-9)
+            X[track[start]] = q[:, :3] / w[:, None]
+            local = (self.R[view] @ X[track, :, None])[..., 0] + self.t[view]
+            front = local[:, 2] > 0
+            off = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv[mine]
+            error = np.linalg.norm(off, axis=1) * self.focals[self.group[view]]
+            error = np.where(front, error, 1e9)
+            # Only the worst of a track goes at a time: it may have spoilt the others.
+            worst = np.maximum.reduceat(error, start)[np.cumsum(np.diff(track, prepend=-1) > 0) - 1]
+            bad = (error > loose * PIXELS) & (error >= worst)
+            good[mine[bad]] = False
+            if not bad.any():
+                break
+        mine = np.flatnonzero(good)
+        seen = np.bincount(tracks.track[mine], minlength=tracks.count)
+        good[mine[seen[tracks.track[mine]] < 2]] = False
+        return X, good, self._widths(uv, good)
+
+    def _widths(self, uv: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Degrees between the first line of sight and the one farthest from it, [T]."""
+        widths = np.zeros(self.tracks.count)
+        mine = np.flatnonzero(good)
+        if not len(mine):
+            return widths
+        view, track = self.tracks.view[mine], self.tracks.track[mine]
+        rays = np.concatenate([uv[mine], np.ones((len(mine), 1))], 1)[:, None] @ self.R[view]
+        rays = rays[:, 0] / np.linalg.norm(rays[:, 0], axis=1, keepdims=True)
+        new = np.diff(track, prepend=-1) > 0
+        start = np.flatnonzero(new)
+        cosine = (rays * rays[start[np.cumsum(new) - 1]]).sum(1)
+        widths[track[start]] = np.degrees(
+            np.arccos(np.clip(np.minimum.reduceat(cosine, start), -1, 1))
+        )
+        return widths
+
+    def _adjust(self, loose: float, most: int) -> Adjusted | None:
+        """Adjust all placed views; None if they see too little."""
+        tracks = self.tracks
+        X, good, _ = self._points(loose)
+        mine = np.flatnonzero(good)
+        length = np.bincount(tracks.track[mine], minlength=tracks.count)[tracks.track[mine]]
+        order = np.lexsort((tracks.track[mine], -length, tracks.view[mine]))
+        view = tracks.view[mine][order]
+        new = np.diff(view, prepend=-1) > 0
+        place = np.arange(len(view)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+        wanted = np.zeros(tracks.count, bool)
+        wanted[tracks.track[mine][order[place < most]]] = True
+        mine = mine[wanted[tracks.track[mine]]]
+        if len(mine) < 4 * LEAST:
+            return None
+        kept, point = np.unique(tracks.track[mine], return_inverse=True)
+        number = np.zeros(len(self.centers), int)
+        number[self.placed] = np.arange(len(self.placed))
+        lenses, group = np.unique(self.group[self.placed], return_inverse=True)
+        bundle = Bundle(
+            R=self.R[self.placed],
+            t=self.t[self.placed],
+            centers=self.centers[self.placed],
+            group=group,
+            focals=self.focals[lenses],
+            k1=self.k1[lenses],
+            points=X[kept],
+            view=number[tracks.view[mine]],
+            point=point,
+            xy=tracks.xy[mine],
+            focal_prior=self.focal_prior[lenses],
+            focal_sigma=self.focal_sigma[lenses],
+            k1_sigma=self.k1_sigma,
+        )
+        on_the_way = most == FEW
+        found = adjust(
+            bundle,
+            iterations=10 if on_the_way else 30,
+            tolerance=1e-4 if on_the_way else 1e-6,
+        )
+        self._take(found)
+        return found
+
+    def _take(self, found: Adjusted) -> None:
+        lenses = np.unique(self.group[self.placed])
+        self.R[self.placed], self.t[self.placed] = found.bundle.R, found.bundle.t
+        self.focals[lenses], self.k1[lenses] = found.bundle.focals, found.bundle.k1
+
+    def _most_seen(self) -> tuple[int, tuple[np.ndarray, np.ndarray]] | None:
+        """The view whose place most points tell, and its pose; None if none can be placed."""
+        tracks = self.tracks
+        X, good, width = self._points(1.0)
+        told = np.zeros(tracks.count, bool)
+        told[tracks.track[good]] = True
+        sharp = told & (width > WIDE)
+        left = np.setdiff1d(np.arange(len(self.centers)), self.placed)
+        seen = {
+            int(view): np.flatnonzero((tracks.view == view) & sharp[tracks.track]) for view in left
+        }
+        for view in sorted(seen, key=lambda view: -len(seen[view])):
+            pose = self._pose(view, seen[view], X)
+            if pose is not None:
+                return view, pose
+        return None
+
+    def _pose(
+        self, view: int, mine: np.ndarray, X: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Pose that explains most of what a view sees; None if it is too little."""
+        if len(mine) < LEAST:
+            return None
+        points, lens = X[self.tracks.track[mine]], int(self.group[view])
+        best, most = None, max(LEAST, SHARE * len(mine)) - 1
+        for focal in self._tried(view):
+            self.focals[lens] = focal
+            uv, within = self._rays(mine), LOOSE * PIXELS / focal
+            for R, t in self._guesses(view, points, uv, within):
+                local = points @ R.T + t
+                off = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
+                near = (np.linalg.norm(off, axis=1) < within) & (local[:, 2] > 0)
+                if near.sum() > most:
+                    best, most = (R, t, focal, near), int(near.sum())
+        if best is None:
+            return None
+        R, t, focal, near = best
+        self.focals[lens] = focal
+        self.known.add(lens)
+        turn, t = cv2.solvePnPRefineLM(
+            points[near], self._rays(mine)[near], np.eye(3), None, cv2.Rodrigues(R)[0], t[:, None]
+        )
+        return cv2.Rodrigues(turn)[0], t[:, 0]
+
+    def _tried(self, view: int) -> list[float]:
+        """Focal lengths that a view may have."""
+        lens = int(self.group[view])
+        if lens in self.known or not self.focal_sigma[lens] > 0:
+            return [float(self.focals[lens])]
+        told = [tie.focals[tie.views.index(view)] for tie in self.ties if view in tie.views]
+        middle = float(np.median(told)) if told else float(self.focal_prior[lens])
+        return [0.8 * middle, middle, 1.25 * middle]
+
+    def _guesses(
+        self, view: int, points: np.ndarray, uv: np.ndarray, within: float
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Poses that a view may have, by its points and by its pairs with placed views."""
+        found = []
+        cv2.setRNGSeed(0)
+        ok, turn, t, _ = cv2.solvePnPRansac(
+            points,
+            uv,
+            np.eye(3),
+            None,
+            reprojectionError=within,
+            iterationsCount=500,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_EPNP,
+        )
+        if ok:
+            found.append((cv2.Rodrigues(turn)[0], t[:, 0]))
+        for tie in self.ties:
+            if view not in tie.views:
+                continue
+            other = tie.views[1 - tie.views.index(view)]
+            if other not in self.placed:
+                continue
+            R, t = (tie.R, tie.t) if tie.views[1] == view else (tie.R.T, -tie.R.T @ tie.t)
+            R, base, t = R @ self.R[other], R @ self.t[other], t / np.linalg.norm(t)
+            # uv z = X + base + s t, for each point a distance s: the median of them.
+            local = points @ R.T + base
+            slope = t[:2] - uv * t[2]
+            scales = (slope * (uv * local[:, 2:] - local[:, :2])).sum(1) / np.maximum(
+                (slope**2).sum(1), 1e-12
+            )
+            found.append((R, base + float(np.median(scales)) * t))
+        return found

@@ -1,0 +1,123 @@
+"""Placing three and more views from pairs that were solved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slgaussian.cameras.views import Placed, Tie, place
+
+CENTER = np.array([400.0, 300.0])
+
+
+def walk(views: int, points: int = 300, focals: tuple[float, ...] = (600.0,), k1: float = 0.0):
+    """Cameras that go sideways along a box of points, and its solved pairs.
+
+    Keypoints of each view stand in an order of their own; a tenth of all matches is false; poses of
+    pairs are off by a degree or two, focal lengths by 5 %.
+    """
+    rng = np.random.default_rng(0)
+    X = np.column_stack([rng.uniform(-4, 4 + views, (points, 1)), rng.uniform(-3, 3, (points, 1))])
+    X = np.column_stack([X, rng.uniform(4, 9, points)])
+    C = np.column_stack([np.arange(views), rng.normal(0, 0.2, (views, 2))])
+    R = Rotation.from_rotvec(rng.normal(0, 0.1, (views, 3))).as_matrix()
+    keypoints, seen = [], []
+    group = np.arange(views) % len(focals)
+    for v in range(views):
+        local = (X - C[v]) @ R[v].T
+        uv = local[:, :2] / local[:, 2:]
+        xy = uv * (1 + k1 * (uv**2).sum(1, keepdims=True)) * focals[group[v]] + CENTER
+        inside = np.flatnonzero((xy > 0).all(1) & (xy < 2 * CENTER).all(1))
+        order = rng.permutation(inside)
+        keypoints.append(xy[order] + rng.normal(0, 0.3, (len(order), 2)))
+        seen.append(order)
+    ties = []
+    for a in range(views):
+        for b in range(a + 1, min(a + 3, views)):
+            both, i, j = np.intersect1d(seen[a], seen[b], return_indices=True)
+            false = rng.random(len(both)) < 0.1
+            j = j.copy()
+            j[false] = rng.permutation(j[false])
+            turn = R[b] @ R[a].T @ Rotation.from_rotvec(rng.normal(0, 0.01, 3)).as_matrix()
+            t = R[b] @ (C[a] - C[b]) + rng.normal(0, 0.02, 3)
+            off = [focals[group[v]] * np.exp(rng.normal(0, 0.05)) for v in (a, b)]
+            ties.append(Tie((a, b), (i, j), turn, t, (off[0], off[1]), 8.0))
+    return keypoints, group, R, C, ties
+
+
+def placed(keypoints, group, ties, sigma=0.3) -> Placed | None:
+    lenses = int(group.max()) + 1
+    centers = np.tile(CENTER, (len(keypoints), 1))
+    return place(keypoints, centers, group, np.full(lenses, 650.0), np.full(lenses, sigma), ties)
+
+
+def errors(found: Placed, R: np.ndarray, C: np.ndarray) -> tuple[float, float]:
+    """Degrees of the worst rotation, and the worst position in first baselines."""
+    bundle, order = found.adjusted.bundle, found.order
+    true = R[order] @ R[order[0]].T
+    off = Rotation.from_matrix(bundle.R @ true.transpose(0, 2, 1)).magnitude()
+    at = -np.einsum("vji,vj->vi", bundle.R, bundle.t)
+    where = (C[order] - C[order[0]]) @ R[order[0]].T / np.linalg.norm(C[order[1]] - C[order[0]])
+    return float(np.degrees(off.max())), float(np.linalg.norm(at - where, axis=1).max())
+
+
+@pytest.mark.parametrize("views", [3, 6])
+def test_all_views_are_placed(views):
+    keypoints, group, R, C, ties = walk(views)
+    found = placed(keypoints, group, ties)
+    assert list(found.order) == list(range(views))
+    turned, moved = errors(found, R, C)
+    assert turned < 0.5
+    assert moved < 0.05 * views
+    assert found.adjusted.bundle.focals == pytest.approx(600, rel=0.02)
+    assert np.median(np.abs(found.adjusted.residuals)) < 0.4
+    assert (np.bincount(found.adjusted.bundle.point) > 1).all()
+
+
+def test_two_lenses():
+    keypoints, group, R, C, ties = walk(5, focals=(600.0, 900.0))
+    found = placed(keypoints, group, ties)
+    assert len(found.order) == 5
+    assert found.adjusted.bundle.focals == pytest.approx([600, 900], rel=0.03)
+    assert errors(found, R, C)[0] < 1
+
+
+def test_a_view_of_another_place_is_left_out():
+    keypoints, group, R, C, ties = walk(5)
+    rng = np.random.default_rng(1)
+    ties.append(replace(ties[0], views=(4, 5), features=(rng.permutation(60), rng.permutation(60))))
+    keypoints.append(rng.uniform(0, 600, (80, 2)))
+    found = placed(keypoints, np.append(group, 0), ties)
+    assert list(found.order) == [0, 1, 2, 3, 4]
+    assert errors(found, R, C)[0] < 0.5
+
+
+def test_a_wrong_pair_does_not_spoil_the_others():
+    keypoints, group, R, C, ties = walk(5)
+    turned = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
+    ties[0] = replace(ties[0], R=turned @ ties[0].R, t=-ties[0].t)
+    found = placed(keypoints, group, ties)
+    assert len(found.order) == 5
+    assert errors(found, R, C)[0] < 0.5
+
+
+def test_distortion_is_found_where_there_is_some():
+    straight = placed(*[walk(5, 600)[k] for k in (0, 1, 4)])
+    bent = placed(*[walk(5, 600, k1=-0.15)[k] for k in (0, 1, 4)])
+    assert straight.adjusted.bundle.k1 == 0
+    assert bent.adjusted.bundle.k1 == pytest.approx(-0.15, abs=0.03)
+    assert bent.adjusted.bundle.focals == pytest.approx(600, rel=0.03)
+
+
+def test_the_order_of_the_pairs_does_not_matter():
+    keypoints, group, _, _, ties = walk(4)
+    a, b = placed(keypoints, group, ties), placed(keypoints, group, ties[::-1])
+    assert a.adjusted.bundle.t.tobytes() == b.adjusted.bundle.t.tobytes()
+
+
+def test_nothing_is_found_in_nothing():
+    keypoints, group, _, _, ties = walk(3)
+    few = [replace(tie, features=(tie.features[0][:5], tie.features[1][:5])) for tie in ties]
+    assert placed(keypoints, group, few) is None
+    assert placed(keypoints, group, []) is None
