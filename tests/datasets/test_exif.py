@@ -47,6 +47,8 @@ def pixels():
                 TAGS.FocalPlaneXResolution: 5000.0,
                 TAGS.FocalPlaneYResolution: 2500.0,
                 TAGS.FocalPlaneResolutionUnit: 3,
+                TAGS.ExifImageWidth: 4000,
+                TAGS.ExifImageHeight: 3000,
             },
             None,
         ),

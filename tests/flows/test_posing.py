@@ -67,6 +67,7 @@ def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, mo
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-12)
     assert np.linalg.norm(second.center) == pytest.approx(1)
     assert first.estimated.source == "matches" and first.estimated.confidence == 0.42
+    np.testing.assert_allclose(first.estimated.up, SAID_IN_FIRST, atol=1e-9)
     about = field.settings["cameras"]
     assert about["confidence"] == 0.42 and about["pairs"][0]["verdict"] == "doubtful"
 
@@ -94,22 +95,23 @@ def test_a_file_of_cameras_says_how_they_were_found(photos, monkeypatch, capsys)
         exif = Image.Exif()
         exif[ExifTags.Base.Orientation] = 3
         image.save(name, exif=exif)
-    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "t.json", "--json") == 0
+    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "there/t.json", "--json") == 0
     printed = capsys.readouterr()
     assert json.loads(printed.out)["pairs"][0]["angle"] is None
     assert "are stored turned" in printed.err
-    content = json.loads((photos / "t.json").read_text())
-    assert content["slgaussian"]["pairs"][0]["views"] == PHOTOS
-    scene = datasets.load("nerfstudio", photos / "t.json")
+    file = photos / "there/t.json"
+    content = json.loads(file.read_text())
+    assert content["slgaussian"]["pairs"][0]["views"] == [f"../{name}" for name in PHOTOS]
+    scene = datasets.load("nerfstudio", file)
     assert scene.found == content["slgaussian"]
     true = room(*SIZE).read(ROOM["context"][0]).image
-    np.testing.assert_array_equal(scene.read(PHOTOS[0]).image, true)
+    np.testing.assert_array_equal(scene.read(f"../{PHOTOS[0]}").image, true)
     assert scene.sample(PHOTOS).context[0].camera.estimated is not None
 
     content["frames"][0]["slgaussian"]["estimated"]["focal"] = "long"
-    (photos / "t.json").write_text(json.dumps(content))
-    assert run(monkeypatch, "field", *PHOTOS, "--cameras", "t.json") == 2
-    assert "t.json: frame 'view_00.png': estimated says how" in said(capsys)
+    file.write_text(json.dumps(content))
+    assert run(monkeypatch, "field", *PHOTOS, "--cameras", file) == 2
+    assert "t.json: frame '../view_00.png': estimated says how" in said(capsys)
 
 
 def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsys):
