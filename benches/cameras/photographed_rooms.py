@@ -193,15 +193,15 @@ def _jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 EASY = Conditions()
 FACTORS: dict[str, tuple[str, dict[float, Conditions]]] = {
     "focal": (
-        "focal length over the longer side",
+        "over the longer side",
         {v: replace(EASY, focal=v) for v in (0.5, 0.7, 0.9, 1.3, 1.8, 2.5)},
     ),
     "focals differ": (
-        "second focal length over the first, lenses told apart",
+        "second over first, lenses told",
         {v: replace(EASY, other_focal=v) for v in (1.1, 1.25, 1.5, 2.0)},
     ),
     "focals differ, unsaid": (
-        "second focal length over the first, nothing told",
+        "second over first",
         {v: replace(EASY, other_focal=v, told=False) for v in (1.1, 1.25, 1.5, 2.0)},
     ),
     "distortion": ("k1", {v: replace(EASY, k1=v) for v in (-0.15, -0.08, -0.03, 0.05, 0.1)}),

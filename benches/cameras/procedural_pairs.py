@@ -91,30 +91,26 @@ def measure() -> list[dict[str, Any]]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a condition, level and method."""
+    """A row a condition and level: medians of the answered by either method."""
     out = []
-    keys = dict.fromkeys((row["factor"], row["level"], row["method"]) for row in rows)
-    for factor, level, method in keys:
-        own = [
-            row
-            for row in rows
-            if (row["factor"], row["level"], row["method"]) == (factor, level, method)
-        ]
-        pose = np.array([[row["rotation"], row["direction"]] for row in own])
-        answered = np.isfinite(pose[:, 0])
-        line = {
-            "factor": factor,
-            "level": "" if factor in ("none", "all") else f"{level:g}",
-            "method": method,
-            "pairs": len(own),
-            "refused": int((~answered).sum()),
-            "wrong": int((pose[answered].max(1, initial=0) > WRONG).sum()),
-        }
-        if answered.any():
-            line["rotation"], line["direction"] = np.median(pose[answered], 0)
-            line["worst"] = float(pose[answered].max())
-            if method == OURS:
-                line["focal"] = float(np.median([row["focal"] for row in own if row["focal"] >= 0]))
+    for factor, level in dict.fromkeys((row["factor"], row["level"]) for row in rows):
+        line = {"factor": factor, "level": "" if factor in ("none", "all") else f"{level:g}"}
+        for method, short in ((OPENCV, "opencv"), (OURS, "ours")):
+            own = [
+                row
+                for row in rows
+                if (row["factor"], row["level"], row["method"]) == (factor, level, method)
+            ]
+            pose = np.array([[row["rotation"], row["direction"]] for row in own])
+            pose = pose[np.isfinite(pose[:, 0])]
+            line["pairs"] = len(own)
+            line[f"{short} refused"] = len(own) - len(pose)
+            line[f"{short} wrong"] = int((pose.max(1, initial=0) > WRONG).sum())
+            if len(pose):
+                line[f"{short} rotation"], line[f"{short} direction"] = np.median(pose, 0)
+            focals = [row["focal"] for row in own if row["focal"] >= 0]
+            if focals:
+                line[f"{short} focal"] = float(np.median(focals))
         out.append(line)
     return out
 
@@ -122,14 +118,15 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 COLUMNS = {
     "factor": ("condition", str),
     "level": ("level", str),
-    "method": ("method", str),
     "pairs": ("pairs", "d"),
-    "rotation": ("rotation, °", ".2f"),
-    "direction": ("direction, °", ".2f"),
-    "worst": ("worst, °", ".1f"),
-    "focal": ("focal error", percent),
-    "refused": ("refused", "d"),
-    "wrong": ("wrong", "d"),
+    "opencv rotation": ("OpenCV: rotation, °", ".2f"),
+    "opencv direction": ("direction, °", ".2f"),
+    "opencv wrong": ("wrong", "d"),
+    "ours rotation": ("ours: rotation, °", ".2f"),
+    "ours direction": ("direction, °", ".2f"),
+    "ours focal": ("focal length", percent),
+    "ours refused": ("refused", "d"),
+    "ours wrong": ("wrong", "d"),
 }
 
 
@@ -181,8 +178,8 @@ def main() -> None:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     print(table(summary(rows), COLUMNS))
     print(
-        f"\n{len(rows) // 2} pairs. Rotation and direction: median error of the answered; worst: "
-        f"of either. Wrong: more than {WRONG:g} degrees off, and not said."
+        f"\n{len(rows) // 2} pairs; median errors of the answered. Wrong: more than {WRONG:g} "
+        "degrees off, and not said. OpenCV is told K."
     )
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
