@@ -87,7 +87,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=3)
+@stage("ingest", version=3)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 

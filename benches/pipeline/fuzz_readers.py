@@ -39,13 +39,13 @@ import numpy as np
 import plyfile
 import pyarrow as pa
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 from benches.common.resident_memory import forget_peak, held
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
-from slgaussian.datasets import colmap, llff, nerfstudio, re10k
+from slgaussian.datasets import colmap, llff, nerfstudio, re10k, unposed
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
@@ -378,6 +378,8 @@ def make_photographs(folder: Path) -> None:
     frames[0] |= {"depth_file_path": "a_depth.png", "k1": 0.05, "p1": 0.001}
     frames[1] |= {"depth_file_path": "b_depth.npy", "depth_unit_scale_factor": 0.01}
     frames[2] |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.01}
+    said = {"focal": [0.9, 1.1], "source": "EXIF", "confidence": 0.5, "up": [0, -1, 0]}
+    frames[3] |= {nerfstudio.OWN: {"estimated": said, "near": 0.5, "far": 9.0}}
     meta = {"w": W, "h": H, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.0, "cy": 8.0, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(meta))
 
@@ -385,6 +387,26 @@ def make_photographs(folder: Path) -> None:
 def read_nerfstudio(folder: Path) -> None:
     nerfstudio.files(folder, ["a"])
     all_views(nerfstudio.read(folder))
+
+
+def make_alone(folder: Path) -> None:
+    tags = ExifTags.Base
+    exif = Image.Exif()
+    exif.update({tags.Make: "Apple", tags.Model: "iPhone", tags.Orientation: 6})
+    head = b"Apple iOS\0\0\1MM\0\1" + struct.pack(">HHII", 8, 10, 3, 32) + bytes(4)
+    own = {
+        tags.MakerNote: head + struct.pack(">6i", 0, 1, -1, 1, 0, 1),
+        tags.LensModel: "back camera",
+        tags.FocalLength: 4.0,
+        tags.FocalLengthIn35mmFilm: 26,
+        tags.FocalPlaneXResolution: 100.0,
+        tags.FocalPlaneYResolution: 100.0,
+        tags.ExifImageWidth: W,
+        tags.ExifImageHeight: H,
+    }
+    exif.get_ifd(ExifTags.IFD.Exif).update(own)
+    for number, name in enumerate(("a.jpg", "b.png", "c.tif", "d.webp")):
+        Image.fromarray(picture(number, 3)).save(folder / name, exif=exif)
 
 
 def make_ids(folder: Path) -> None:
@@ -645,6 +667,9 @@ def read_versions(folder: Path) -> None:
 FORMATS = {
     "transforms.json": Format(make_photographs, read_nerfstudio, ("*.json",)),
     "photographs, depth": Format(make_photographs, read_nerfstudio, ("[a-j]*.*",)),
+    "photographs alone": Format(
+        make_alone, lambda f: each(lambda file: unposed.photograph(file, "a"), f.iterdir()), ("*",)
+    ),
     "id maps": Format(make_ids, lambda f: each(read_ids, f.iterdir()), ("*",)),
     "class masks": Format(
         make_masks, lambda f: class_masks.read(f, "00", W, H), ("*.txt", "*/*.png")
