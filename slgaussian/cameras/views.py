@@ -25,8 +25,9 @@ PIXELS = 3.0
 LOOSE = 3.0
 """That many times as far as long as the focal length is not adjusted to the view."""
 
-WIDE = 1.5
-"""Degrees between lines of sight from which on a point's depth is good enough to place a view."""
+WIDE = (1.5, 0.4)
+"""Degrees between lines of sight from which on a point's depth is good enough to place a view; the
+second if no more views can be placed otherwise."""
 
 LEAST, SHARE = 12, 0.25
 """A view is placed if it sees so many points where they land, and such a share of those it sees."""
@@ -58,20 +59,27 @@ class Tie:
     views : (int, int)
     features : (int64 [M], int64 [M])
         Of each view, those that match and that the relative pose explains.
+    xy : float64 [M, 2]
+        Where the features of the first lie in the second, pixels; may be sharper than the second's
+        own.
     R, t : float64 [3, 3], [3]
         ``X_second = R @ X_first + t``, up to scale.
     focals : (float, float)
         Pixels.
     angle : float
         Degrees between the two lines of sight, median.
+    confidence : float
+        0 to 1: that the relative pose is right; matches are used in any case.
     """
 
     views: tuple[int, int]
     features: tuple[np.ndarray, np.ndarray]
+    xy: np.ndarray
     R: np.ndarray
     t: np.ndarray
     focals: tuple[float, float]
     angle: float
+    confidence: float
 
     __repr__ = brief
 
@@ -118,7 +126,7 @@ def place(
     focal_prior, focal_sigma : float64 [G]
         As :class:`slgaussian.cameras.bundle.Bundle` has them.
     ties : sequence of Tie
-        The order does not matter.
+        From views of smaller to those of larger number; in any order.
 
     Returns
     -------
@@ -129,7 +137,7 @@ def place(
         return None
     ties = sorted(ties, key=lambda tie: tie.views)
     tracks = _tracks(keypoints, ties)
-    starts = sorted(ties, key=lambda tie: -len(tie.features[0]) * min(tie.angle, 8.0) ** 0.5)
+    starts = sorted(ties, key=_worth, reverse=True)
     found: list[tuple[tuple[int, int], _Growing]] = []
     for start in starts[:STARTS]:
         grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
@@ -140,6 +148,11 @@ def place(
         if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
             break
     return max(found, key=lambda one: one[0])[1].finished() if found else None
+
+
+def _worth(tie: Tie) -> float:
+    """Of a pair as a start."""
+    return len(tie.features[0]) * min(tie.angle, 8.0) ** 0.5 * (0.1 + tie.confidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +166,10 @@ class _Tracks:
 
 
 def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> _Tracks:
-    """Matches joined; whatever would be seen twice in one view is left out."""
+    """Matches joined; whatever would be seen twice in one view is left out.
+
+    A track lies where its feature in the first of its views lies in the others.
+    """
     offsets = np.cumsum([0, *(len(points) for points in keypoints)])
     view = np.repeat(np.arange(len(keypoints)), np.diff(offsets))
     ends = [
@@ -162,6 +178,9 @@ def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> _Tracks:
     total = int(offsets[-1])
     joined = coo_array((np.ones(len(ends[0])), tuple(ends)), shape=(total, total))
     _, label = connected_components(joined, directed=False)
+    xy = np.concatenate(list(keypoints))
+    for tie in reversed(ties):
+        xy[offsets[tie.views[1]] + tie.features[1]] = tie.xy
     size = np.bincount(label)
     twice, times = np.unique(label * len(keypoints) + view, return_counts=True)
     good = size > 1
@@ -172,7 +191,7 @@ def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> _Tracks:
     return _Tracks(
         view[seen][order],
         track[order],
-        np.concatenate(list(keypoints))[seen][order],
+        xy[seen][order],
         len(kept),
     )
 
@@ -382,15 +401,14 @@ class _Growing:
         X, good, width = self._points(1.0)
         told = np.zeros(tracks.count, bool)
         told[tracks.track[good]] = True
-        sharp = told & (width > WIDE)
         left = np.setdiff1d(np.arange(len(self.centers)), self.placed)
-        seen = {
-            int(view): np.flatnonzero((tracks.view == view) & sharp[tracks.track]) for view in left
-        }
-        for view in sorted(seen, key=lambda view: -len(seen[view])):
-            pose = self._pose(view, seen[view], X)
-            if pose is not None:
-                return view, pose
+        for wide in WIDE:
+            sharp = (told & (width > wide))[tracks.track]
+            seen = {int(view): np.flatnonzero((tracks.view == view) & sharp) for view in left}
+            for view in sorted(seen, key=lambda view: -len(seen[view])):
+                pose = self._pose(view, seen[view], X)
+                if pose is not None:
+                    return view, pose
         return None
 
     def _pose(

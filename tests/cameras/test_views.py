@@ -42,7 +42,7 @@ def walk(views: int, points: int = 300, focals: tuple[float, ...] = (600.0,), k1
             turn = R[b] @ R[a].T @ Rotation.from_rotvec(rng.normal(0, 0.01, 3)).as_matrix()
             t = R[b] @ (C[a] - C[b]) + rng.normal(0, 0.02, 3)
             off = [focals[group[v]] * np.exp(rng.normal(0, 0.05)) for v in (a, b)]
-            ties.append(Tie((a, b), (i, j), turn, t, (off[0], off[1]), 8.0))
+            ties.append(Tie((a, b), (i, j), keypoints[b][j], turn, t, (off[0], off[1]), 8.0, 0.9))
     return keypoints, group, R, C, ties
 
 
@@ -86,8 +86,9 @@ def test_two_lenses():
 def test_a_view_of_another_place_is_left_out():
     keypoints, group, R, C, ties = walk(5)
     rng = np.random.default_rng(1)
-    ties.append(replace(ties[0], views=(4, 5), features=(rng.permutation(60), rng.permutation(60))))
     keypoints.append(rng.uniform(0, 600, (80, 2)))
+    i, j = rng.permutation(60), rng.permutation(60)
+    ties.append(replace(ties[0], views=(4, 5), features=(i, j), xy=keypoints[5][j]))
     found = placed(keypoints, np.append(group, 0), ties)
     assert list(found.order) == [0, 1, 2, 3, 4]
     assert errors(found, R, C)[0] < 0.5
@@ -118,6 +119,9 @@ def test_the_order_of_the_pairs_does_not_matter():
 
 def test_nothing_is_found_in_nothing():
     keypoints, group, _, _, ties = walk(3)
-    few = [replace(tie, features=(tie.features[0][:5], tie.features[1][:5])) for tie in ties]
+    few = [
+        replace(tie, features=(tie.features[0][:5], tie.features[1][:5]), xy=tie.xy[:5])
+        for tie in ties
+    ]
     assert placed(keypoints, group, few) is None
     assert placed(keypoints, group, []) is None
