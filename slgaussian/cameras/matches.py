@@ -15,6 +15,9 @@ import numpy as np
 from slgaussian.formats.brief import brief
 
 
+_ROWS = 128
+
+
 @dataclass(frozen=True, eq=False)
 class Features:
     """What is remarkable in one image.
@@ -66,11 +69,20 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
     """
     if len(a) < 2 or len(b) < 2:
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-    similarity = a.descriptors @ b.descriptors.T
-    best, back = similarity.argmax(1), similarity.argmax(0)
-    top = np.partition(similarity, -2, axis=1)[:, -2:]
-    nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * top[:, k], 0)) for k in (1, 0))
-    kept = np.flatnonzero((back[best] == np.arange(len(a))) & (nearest < ratio * next_nearest))
+    rows = len(a)
+    best, top, second = np.empty(rows, int), np.empty(rows, np.float32), np.empty(rows, np.float32)
+    column = np.full(len(b), -1, np.float32)
+    for start in range(0, rows, _ROWS):  # a few rows at a time stay in the cache
+        part = slice(start, start + _ROWS)
+        similarity = a.descriptors[part] @ b.descriptors.T
+        np.maximum(column, similarity.max(0), out=column)
+        own = np.arange(len(similarity))
+        best[part] = similarity.argmax(1)
+        top[part] = similarity[own, best[part]]
+        similarity[own, best[part]] = -1
+        second[part] = similarity.max(1)
+    nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * s, 0)) for s in (top, second))
+    kept = np.flatnonzero((top >= column[best]) & (nearest < ratio * next_nearest))
     return kept, best[kept], nearest[kept] / next_nearest[kept]
 
 

@@ -180,7 +180,7 @@ REFUSED = {
     "one corner in common": (_clustered, "part|few"),
     "two places": (_two_places, "overlap|place|few|found"),
     "a mirrored photograph": (_mirrored, "mirror"),
-    "a repeated facade": (_facade, "repeat"),
+    "a repeated facade": (_facade, "repeat|flat"),
 }
 """By name: what makes the two photographs, and what the refusal says, a regular expression."""
 

@@ -7,10 +7,8 @@ import pytest
 from slgaussian.cameras.find import find_cameras
 from slgaussian.errors import InputError
 
-HELD = ("a blurred pair", "two places")
 
-
-@pytest.mark.parametrize("case", HELD)
+@pytest.mark.parametrize("case", hard_photographs.REFUSED)
 def test_refused(case):
     make, said = hard_photographs.REFUSED[case]
     with pytest.raises(InputError, match=said):

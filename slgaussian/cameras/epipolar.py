@@ -1,0 +1,293 @@
+"""The relative pose of two photographs from their matches, with focal lengths known or not.
+
+Essential matrices for a few focal lengths across what is usual (five points, Nister 2004, drawn by
+OpenCV's USAC) are starting points. From each, pose and focal lengths together descend on the
+robust Sampson distance of all matches that lie in front of both cameras, plus what is usual of
+focal lengths; the best end wins, and the curvature there says how sure it is.
+
+Image coordinates here are pixels from the principal point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from slgaussian.formats.brief import brief
+
+FAR = 6.0
+"""Pixels from its epipolar line from which on a match says nothing of a pose at all."""
+
+COUPLING = 3.0
+"""Matches err together, by the lens, the shutter and moving things: this many of them are worth one
+that errs by itself."""
+
+NOISE, FLOOR = 1.5, 0.2
+"""The scale of Cauchy's loss is so many times the median distance of the inliers, and the floor,
+pixels, is added in quadrature: what model and detector do not tell."""
+
+START = 0.6
+"""That scale at first."""
+
+TRIED = np.array([-3.4, -2.6, -1.9, -1.2, -0.6, 0.0, 0.6, 1.2, 1.9, 2.6, 3.6])
+"""Focal lengths to start from, deviations from what is usual."""
+
+MOST = 1200
+"""Matches, the surest first, that are looked at; half as many for starting points."""
+
+
+@dataclass(frozen=True, eq=False)
+class FocalPrior:
+    """What is known of two focal lengths before any match.
+
+    Attributes
+    ----------
+    mean : float64 [2]
+        Logarithms of focal lengths in pixels.
+    sigma : float64 [2]
+        Deviations of these; 0 where a focal length is given.
+    shared : bool
+        Whether both are one lens: their logarithms keep their difference.
+    """
+
+    mean: np.ndarray
+    sigma: np.ndarray
+    shared: bool
+
+    @property
+    def directions(self) -> np.ndarray:
+        """How the two logarithms may move, in deviations: float64 [F, 2], F from 0 to 2."""
+        if self.shared:
+            return np.full((int(self.sigma.max() > 0), 2), self.sigma.min())
+        return np.diag(self.sigma)[self.sigma > 0]
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViews:
+    """Two cameras: ``X_b = R @ X_a + t``, t of length 1, focal lengths in pixels.
+
+    ``moves`` holds how many deviations of the prior the focal lengths are off its mean, ``cost``
+    the negative logarithm of the posterior, ``scale`` that of the loss, pixels, and ``covariance``
+    [5 + F, 5 + F] that of turn (radians), direction (radians, across t) and moves.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    focals: np.ndarray
+    moves: np.ndarray
+    cost: float = np.inf
+    scale: float = START
+    covariance: np.ndarray | None = None
+
+    __repr__ = brief
+
+    def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Sampson distances [M] in pixels of matches [M, 2] and [M, 2], signed."""
+        numerator, a, b = _sampson(self.fundamental(), x, y)
+        return numerator / np.sqrt((a**2).sum(1) + (b**2).sum(1))
+
+    def fundamental(self) -> np.ndarray:
+        """F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
+        u, v, w = self.t
+        E = np.array([[0, -w, v], [w, 0, -u], [-v, u, 0]]) @ self.R
+        fa, fb = self.focals
+        return E / np.outer([fb, fb, 1], [fa, fa, 1])
+
+    def depths(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """z-depths [2, M] of matches in either camera, baselines; not positive behind one."""
+        a = _homogeneous(x / self.focals[0]) @ self.R.T
+        b = _homogeneous(y / self.focals[1])
+        normal = np.cross(a, b)
+        square = np.maximum((normal**2).sum(1), 1e-18)
+        return np.stack(
+            [(np.cross(b, self.t) * normal).sum(1), (np.cross(a, self.t) * normal).sum(1)]
+        ) / np.where(square > 0, square, 1)
+
+    def angles(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Degrees [M] between the two lines of sight."""
+        a = _homogeneous(x / self.focals[0]) @ self.R.T
+        b = _homogeneous(y / self.focals[1])
+        cross = np.linalg.norm(np.cross(a, b), axis=1)
+        return np.degrees(np.arctan2(cross, (a * b).sum(1)))
+
+    def inliers(self, x: np.ndarray, y: np.ndarray, within: float) -> np.ndarray:
+        """Which matches lie in front of both cameras and so near their lines, bool [M]."""
+        return (np.abs(self.distance(x, y)) < within) & (self.depths(x, y) > 0).all(0)
+
+    def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
+        """Turned by ``step[:3]``, t by ``step[3:5]`` across itself, focal lengths by the rest."""
+        across = np.linalg.svd(self.t[None])[2][1:]
+        t = self.t + step[3:5] @ across
+        moves = self.moves + step[5:]
+        focals = np.exp(prior.mean + moves @ prior.directions)
+        R = cv2.Rodrigues(step[:3])[0] @ self.R
+        return replace(self, R=R, t=t / np.linalg.norm(t), focals=focals, moves=moves)
+
+    def turned_from(self, other: TwoViews) -> float:
+        """Degrees between two answers: the larger of those of rotation and direction."""
+        cosines = (np.trace(self.R @ other.R.T) - 1) / 2, self.t @ other.t
+        return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
+
+
+def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
+    """Relative poses that matches [M, 2] and [M, 2], surest first, speak for; the best first.
+
+    Answers within 3 degrees of a better one are left out; there may be none.
+    """
+    x, y = x[:MOST], y[:MOST]
+    if len(x) < 8:
+        return []
+    ends = [_descended(start, x, y, prior) for start in _starts(x, y, prior)]
+    ends = [end for end in ends if end is not None]
+    if not ends:
+        return []
+    scale = min(end.scale for end in ends)
+    rated = [replace(end, cost=posterior(end, x, y, prior, scale), scale=scale) for end in ends]
+    rated.sort(key=lambda end: end.cost)
+    kept: list[TwoViews] = []
+    for end in rated:
+        if all(end.turned_from(better) > 3 for better in kept):
+            kept.append(end)
+    return [_with_covariance(end, x, y, prior) for end in kept]
+
+
+def posterior(
+    views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, scale: float
+) -> float:
+    """Negative logarithm of the posterior of two cameras, up to a constant.
+
+    Matches that are far off, or behind a camera, cost what those ``FAR`` pixels off do.
+    """
+    distance = np.where(
+        (views.depths(x, y) > 0).all(0), np.minimum(np.abs(views.distance(x, y)), FAR), FAR
+    )
+    loss = 0.5 * np.log1p((distance / scale) ** 2).sum()
+    return float(loss / COUPLING + 0.5 * (views.moves**2).sum())
+
+
+def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
+    directions = prior.directions
+    x, y = x[: MOST // 2], y[: MOST // 2]
+    for tried in TRIED if len(directions) else np.zeros(1):
+        moves = np.full(len(directions), tried)
+        fa, fb = focals = np.exp(prior.mean + moves @ directions)
+        a, b = x / fa, y / fb
+        near = [1.0] if len(directions) else [0.5, 1.0, 2.0]
+        for pixels in near:
+            try:
+                E, kept = cv2.findEssentialMat(
+                    a,
+                    b,
+                    np.eye(3),
+                    method=cv2.USAC_ACCURATE,
+                    prob=0.999,
+                    threshold=pixels / float(np.sqrt(fa * fb)),
+                )
+            except cv2.error:  # all of them on one line, for instance
+                continue
+            if E is None or E.shape != (3, 3):
+                continue
+            _, R, t, _ = cv2.recoverPose(E, a.copy(), b.copy(), np.eye(3), mask=kept.copy())
+            yield TwoViews(R, t[:, 0], focals, moves)
+
+
+def _descended(start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews | None:
+    """Where the posterior leads from a start; None if it loses its matches on the way."""
+    views = start
+    for _ in range(4):
+        kept = views.inliers(x, y, FAR)
+        if kept.sum() < 8:
+            return None
+        views = _descent(views, x[kept], y[kept], prior)
+        distance = np.abs(views.distance(x[kept], y[kept]))
+        noise = NOISE * float(np.median(distance[distance < FAR / 2])) if len(distance) else START
+        views = replace(views, scale=float(np.clip(np.hypot(noise, FLOOR), FLOOR, 1.5)))
+    return views
+
+
+def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
+    """Levenberg and Marquardt's on Cauchy's loss, by weights (Holland and Welsch 1977)."""
+
+    def cost(views: TwoViews) -> float:
+        loss = 0.5 * np.log1p((views.distance(x, y) / views.scale) ** 2).sum()
+        return float(loss / COUPLING + 0.5 * (views.moves**2).sum())
+
+    damping, best = 1e-3, cost(views)
+    for _ in range(15):
+        hessian, gradient = _normal(views, x, y, prior)
+        better = None
+        for _ in range(6):
+            diagonal = np.diag(np.diag(hessian) * damping + 1e-12)
+            trial = views.moved(-np.linalg.solve(hessian + diagonal, gradient), prior)
+            if (value := cost(trial)) < best:
+                better = trial
+                break
+            damping *= 8
+        if better is None:
+            break
+        gain, views, best, damping = best - value, better, value, max(damping / 10, 1e-9)
+        if gain < 1e-5 * max(best, 1):
+            break
+    return views
+
+
+def _normal(
+    views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior
+) -> tuple[np.ndarray, np.ndarray]:
+    """Hessian [P, P] and gradient [P] of the posterior of matches that are all looked at."""
+    J = jacobian(views, x, y, prior) / views.scale
+    distance = views.distance(x, y) / views.scale
+    weight = 1 / (1 + distance**2) / COUPLING
+    hessian, gradient = (J * weight[:, None]).T @ J, J.T @ (weight * distance)
+    hessian[5:, 5:] += np.eye(len(views.moves))
+    gradient[5:] += views.moves
+    return hessian, gradient
+
+
+def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> np.ndarray:
+    """Derivatives [M, 5 + F] of :meth:`TwoViews.distance` by the steps of
+    :meth:`TwoViews.moved`."""
+    numerator, a, b = _sampson(views.fundamental(), x, y)
+    square = (a**2).sum(1) + (b**2).sum(1)
+    root = np.sqrt(square)
+    columns = []
+    size = 5 + len(views.moves)
+    small = 1e-5
+    for k in range(size):
+        step = np.zeros(size)
+        step[k] = small
+        # The matrix is smooth in the step, so differences of it are exact to ten digits.
+        forth, back = (views.moved(s, prior).fundamental() for s in (step, -step))
+        n, da, db = _sampson((forth - back) / (2 * small), x, y)
+        slope = (a * da).sum(1) + (b * db).sum(1)
+        columns.append(n / root - numerator * slope / (square * root))
+    return np.stack(columns, 1)
+
+
+def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
+    kept = views.inliers(x, y, FAR)
+    if kept.sum() < 8:
+        return replace(views, covariance=np.eye(5 + len(views.moves)))
+    hessian, _ = _normal(views, x[kept], y[kept], prior)
+    return replace(views, covariance=np.linalg.inv(hessian + 1e-9 * np.eye(len(hessian))))
+
+
+def _sampson(
+    F: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numerator [M] and the two halves of the denominator's gradient [M, 2] and [M, 2]."""
+    there = x @ F[:, :2].T + F[:, 2]
+    here = y @ F[:2, :2] + F[2, :2]
+    return (y * there[:, :2]).sum(1) + there[:, 2], there[:, :2], here
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.ones((len(points), 1))], 1)
+
+
+def surest_first(ratios: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Order int [M] of matches by their ratios, the same whatever their order was."""
+    return np.argsort(ratios, kind="stable")

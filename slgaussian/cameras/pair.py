@@ -1,0 +1,321 @@
+"""What two photographs say of where they were taken: a relative pose, and whether to believe it.
+
+An answer is refused if it rests on too little, or if another is about as good: photographs taken
+from one place, of one flat thing, or of different places also give matches, and any estimator
+makes something of them. The bounds were chosen on the pairs of `docs/measured/poses.md`, so that
+hardly any answer is wrong without a word.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve, surest_first
+from slgaussian.cameras.found import DOUBTFUL, GOOD, UNUSED, FoundPair
+from slgaussian.cameras.matches import Features, find_features, match
+from slgaussian.cameras.one_place import why_no_depth
+from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.sharpen import sharpen
+from slgaussian.formats.brief import brief
+
+FEATURES, CONTRAST, RATIO = 6000, 0.01, 0.85
+"""Of SIFT: dark and plain walls have few strong ones."""
+
+USUAL, SPREAD = 0.8, 0.3
+"""Focal lengths of phones and cameras, over the longer side, are usually so long, and their
+logarithms spread so much."""
+
+EXIF_SPREAD = 0.05
+"""What EXIF says is off by a few hundredths: some phones crop, some round."""
+
+LEAST = 20
+SHARE = 0.2
+"""Fewest matches that agree, and least share of all: by chance up to a dozen do."""
+
+SURE, UNSURE = 0.95, 0.8
+"""Probability, among all answers found, of those within :data:`ALIKE` of the best: a pair is
+doubted below the first and refused below the second."""
+
+ALIKE = 10.0
+"""Degrees."""
+
+SHARP, BLUNT = 3.0, 6.0
+"""Degrees of uncertainty above which a pair is doubted, and refused."""
+
+SMALL, PART = 0.02, 0.2
+"""Parts of a photograph that the inliers must spread over: of each, and of one of them if all obey
+one homography."""
+
+
+LOOKED_AT = 200
+"""Inliers, about, that are looked at for repetition."""
+
+APART = 8.0
+"""Two features are of different things from so many times their scale on."""
+
+MIRRORED = 3
+"""Photographs are mirrored if so many times the matches agree once one is turned over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A photograph, its grey uint8 [h, w] and its features, at the size of its image."""
+
+    photograph: Photograph
+    grey: np.ndarray
+    features: Features
+
+    __repr__ = brief
+
+    @staticmethod
+    def of(photograph: Photograph) -> Described:
+        """Find its features."""
+        grey = cv2.cvtColor(photograph.image, cv2.COLOR_RGB2GRAY)
+        return Described(photograph, grey, find_features(grey, FEATURES, CONTRAST))
+
+    @cached_property
+    def digest(self) -> str:
+        """What the image holds; photographs are worked on in the order of it."""
+        return hashlib.sha256(np.ascontiguousarray(self.photograph.image).data).hexdigest()
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Principal point float64 [2]: the middle, pixels of the image."""
+        height, width = self.photograph.image.shape[:2]
+        return np.array([width, height]) / 2
+
+    @property
+    def longer(self) -> int:
+        """Longer side of the image, pixels."""
+        return max(self.photograph.image.shape[:2])
+
+    @property
+    def shrunk(self) -> float:
+        """Pixels of the image over those of the whole photograph."""
+        return self.longer / max(self.photograph.width, self.photograph.height)
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """What is known of its focal length: logarithm in pixels of the image, and deviation."""
+        told = self.photograph.focal
+        if told is None:
+            return float(np.log(USUAL * self.longer)), SPREAD
+        return float(np.log(told * self.shrunk)), EXIF_SPREAD
+
+    @property
+    def lens(self) -> tuple[str, int, int, float | None]:
+        """Photographs that agree in this share a focal length."""
+        taken = self.photograph
+        sides = sorted((taken.width, taken.height))
+        return taken.lens, sides[0], sides[1], taken.focal
+
+
+@dataclass(frozen=True, eq=False)
+class PairPose:
+    """The relative pose of two photographs, if their matches tell one.
+
+    Attributes
+    ----------
+    first, second : Described
+    views : TwoViews or None
+        In pixels from the middles of the two images.
+    i, j : int [M]
+        Features that are inliers.
+    x, y : float64 [M, 2]
+        Where they lie, pixels from the middles; ``y`` is sharper than the features of ``second``.
+    found : FoundPair
+        ``found.verdict`` is UNUSED if the pose is not to be used.
+    advice : str
+        What to do then, a clause.
+    """
+
+    first: Described
+    second: Described
+    views: TwoViews | None
+    i: np.ndarray
+    j: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    found: FoundPair
+    advice: str = ""
+
+    __repr__ = brief
+
+    def of(self, kept: np.ndarray) -> PairPose:
+        """The same with some of its points, bool [M], as inliers."""
+        found = replace(self.found, inliers=int(kept.sum()))
+        i, j, x, y = (all[kept] for all in (self.i, self.j, self.x, self.y))
+        return replace(self, i=i, j=j, x=x, y=y, found=found)
+
+
+def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> PairPose:
+    """Match two photographs and find their relative pose; refusals are in the verdict.
+
+    Parameters
+    ----------
+    a, b : Described
+        The answer for (b, a) is the same the other way round, but for rounding.
+    prior : FocalPrior, optional
+        Of the two focal lengths, pixels of the images; otherwise what EXIF says and what is usual.
+    """
+    prior = prior or _prior(a, b)
+    i, j, ratios = match(a.features, b.features, RATIO)
+    order = surest_first(ratios)
+    i, j = i[order], j[order]
+    x = a.features.points[i] - a.middle
+    y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
+    names = a.photograph.name, b.photograph.name
+    found = FoundPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
+    every = PairPose(a, b, None, i, j, x, y, found)
+    answers = solve(x, y, prior)
+    if not answers:
+        return _few(every.of(np.zeros(len(i), bool)))
+    best = answers[0]
+    inlier = best.inliers(x, y, 3 * best.scale)
+    count = int(inlier.sum())
+    flat, flaw = why_no_depth(x, y, prior, max(count, LEAST))
+    if flaw is not None:
+        # A crop, or a plane, that two photographs share fills one of them.
+        return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or flaw))
+    pose = replace(every.of(inlier), views=best)
+    if count < max(LEAST, SHARE * len(i)):
+        return _few(pose)
+    flaw = _flaw_of_points(pose, SMALL, min)
+    if flaw is not None:
+        return _refused(pose, *flaw)
+    angle, uncertainty = float(np.median(best.angles(pose.x, pose.y))), _uncertainty(best)
+    probability = _probability(answers)
+    pose = replace(pose, found=replace(pose.found, angle=angle, uncertainty=uncertainty))
+    if probability < UNSURE:
+        return _refused(
+            pose,
+            "different positions of the cameras explain the matches about as well, as happens with "
+            "repeated patterns, flat things and little overlap",
+            "take photographs that share more, with things at different distances in both",
+        )
+    if uncertainty > BLUNT:
+        return _refused(
+            pose,
+            f"the matches leave the position open by {uncertainty:.0f} degrees",
+            "take photographs that share more, from a step farther apart",
+        )
+    doubts = []
+    if probability < SURE:
+        doubts.append("another position of the cameras would explain the matches almost as well")
+    if uncertainty > SHARP:
+        doubts.append(f"the matches leave the position open by {uncertainty:.0f} degrees")
+    if count < 2 * LEAST:
+        doubts.append(f"only {count} matches agree")
+    if not doubts:
+        return pose
+    return replace(pose, found=replace(pose.found, verdict=DOUBTFUL, said="; ".join(doubts)))
+
+
+def confidence(pose: PairPose) -> float:
+    """0 to 1: that a pose is right to some degrees."""
+    if pose.found.verdict == UNUSED or pose.views is None:
+        return 0.0
+    enough = 1 - np.exp(-pose.found.inliers / LEAST)
+    return float(enough * np.exp(-0.5 * (pose.found.uncertainty / BLUNT) ** 2))
+
+
+def _prior(a: Described, b: Described) -> FocalPrior:
+    (mean_a, sigma_a), (mean_b, sigma_b) = a.focal, b.focal
+    return FocalPrior(
+        np.array([mean_a, mean_b]), np.array([sigma_a, sigma_b]), shared=a.lens == b.lens
+    )
+
+
+def _probability(answers: list[TwoViews]) -> float:
+    """Of the best answer and those like it, among all."""
+    odds = np.exp([answers[0].cost - answer.cost for answer in answers])
+    near = np.array([answer.turned_from(answers[0]) < ALIKE for answer in answers])
+    return float(odds[near].sum() / odds.sum())
+
+
+def _uncertainty(views: TwoViews) -> float:
+    """Degrees by which turn or direction may be off, one deviation of all axes together."""
+    assert views.covariance is not None
+    return float(np.degrees(np.sqrt(np.trace(views.covariance[:5, :5]))))
+
+
+def _flaw_of_points(
+    pose: PairPose, least: float, which: Callable[[float, float], float]
+) -> tuple[str, str] | None:
+    """What is wrong with where the inliers lie, and what they are; None if nothing is."""
+    if which(_spread(pose.x, pose.first), _spread(pose.y, pose.second)) < least:
+        return (
+            "all points that both show lie in one small part of a photograph",
+            "take photographs that share more of what they show",
+        )
+    if _repetition(pose) > RATIO:
+        return (
+            "what both show is a pattern that repeats, and fits itself in several ways",
+            "take photographs that also show things that are there only once",
+        )
+    return None
+
+
+def _repetition(pose: PairPose) -> float:
+    """How like its match another feature of the first photograph is: the median over inliers of
+    Lowe's ratio, had the match been looked for there."""
+    features = pose.first.features
+    some = slice(None, None, 1 + len(pose.i) // LOOKED_AT)
+    i, j = pose.i[some], pose.j[some]
+    own = features.descriptors[i]
+    matched = (own * pose.second.features.descriptors[j]).sum(1)
+    likeness = own @ features.descriptors.T
+    # One place can have several features: of two orientations, or scales.
+    far = np.linalg.norm(features.points[i][:, None] - features.points, axis=2)
+    likeness[far < APART * features.scales[i][:, None]] = -1
+    other = likeness.max(1)
+    return float(np.median(np.sqrt((2 - 2 * matched).clip(0) / (2 - 2 * other).clip(1e-9))))
+
+
+def _spread(points: np.ndarray, of: Described) -> float:
+    """Part of the image that the hull of points [M, 2] covers."""
+    height, width = of.photograph.image.shape[:2]
+    return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)
+
+
+def _refused(pose: PairPose, said: str, advice: str) -> PairPose:
+    return replace(pose, found=replace(pose.found, verdict=UNUSED, said=said), advice=advice)
+
+
+def _few(pose: PairPose) -> PairPose:
+    """Too few matches agree: perhaps because one photograph is mirrored."""
+    a, b = pose.first, pose.second
+    mirrored = np.ascontiguousarray(b.photograph.image[:, ::-1])
+    turned = Described.of(replace(b.photograph, image=mirrored))
+    agreeing = _agreeing(a, turned)
+    if agreeing >= max(2 * LEAST, MIRRORED * pose.found.inliers):
+        return _refused(
+            pose,
+            f"{agreeing} matches agree if one is mirrored, and too few as they are",
+            "give both as they were taken",
+        )
+    matches = pose.found.matches
+    return _refused(
+        pose,
+        f"found too few points that both show ({pose.found.inliers} of {matches} matches agree, "
+        f"expected {LEAST} or more)",
+        "take sharp photographs of one place that overlap by half or more, a step apart",
+    )
+
+
+def _agreeing(a: Described, b: Described) -> int:
+    i, j, _ = match(a.features, b.features, RATIO)
+    if len(i) < 8:
+        return 0
+    points = a.features.points[i], b.features.points[j]
+    try:
+        _, kept = cv2.findFundamentalMat(*points, cv2.USAC_ACCURATE, 1.0, 0.999, 2000)
+    except cv2.error:
+        return 0
+    return 0 if kept is None else int(kept.sum())
