@@ -140,8 +140,8 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
         return []
-    ends = [_descended(start, x, y, prior) for start in _starts(x, y, prior)]
-    ends = [end for end in ends if end is not None]
+    tried = (_descended(start, x, y, prior) for start in _starts(x, y, prior))
+    ends = [end for end in tried if end is not None]
     if not ends:
         return []
     scale = min(end.scale for end in ends)

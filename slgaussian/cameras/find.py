@@ -50,7 +50,7 @@ def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
 
 def _pair_cameras(pose: PairPose, photographs: Sequence[Photograph]) -> FoundCameras:
     assert pose.views is not None and pose.views.covariance is not None
-    views, sure = pose.views, confidence(pose)
+    views, covariance, sure = pose.views, pose.views.covariance, confidence(pose)
     there = np.eye(4)
     there[:3, :3], there[:3, 3] = views.R, views.t
     c2w = {pose.first.photograph.name: np.eye(4), pose.second.photograph.name: np.linalg.inv(there)}
@@ -58,7 +58,7 @@ def _pair_cameras(pose: PairPose, photographs: Sequence[Photograph]) -> FoundCam
     points = np.concatenate([pose.x / views.focals[0], np.ones((len(z), 1))], 1) * z[:, None]
     world = c2w[photographs[0].name]
     w2world = np.linalg.inv(world)
-    deviations = np.sqrt(np.diag(views.covariance)[5:])
+    deviations = np.sqrt(np.diag(covariance)[5:])
     cameras, focals = {}, {}
     by_name = {
         p.photograph.name: (p, f)

@@ -14,7 +14,6 @@ import numpy as np
 
 from slgaussian.formats.brief import brief
 
-
 _ROWS = 128
 
 
