@@ -31,7 +31,10 @@ from benches.cameras.pose_metrics import (
 from benches.cameras.posed_pairs import PosedPair, posed_pairs
 from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
+from slgaussian.cameras.epipolar import FocalPrior
 from slgaussian.cameras.find import find_cameras
+from slgaussian.cameras.found import UNUSED
+from slgaussian.cameras.pair import Described, find_pair
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import View
@@ -85,6 +88,28 @@ def poselib_known(a: View, b: View) -> Answer | None:
     return Answer(pose.R, pose.t)
 
 
+def ours_known(a: View, b: View) -> Answer | None:
+    K = [view.camera.K for view in (a, b)]
+    # Cut so that the principal point is in the middle, where ours takes it to be.
+    images = [_centred(view.image, *k[:2, 2]) for view, k in zip((a, b), K, strict=True)]
+    described = (
+        Described.of(Photograph(name, image, image.shape[1], image.shape[0]))
+        for name, image in zip("ab", images, strict=True)
+    )
+    focals = np.log([(k[0, 0] + k[1, 1]) / 2 for k in K])
+    pose = find_pair(*described, FocalPrior(focals, np.zeros(2), shared=False))
+    if pose.found.verdict == UNUSED or pose.views is None:
+        return None
+    return Answer(pose.views.R, pose.views.t)
+
+
+def _centred(image: np.ndarray, x: float, y: float) -> np.ndarray:
+    """The largest window of an image with its middle, but for half a pixel, at (x, y)."""
+    (height, width), (right, down) = image.shape[:2], np.round(2 * np.array([x, y])).astype(int)
+    left, top = max(0, right - width), max(0, down - height)
+    return np.ascontiguousarray(image[top : min(down, height), left : min(right, width)])
+
+
 def ours(a: View, b: View) -> Answer | None:
     photographs = [
         Photograph(name, view.image, view.camera.width, view.camera.height)
@@ -102,7 +127,7 @@ def methods() -> dict[str, Method]:
     asked: dict[str, Method] = {KNOWN: opencv_known, GUESSED: opencv_guessed}
     if importlib.util.find_spec("poselib"):
         asked["poselib, K known"] = poselib_known
-    return {**asked, "ours, focal unknown": ours}
+    return {**asked, "ours, K known": ours_known, "ours, focal unknown": ours}
 
 
 def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:

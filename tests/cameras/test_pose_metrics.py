@@ -12,6 +12,9 @@ from slgaussian.scene import Camera
 def test_angles_are_those_that_were_turned():
     turn = Rotation.from_rotvec(np.radians([0, 7, 0])).as_matrix()
     assert rotation_error(turn, np.eye(3)) == pytest.approx(7)
+    rounded = turn * (1 + 1e-4)
+    assert rotation_error(rounded, np.eye(3)) == pytest.approx(7)
+    assert rotation_error(rounded, turn) == pytest.approx(0, abs=1e-5)
     assert direction_error(turn @ [0, 0, 3.0], np.array([0, 0, 0.5])) == pytest.approx(7)
     assert direction_error(np.array([0, 0, -1.0]), np.array([0, 0, 1.0])) == pytest.approx(180)
 
