@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from slgaussian.cameras.found import DOUBTFUL, UNUSED, Focal, FoundCameras
+from slgaussian.cameras.many import Many, find_many
 from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, PairPose, confidence, find_pair
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
@@ -20,6 +21,10 @@ OPTIMISM, MODEL = 2.0, 0.03
 """Matches err in more ways than the loss knows, and no lens is a pinhole: the deviation of a focal
 length's logarithm is so many times what the matches say, and that in quadrature. Nine in ten true
 ones of `docs/measured/poses.md` then lie in the interval."""
+
+SURE = 0.8
+DOUBTED = "these cameras are doubtful: some photographs share little with the others"
+"""What is said of three and more below that confidence."""
 
 TOLD = 0.8
 """Matches have told a focal length if they narrow it down to less than this part of what is usual.
@@ -37,6 +42,8 @@ def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
     described = [Described.of(photograph) for photograph in photographs]
+    if len(described) > 2:
+        return _many_cameras(find_many(described), photographs)
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     a, b = (described[k] for k in order[:2])
     pose = find_pair(a, b)
@@ -91,6 +98,29 @@ def _pair_cameras(pose: PairPose, photographs: Sequence[Photograph]) -> FoundCam
         (named,),
         points @ w2world[:3, :3].T + w2world[:3, 3],
         sure,
+        warned,
+    )
+
+
+def _many_cameras(many: Many, photographs: Sequence[Photograph]) -> FoundCameras:
+    cameras, focals = {}, {}
+    shown = [max(p.image.shape[:2]) / max(p.width, p.height) for p in photographs]
+    for k, photograph in enumerate(photographs):
+        pixels, deviation = float(many.focals[k] / shown[k]), float(many.deviations[k])
+        focals[photograph.name] = focal_of(pixels, deviation, photograph)
+        c2w = np.eye(4)
+        c2w[:3, :3], c2w[:3, 3] = many.R[k].T, -many.R[k].T @ many.t[k]
+        cameras[photograph.name] = camera_of(
+            photograph, focals[photograph.name], c2w, many.confidence
+        )
+    warned = (DOUBTED,) if many.confidence < SURE else ()
+    return FoundCameras(
+        with_up(cameras, photographs),
+        focals,
+        {p.name: float(k1) for p, k1 in zip(photographs, many.k1, strict=True)},
+        many.pairs,
+        many.points,
+        many.confidence,
         warned,
     )
 

@@ -1,0 +1,227 @@
+"""Three and more photographs: which to look at together, and their cameras from the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from slgaussian.cameras.found import UNUSED, FoundPair
+from slgaussian.cameras.matches import Features, match
+from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence, find_pair
+from slgaussian.cameras.views import Placed, Tie, place
+from slgaussian.errors import InputError
+from slgaussian.formats.brief import brief
+
+COARSE = 800
+"""Features of a photograph, its largest, that tell quickly which others show the same."""
+
+NEIGHBOURS = 3
+"""Photographs that each is solved with, those that show most of the same."""
+
+COUPLING = 3.0
+"""Matches err together: so many of them are worth one that errs by itself."""
+
+OPEN = 0.5
+"""Cameras of less confidence are refused."""
+
+STILL = 1e-3
+"""The first two must be at least so much of the largest distance apart: theirs is the unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Many:
+    """Cameras of photographs, in their order, in the world of the first.
+
+    Attributes
+    ----------
+    R, t : float64 [V, 3, 3], [V, 3]
+        World to camera; the first two are at distance 1.
+    focals, deviations, k1 : float64 [V]
+        Focal lengths in pixels of the images, standard deviations of their logarithms, distortion.
+    points : float64 [N, 3]
+    pairs : tuple of FoundPair
+        All that were looked at.
+    confidence : float
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    focals: np.ndarray
+    deviations: np.ndarray
+    k1: np.ndarray
+    points: np.ndarray
+    pairs: tuple[FoundPair, ...]
+    confidence: float
+
+    __repr__ = brief
+
+
+def find_many(described: Sequence[Described]) -> Many:
+    """The cameras of three or more photographs.
+
+    They are worked on in the order of what they hold, so that the order in which they are given
+    decides only about the world.
+
+    Raises
+    ------
+    InputError
+        If one cannot be placed, or not surely enough.
+    """
+    order = sorted(range(len(described)), key=lambda k: described[k].digest)
+    ordered = [described[k] for k in order]
+    poses = {(i, j): find_pair(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
+    lenses = list(dict.fromkeys(one.lens for one in ordered))
+    group = np.array([lenses.index(one.lens) for one in ordered])
+    priors = [ordered[int(np.argmax(group == g))].focal for g in range(len(lenses))]
+    placed = place(
+        [one.features.points for one in ordered],
+        np.array([one.middle for one in ordered]),
+        group,
+        np.exp([mean for mean, _ in priors]),
+        np.array([sigma for _, sigma in priors]),
+        [_tie(views, pose) for views, pose in poses.items() if pose.views is not None],
+    )
+    _all_placed(ordered, poses, placed)
+    assert placed is not None
+    sure = _confidence(ordered, placed)
+    bundle = placed.adjusted.bundle
+    back = np.argsort(order)
+    R, t = bundle.R[back], bundle.t[back]
+    R = R @ R[0].T
+    t = t - (R @ t[0])
+    distances = np.linalg.norm(t, axis=1)
+    scale = float(distances[1])
+    if scale < STILL * distances.max():
+        first, second = (one.photograph.name for one in described[:2])
+        raise InputError(
+            f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
+            "the unit of length; leave one out, or put it last"
+        )
+    inside = bundle.points @ bundle.R[back[0]].T + bundle.t[back[0]]
+    lens = bundle.group[back]
+    return Many(
+        R,
+        t / scale,
+        bundle.focals[lens],
+        placed.adjusted.focal_deviations[lens],
+        bundle.k1[lens],
+        inside / scale,
+        tuple(_checked(pose, placed, views, order) for views, pose in poses.items()),
+        sure,
+    )
+
+
+def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
+    """Pairs (i, j), i < j, that show most of the same, so many that all hang together.
+
+    Each is matched with every other, but by few features; only the best are looked at in full.
+    """
+    few = [_largest(one.features) for one in described]
+    count = len(few)
+    shared = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1, count):
+            shared[i, j] = shared[j, i] = len(match(few[i], few[j], 0.85)[0])
+    kept = {(i, int(j)) for i in range(count) for j in np.argsort(-shared[i])[:NEIGHBOURS]}
+    tree = minimum_spanning_tree(csr_array(1 / (1 + shared) * ~np.eye(count, dtype=bool)))
+    kept |= set(zip(*map(np.ndarray.tolist, tree.nonzero()), strict=True))
+    return sorted({(min(i, j), max(i, j)) for i, j in kept if i != j})
+
+
+def _largest(features: Features) -> Features:
+    kept = np.argsort(-features.scales, kind="stable")[:COARSE]
+    return Features(
+        features.points[kept],
+        features.descriptors[kept],
+        features.scales[kept],
+        features.angles[kept],
+    )
+
+
+def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
+    assert pose.views is not None
+    return Tie(
+        views,
+        (pose.i, pose.j),
+        pose.y + pose.second.middle,
+        pose.views.R,
+        pose.views.t,
+        (float(pose.views.focals[0]), float(pose.views.focals[1])),
+        float(np.nan_to_num(pose.found.angle)),
+        confidence(pose),
+    )
+
+
+def _all_placed(
+    described: Sequence[Described],
+    poses: dict[tuple[int, int], PairPose],
+    placed: Placed | None,
+) -> None:
+    """Raise InputError if a photograph was not placed."""
+    there = set() if placed is None else set(placed.order.tolist())
+    left = [k for k in range(len(described)) if k not in there]
+    if not left:
+        return
+    if placed is None:
+        best = max(poses.values(), key=lambda pose: pose.found.inliers)
+        a, b = best.found.views
+        raise InputError(
+            f"{len(described)} photographs: no two of them tell cameras; {a!r} and {b!r} share most"
+            f", but {best.found.said or 'hold too little that both show'}; "
+            f"{best.advice or 'take photographs that share more'}"
+        )
+    named = ", ".join(repr(described[k].photograph.name) for k in left)
+    shared = max(pose.found.inliers for views, pose in poses.items() if set(views) & set(left))
+    raise InputError(
+        f"{named}: cannot be placed among the other {len(there)} photographs (at most {shared} "
+        f"matches agree with another one, expected {2 * LEAST} or more in two of them); leave out, "
+        "or take photographs between it and the others that overlap both by half or more"
+    )
+
+
+def _checked(
+    pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
+) -> FoundPair:
+    """What a pair said, or that all together contradict it; named in the order given."""
+    found = pose.found
+    if order[views[0]] > order[views[1]]:
+        found = replace(found, views=(found.views[1], found.views[0]))
+    if pose.views is None or found.verdict == UNUSED:
+        return found
+    a, b = (placed.order.tolist().index(view) for view in views)
+    bundle = placed.adjusted.bundle
+    R = bundle.R[b] @ bundle.R[a].T
+    t = bundle.t[b] - R @ bundle.t[a]
+    together = replace(pose.views, R=R, t=t / max(float(np.linalg.norm(t)), 1e-12))
+    if pose.views.turned_from(together) < ALIKE:
+        return found
+    return replace(
+        found, verdict=UNUSED, said="the other photographs contradict what the two say alone"
+    )
+
+
+def _confidence(described: Sequence[Described], placed: Placed) -> float:
+    """0 to 1: that every pose is right to some degrees.
+
+    Raises
+    ------
+    InputError
+        If that is too little.
+    """
+    adjusted = placed.adjusted
+    views = range(1, len(placed.order))
+    worst = COUPLING**0.5 * max(max(adjusted.degrees(view)) for view in views)
+    seen = np.bincount(adjusted.bundle.view)
+    sure = float((1 - np.exp(-seen.min() / LEAST)) * np.exp(-0.5 * (worst / BLUNT) ** 2))
+    if sure < OPEN:
+        name = described[placed.order[int(seen.argmin())]].photograph.name
+        raise InputError(
+            f"{name!r}: shares too little with the other photographs to be placed among them "
+            f"({seen.min()} points, which leave positions open by {worst:.0f} degrees); leave it "
+            "out, or take photographs between it and the others that overlap both by half or more"
+        )
+    return sure

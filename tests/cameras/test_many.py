@@ -1,0 +1,128 @@
+"""Cameras of three and more photographs of a made-up room."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slgaussian import datasets
+from slgaussian.cameras import many
+from slgaussian.cameras.find import find_cameras
+from slgaussian.cameras.found import UNUSED
+from slgaussian.cameras.many import worth_solving
+from slgaussian.cameras.pair import Described
+from slgaussian.cameras.photograph import Photograph
+from slgaussian.errors import InputError
+
+
+def room(seed: int) -> tuple[list[Photograph], list[np.ndarray]]:
+    """Four photographs side by side, and true world-to-camera matrices."""
+    scene = datasets.load("procedural", seed=seed, height=300, width=400)
+    views = [scene.read(name) for name in scene.cameras]
+    taken = [Photograph(view.name, view.image, 1200, 900) for view in views]
+    return taken, [view.camera.w2c for view in views]
+
+
+@pytest.fixture(scope="module")
+def photographs() -> tuple[list[Photograph], list[np.ndarray]]:
+    return room(0)
+
+
+@pytest.fixture(scope="module")
+def found(photographs):
+    return find_cameras(photographs[0])
+
+
+def degrees_off(cameras, true) -> float:
+    """Of the worst rotation or direction of all pairs."""
+    worst = 0.0
+    for i in range(len(true)):
+        for j in range(i):
+            ours, known = cameras[i].w2c @ cameras[j].c2w, true[i] @ np.linalg.inv(true[j])
+            turn = Rotation.from_matrix(ours[:3, :3] @ known[:3, :3].T).magnitude()
+            a, b = ours[:3, 3], known[:3, 3]
+            way = np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
+            worst = max(worst, turn, way)
+    return float(np.degrees(worst))
+
+
+def test_four_views_in_the_world_of_the_first(photographs, found):
+    taken, true = photographs
+    cameras = [found.cameras[p.name] for p in taken]
+    assert degrees_off(cameras, true) < 4
+    np.testing.assert_allclose(cameras[0].c2w, np.eye(4), atol=1e-12)
+    assert np.linalg.norm(cameras[1].center) == pytest.approx(1)
+    focal = found.focals[taken[0].name]
+    assert focal.low < 1080 < focal.high  # 360 px at a third of the size
+    assert focal.pixels == found.cameras[taken[3].name].K[0, 0]
+    assert found.confidence > 0.9
+    assert not found.warnings
+    assert (found.points[:, 2] > 0).mean() > 0.95
+
+
+def test_the_order_changes_only_the_frame(photographs, found):
+    taken, _ = photographs
+    again = find_cameras([taken[k] for k in (2, 0, 3, 1)])
+    cameras = [again.cameras[p.name] for p in taken]
+    known = [found.cameras[p.name].w2c for p in taken]
+    assert list(again.cameras) == [taken[k].name for k in (2, 0, 3, 1)]
+    assert degrees_off(cameras, known) < 1e-4
+    np.testing.assert_allclose(cameras[2].c2w, np.eye(4), atol=1e-12)
+    assert again.focals[taken[0].name] == found.focals[taken[0].name]
+
+
+def test_one_that_shows_another_room_is_named(photographs):
+    taken, _ = photographs
+    other = replace(room(7)[0][0], name="elsewhere.jpg")
+    with pytest.raises(InputError, match=r"'elsewhere.jpg': cannot be placed .* leave out"):
+        find_cameras([*taken[:2], other])
+
+
+def test_one_that_shares_but_a_thing_is_named(photographs):
+    """The other room holds a thing of the same pattern."""
+    taken, _ = photographs
+    other = replace(room(5)[0][0], name="elsewhere.jpg")
+    with pytest.raises(InputError, match=r"'elsewhere.jpg': shares too little .* leave it out"):
+        find_cameras([*taken[:3], other])
+
+
+def test_nothing_placed_is_refused(photographs, monkeypatch):
+    monkeypatch.setattr(many, "place", lambda *_: None)
+    with pytest.raises(InputError, match="3 photographs: no two of them tell cameras; 'view_0"):
+        find_cameras(photographs[0][:3])
+
+
+def test_the_first_two_may_not_be_one(photographs):
+    taken, _ = photographs
+    twin = replace(taken[0], name="twin.jpg")
+    with pytest.raises(InputError, match=r"twin.jpg'.*one place"):
+        find_cameras([taken[0], twin, taken[1]])
+
+
+def test_many_photographs_are_not_all_solved_with_all():
+    """A strip cut into overlapping windows: each is solved with those that overlap it."""
+    texture = np.random.default_rng(0).integers(0, 255, (60, 400, 3), dtype=np.uint8)
+    strip = np.kron(texture, np.ones((4, 4, 1), np.uint8))
+    windows = [Photograph(str(k), strip[:, 110 * k : 110 * k + 300], 300, 240) for k in range(10)]
+    pairs = worth_solving([Described.of(window) for window in windows])
+    assert {(k, k + 1) for k in range(9)} <= set(pairs)
+    assert len(pairs) <= 30
+
+
+def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
+    plain = many.find_pair
+
+    def wrong_once(a, b):
+        pose = plain(a, b)
+        if {a.photograph.name, b.photograph.name} != {"view_00", "view_02"}:
+            return pose
+        turn = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
+        return replace(pose, views=replace(pose.views, R=turn @ pose.views.R))
+
+    monkeypatch.setattr(many, "find_pair", wrong_once)
+    found = find_cameras(photographs[0][:3])
+    said = [pair for pair in found.pairs if set(pair.views) == {"view_00", "view_02"}]
+    assert said[0].verdict == UNUSED
+    assert "contradict" in said[0].said
+    assert degrees_off([found.cameras[p.name] for p in photographs[0][:3]], photographs[1][:3]) < 4
