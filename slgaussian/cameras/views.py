@@ -32,6 +32,9 @@ second if no more views can be placed otherwise."""
 LEAST, SHARE = 12, 0.25
 """A view is placed if it sees so many points where they land, and such a share of those it sees."""
 
+TRUSTED, TIED = 0.5, 5
+"""Where a pair of such a confidence tells the pose, so many points are enough for its scale."""
+
 STARTS, ENOUGH = 4, 0.9
 """Start pairs tried until all views are placed and such a share of all observations lies where
 their points land."""
@@ -406,23 +409,27 @@ class _Growing:
             sharp = (told & (width > wide))[tracks.track]
             seen = {int(view): np.flatnonzero((tracks.view == view) & sharp) for view in left}
             for view in sorted(seen, key=lambda view: -len(seen[view])):
-                pose = self._pose(view, seen[view], X)
+                pose = self._pose(view, seen[view], X, LEAST)
                 if pose is not None:
                     return view, pose
+        for view in sorted(seen, key=lambda view: -len(seen[view])):
+            pose = self._pose(view, seen[view], X, TIED)
+            if pose is not None:
+                return view, pose
         return None
 
     def _pose(
-        self, view: int, mine: np.ndarray, X: np.ndarray
+        self, view: int, mine: np.ndarray, X: np.ndarray, least: int
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Pose that explains most of what a view sees; None if it is too little."""
-        if len(mine) < LEAST:
+        if len(mine) < least:
             return None
         points, lens = X[self.tracks.track[mine]], int(self.group[view])
-        best, most = None, max(LEAST, SHARE * len(mine)) - 1
+        best, most = None, max(least, SHARE * len(mine)) - 1
         for focal in self._tried(view):
             self.focals[lens] = focal
             uv, within = self._rays(mine), LOOSE * PIXELS / focal
-            for R, t in self._guesses(view, points, uv, within):
+            for R, t in self._guesses(view, points, uv, within, least < LEAST):
                 local = points @ R.T + t
                 off = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
                 near = (np.linalg.norm(off, axis=1) < within) & (local[:, 2] > 0)
@@ -433,6 +440,8 @@ class _Growing:
         R, t, focal, near = best
         self.focals[lens] = focal
         self.known.add(lens)
+        if near.sum() < LEAST:
+            return R, t
         turn, t = cv2.solvePnPRefineLM(
             points[near], self._rays(mine)[near], np.eye(3), None, cv2.Rodrigues(R)[0], t[:, None]
         )
@@ -448,28 +457,32 @@ class _Growing:
         return [0.8 * middle, middle, 1.25 * middle]
 
     def _guesses(
-        self, view: int, points: np.ndarray, uv: np.ndarray, within: float
+        self, view: int, points: np.ndarray, uv: np.ndarray, within: float, tied: bool
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Poses that a view may have, by its points and by its pairs with placed views."""
+        """Poses that a view may have, by its points and by its pairs with placed views.
+
+        If ``tied``, by those pairs alone that can be trusted.
+        """
         found = []
-        cv2.setRNGSeed(0)
-        ok, turn, t, _ = cv2.solvePnPRansac(
-            points,
-            uv,
-            np.eye(3),
-            None,
-            reprojectionError=within,
-            iterationsCount=500,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_EPNP,
-        )
-        if ok:
-            found.append((cv2.Rodrigues(turn)[0], t[:, 0]))
+        if not tied:
+            cv2.setRNGSeed(0)
+            ok, turn, t, _ = cv2.solvePnPRansac(
+                points,
+                uv,
+                np.eye(3),
+                None,
+                reprojectionError=within,
+                iterationsCount=500,
+                confidence=0.999,
+                flags=cv2.SOLVEPNP_EPNP,
+            )
+            if ok:
+                found.append((cv2.Rodrigues(turn)[0], t[:, 0]))
         for tie in self.ties:
             if view not in tie.views:
                 continue
             other = tie.views[1 - tie.views.index(view)]
-            if other not in self.placed:
+            if other not in self.placed or (tied and tie.confidence < TRUSTED):
                 continue
             R, t = (tie.R, tie.t) if tie.views[1] == view else (tie.R.T, -tie.R.T @ tie.t)
             R, base, t = R @ self.R[other], R @ self.t[other], t / np.linalg.norm(t)
