@@ -61,6 +61,8 @@ def keep(photos: Sequence[str], out: str | None, format: str | None) -> FoundCam
 
 def tabled(found: FoundCameras) -> str:
     """A row for each pair: matches, what agrees, angles and a verdict."""
+    place = {name: number for number, name in enumerate(found.cameras)}
+    pairs = sorted(found.pairs, key=lambda pair: [place[name] for name in pair.views])
     rows = [
         (
             " - ".join(pair.views),
@@ -70,7 +72,7 @@ def tabled(found: FoundCameras) -> str:
             f"{pair.uncertainty:.1f}" if np.isfinite(pair.uncertainty) else "",
             pair.verdict + (f": {pair.said}" if pair.said else ""),
         )
-        for pair in found.pairs
+        for pair in pairs
     ]
     head = ("pair", "matches", "agree", "angle", "off by", "verdict")
     wide = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
