@@ -444,7 +444,7 @@ def _covariance(
     left = max(count - 3 * len(bundle.points) - free.shape[1], 1)
     slope = (weight**2 * scale**2 / 3).mean()
     noise = weight.mean() * (weight**2 * r2).sum() / left / slope**2
-    H = free.T @ (S / max(noise, 1e-4)) @ free
+    H = free.T @ (S / max(noise, 1e-2)) @ free
     V = len(bundle.R)
     H += (free[6 * V :].T * layout.prior) @ free[6 * V :]
     norm = _unit(np.diag(H))

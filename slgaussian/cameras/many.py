@@ -83,13 +83,12 @@ def find_many(described: Sequence[Described]) -> Many:
         group,
         np.exp([mean for mean, _ in priors]),
         np.array([sigma for _, sigma in priors]),
-        [_tie(views, pose) for views, pose in poses.items() if pose.views is not None],
+        [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= LEAST],
     )
     _all_placed(ordered, poses, placed)
     assert placed is not None
-    sure = _confidence(ordered, placed)
     bundle = placed.adjusted.bundle
-    back = np.argsort(order)
+    back = np.argsort(placed.order)[np.argsort(order)]
     R, t = bundle.R[back], bundle.t[back]
     R = R @ R[0].T
     t = t - (R @ t[0])
@@ -101,6 +100,7 @@ def find_many(described: Sequence[Described]) -> Many:
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
             "the unit of length; leave one out, or put it last"
         )
+    sure = _confidence(ordered, placed)
     inside = bundle.points @ bundle.R[back[0]].T + bundle.t[back[0]]
     lens = bundle.group[back]
     return Many(
@@ -143,14 +143,17 @@ def _largest(features: Features) -> Features:
 
 
 def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
-    assert pose.views is not None
+    """What a pair gives; matches alone if two photographs were taken from one place, or of a plane.
+
+    A third one may see the same from elsewhere.
+    """
+    known = pose.views
     return Tie(
         views,
         (pose.i, pose.j),
         pose.y + pose.second.middle,
-        pose.views.R,
-        pose.views.t,
-        (float(pose.views.focals[0]), float(pose.views.focals[1])),
+        None if known is None else (known.R, known.t),
+        None if known is None else (float(known.focals[0]), float(known.focals[1])),
         float(np.nan_to_num(pose.found.angle)),
         confidence(pose),
     )
@@ -213,8 +216,14 @@ def _confidence(described: Sequence[Described], placed: Placed) -> float:
         If that is too little.
     """
     adjusted = placed.adjusted
-    views = range(1, len(placed.order))
-    worst = COUPLING**0.5 * max(max(adjusted.degrees(view)) for view in views)
+    far = np.linalg.norm(adjusted.bundle.t, axis=1)
+    far /= far.max()
+    off = []
+    for view in range(1, len(far)):
+        turned, moved = adjusted.degrees(view)
+        # Two photographs from one place among others may have any direction between them.
+        off += [turned, moved * far[view]]
+    worst = COUPLING**0.5 * max(off)
     seen = np.bincount(adjusted.bundle.view)
     sure = float((1 - np.exp(-seen.min() / LEAST)) * np.exp(-0.5 * (worst / BLUNT) ** 2))
     if sure < OPEN:

@@ -65,10 +65,10 @@ class Tie:
     xy : float64 [M, 2]
         Where the features of the first lie in the second, pixels; may be sharper than the second's
         own.
-    R, t : float64 [3, 3], [3]
-        ``X_second = R @ X_first + t``, up to scale.
-    focals : (float, float)
-        Pixels.
+    pose : (float64 [3, 3], float64 [3]) or None
+        R and t of ``X_second = R @ X_first + t``, up to scale; None if only matches are known.
+    focals : (float, float) or None
+        Pixels, if the pose is known.
     angle : float
         Degrees between the two lines of sight, median.
     confidence : float
@@ -78,9 +78,8 @@ class Tie:
     views: tuple[int, int]
     features: tuple[np.ndarray, np.ndarray]
     xy: np.ndarray
-    R: np.ndarray
-    t: np.ndarray
-    focals: tuple[float, float]
+    pose: tuple[np.ndarray, np.ndarray] | None
+    focals: tuple[float, float] | None
     angle: float
     confidence: float
 
@@ -134,13 +133,14 @@ def place(
     Returns
     -------
     Placed or None
-        The views in ascending order, their world the first of them; None without a start.
+        Its first view is that of smallest number, its second the one farthest from it; None without
+        a start.
     """
     if not ties:
         return None
     ties = sorted(ties, key=lambda tie: tie.views)
     tracks = _tracks(keypoints, ties)
-    starts = sorted(ties, key=_worth, reverse=True)
+    starts = sorted((tie for tie in ties if tie.pose is not None), key=_worth, reverse=True)
     found: list[tuple[tuple[int, int], _Growing]] = []
     for start in starts[:STARTS]:
         grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
@@ -227,9 +227,10 @@ class _Growing:
     def grow(self, start: Tie) -> bool:
         """Place all that can be; False if the start itself cannot."""
         a, b = start.views
+        assert start.pose is not None and start.focals is not None
         self._meet(a, start.focals[0])
         self._meet(b, start.focals[1])
-        self.R[b], self.t[b] = start.R, start.t / np.linalg.norm(start.t)
+        self.R[b], self.t[b] = start.pose[0], start.pose[1] / np.linalg.norm(start.pose[1])
         self.placed = [a, b]
         if self._adjust(LOOSE, FEW) is None or self._adjust(1.0, FEW) is None:
             return False
@@ -248,6 +249,11 @@ class _Growing:
     def finished(self) -> Placed | None:
         """All adjusted, in the frame of the first view."""
         self.placed.sort()
+        a = self.placed[0]
+        at = -np.einsum("vji,vj->vi", self.R[self.placed], self.t[self.placed])
+        # The unit of length should not be that of two views from one place.
+        b = self.placed[int(np.linalg.norm(at - at[0], axis=1).argmax())]
+        self.placed = [a, b, *(view for view in self.placed if view not in (a, b))]
         self._reframe()
         for _ in range(2):
             last = self._adjust(1.0, MANY)
@@ -452,7 +458,11 @@ class _Growing:
         lens = int(self.group[view])
         if lens in self.known or not self.focal_sigma[lens] > 0:
             return [float(self.focals[lens])]
-        told = [tie.focals[tie.views.index(view)] for tie in self.ties if view in tie.views]
+        told = [
+            tie.focals[tie.views.index(view)]
+            for tie in self.ties
+            if view in tie.views and tie.focals is not None
+        ]
         middle = float(np.median(told)) if told else float(self.focal_prior[lens])
         return [0.8 * middle, middle, 1.25 * middle]
 
@@ -479,12 +489,14 @@ class _Growing:
             if ok:
                 found.append((cv2.Rodrigues(turn)[0], t[:, 0]))
         for tie in self.ties:
-            if view not in tie.views:
+            if view not in tie.views or tie.pose is None:
                 continue
             other = tie.views[1 - tie.views.index(view)]
             if other not in self.placed or (tied and tie.confidence < TRUSTED):
                 continue
-            R, t = (tie.R, tie.t) if tie.views[1] == view else (tie.R.T, -tie.R.T @ tie.t)
+            R, t = tie.pose
+            if tie.views[0] == view:
+                R, t = R.T, -R.T @ t
             R, base, t = R @ self.R[other], R @ self.t[other], t / np.linalg.norm(t)
             # uv z = X + base + s t, for each point a distance s: the median of them.
             local = points @ R.T + base

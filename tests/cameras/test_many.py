@@ -17,9 +17,9 @@ from slgaussian.errors import InputError
 
 
 def room(seed: int) -> tuple[list[Photograph], list[np.ndarray]]:
-    """Four photographs side by side, and true world-to-camera matrices."""
+    """Three photographs side by side, and true world-to-camera matrices."""
     scene = datasets.load("procedural", seed=seed, height=300, width=400)
-    views = [scene.read(name) for name in scene.cameras]
+    views = [scene.read(name) for name in list(scene.cameras)[:3]]
     taken = [Photograph(view.name, view.image, 1200, 900) for view in views]
     return taken, [view.camera.w2c for view in views]
 
@@ -47,7 +47,7 @@ def degrees_off(cameras, true) -> float:
     return float(np.degrees(worst))
 
 
-def test_four_views_in_the_world_of_the_first(photographs, found):
+def test_three_views_in_the_world_of_the_first(photographs, found):
     taken, true = photographs
     cameras = [found.cameras[p.name] for p in taken]
     assert degrees_off(cameras, true) < 4
@@ -55,7 +55,7 @@ def test_four_views_in_the_world_of_the_first(photographs, found):
     assert np.linalg.norm(cameras[1].center) == pytest.approx(1)
     focal = found.focals[taken[0].name]
     assert focal.low < 1080 < focal.high  # 360 px at a third of the size
-    assert focal.pixels == found.cameras[taken[3].name].K[0, 0]
+    assert focal.pixels == found.cameras[taken[2].name].K[0, 0]
     assert found.confidence > 0.9
     assert not found.warnings
     assert (found.points[:, 2] > 0).mean() > 0.95
@@ -63,10 +63,10 @@ def test_four_views_in_the_world_of_the_first(photographs, found):
 
 def test_the_order_changes_only_the_frame(photographs, found):
     taken, _ = photographs
-    again = find_cameras([taken[k] for k in (2, 0, 3, 1)])
+    again = find_cameras([taken[k] for k in (2, 0, 1)])
     cameras = [again.cameras[p.name] for p in taken]
     known = [found.cameras[p.name].w2c for p in taken]
-    assert list(again.cameras) == [taken[k].name for k in (2, 0, 3, 1)]
+    assert list(again.cameras) == [taken[k].name for k in (2, 0, 1)]
     assert degrees_off(cameras, known) < 1e-4
     np.testing.assert_allclose(cameras[2].c2w, np.eye(4), atol=1e-12)
     assert again.focals[taken[0].name] == found.focals[taken[0].name]
@@ -84,13 +84,13 @@ def test_one_that_shares_but_a_thing_is_named(photographs):
     taken, _ = photographs
     other = replace(room(5)[0][0], name="elsewhere.jpg")
     with pytest.raises(InputError, match=r"'elsewhere.jpg': shares too little .* leave it out"):
-        find_cameras([*taken[:3], other])
+        find_cameras([*taken, other])
 
 
 def test_nothing_placed_is_refused(photographs, monkeypatch):
     monkeypatch.setattr(many, "place", lambda *_: None)
     with pytest.raises(InputError, match="3 photographs: no two of them tell cameras; 'view_0"):
-        find_cameras(photographs[0][:3])
+        find_cameras(photographs[0])
 
 
 def test_the_first_two_may_not_be_one(photographs):
@@ -121,8 +121,8 @@ def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
         return replace(pose, views=replace(pose.views, R=turn @ pose.views.R))
 
     monkeypatch.setattr(many, "find_pair", wrong_once)
-    found = find_cameras(photographs[0][:3])
+    found = find_cameras(photographs[0])
     said = [pair for pair in found.pairs if set(pair.views) == {"view_00", "view_02"}]
     assert said[0].verdict == UNUSED
     assert "contradict" in said[0].said
-    assert degrees_off([found.cameras[p.name] for p in photographs[0][:3]], photographs[1][:3]) < 4
+    assert degrees_off([found.cameras[p.name] for p in photographs[0]], photographs[1]) < 4
