@@ -35,6 +35,13 @@ START = 0.6
 TRIED = np.array([-3.4, -2.6, -1.9, -1.2, -0.6, 0.0, 0.6, 1.2, 1.9, 2.6, 3.6])
 """Focal lengths to start from, deviations from what is usual."""
 
+APART = np.array([-1.5, 0.0, 1.5])
+"""By so many deviations two lenses are tried apart."""
+
+ZOOMED = 6.0
+"""Two photographs that should share a focal length do not, if so much of the posterior's logarithm
+speaks for it: among pairs that do, at most 4 did."""
+
 MOST = 1200
 """Matches, the surest first, that are looked at; half as many for starting points."""
 
@@ -132,14 +139,43 @@ class TwoViews:
         return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
 
 
-def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
+def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> tuple[list[TwoViews], FocalPrior]:
     """Relative poses that matches [M, 2] and [M, 2], surest first, speak for; the best first.
 
-    Answers within 3 degrees of a better one are left out; there may be none.
+    Answers within 3 degrees of a better one are left out; there may be none. The prior that comes
+    back is the one given, or that of two lenses where one does not explain the matches.
     """
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
-        return []
+        return [], prior
+    found = _solved(x, y, prior)
+    apart = replace(prior, shared=False)
+    if not prior.shared or not len(prior.directions):
+        return found, prior
+    if found and not _zoomed(found[0], x, y, apart):
+        return found, prior
+    other = _solved(x, y, apart)
+    if other and (not found or _gain(found[0], other[0], x, y, apart) > ZOOMED):
+        return other, apart
+    return found, prior
+
+
+def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, apart: FocalPrior) -> bool:
+    """Whether two focal lengths are worth a try where one was found."""
+    if views.inliers(x, y, 3 * views.scale).mean() < 0.5:
+        return True
+    moves = np.repeat(views.moves, 2)
+    other = _descended(replace(views, moves=moves), x, y, apart)
+    return other is not None and _gain(views, other, x, y, apart) > ZOOMED / 2
+
+
+def _gain(
+    shared: TwoViews, other: TwoViews, x: np.ndarray, y: np.ndarray, apart: FocalPrior
+) -> float:
+    return shared.cost - posterior(other, x, y, apart, shared.scale)
+
+
+def _solved(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     tried = (_descended(start, x, y, prior) for start in _starts(x, y, prior))
     ends = [end for end in tried if end is not None]
     if not ends:
@@ -171,8 +207,10 @@ def posterior(
 def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
     directions = prior.directions
     x, y = x[: MOST // 2], y[: MOST // 2]
-    for tried in TRIED if len(directions) else np.zeros(1):
-        moves = np.full(len(directions), tried)
+    ends = TRIED[:, None] if len(directions) else np.zeros((1, 0))
+    if len(directions) == 2:
+        ends = np.array([(m - d / 2, m + d / 2) for m in TRIED[1:-1] for d in APART])
+    for moves in ends:
         fa, fb = focals = np.exp(prior.mean + moves @ directions)
         a, b = x / fa, y / fb
         near = [1.0] if len(directions) else [0.5, 1.0, 2.0]

@@ -53,6 +53,9 @@ SMALL, PART = 0.02, 0.2
 one homography."""
 
 
+ENLARGED = 1.4
+"""From there on a pair is doubted if nothing is known of its focal lengths: a zoom looks alike."""
+
 LOOKED_AT = 200
 """Inliers, about, that are looked at for repetition."""
 
@@ -173,7 +176,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     names = a.photograph.name, b.photograph.name
     found = FoundPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
     every = PairPose(a, b, None, i, j, x, y, found)
-    answers = solve(x, y, prior)
+    answers, prior = solve(x, y, prior)
     if not answers:
         return _few(every.of(np.zeros(len(i), bool)))
     best = answers[0]
@@ -212,6 +215,18 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         doubts.append(f"the matches leave the position open by {uncertainty:.0f} degrees")
     if count < 2 * LEAST:
         doubts.append(f"only {count} matches agree")
+    larger = float(
+        np.exp(abs(np.median(np.log(b.features.scales[pose.j] / a.features.scales[pose.i]))))
+    )
+    if prior.sigma.max() > EXIF_SPREAD and (a.lens == b.lens) > prior.shared:
+        doubts.append(
+            "they seem to have been taken with different focal lengths, and no EXIF says so"
+        )
+    elif prior.sigma.max() > EXIF_SPREAD and larger > ENLARGED:
+        doubts.append(
+            f"things are {larger:.1f} times as large in one, by a zoom or a step forward, and no "
+            "EXIF says which"
+        )
     if not doubts:
         return pose
     return replace(pose, found=replace(pose.found, verdict=DOUBTFUL, said="; ".join(doubts)))

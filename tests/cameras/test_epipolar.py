@@ -1,0 +1,134 @@
+"""Relative poses from matches: exact ones are found, derivatives are right, doubt is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from slgaussian.cameras.epipolar import FocalPrior, TwoViews, jacobian, solve
+from slgaussian.cameras.one_place import why_no_depth
+
+LONGER = 960
+
+
+def two_views(seed: int, focals: tuple[float, float] = (800, 800)) -> TwoViews:
+    rng = np.random.default_rng(seed)
+    R = Rotation.from_rotvec(rng.normal(0, 0.12, 3)).as_matrix()
+    t = rng.normal(0, 1, 3) * (1, 1, 0.5)
+    return TwoViews(R, t / np.linalg.norm(t), np.array(focals, float), np.zeros(0))
+
+
+def seen(views: TwoViews, count: int, seed: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Matches of points 4 to 12 baselines away."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(4, 12, count)
+    a = np.stack([*rng.uniform(-0.5, 0.5, (2, count)) * z, z], 1)
+    b = a @ views.R.T + views.t
+    x, y = (p[:, :2] / p[:, 2:] * f for p, f in zip((a, b), views.focals, strict=True))
+    return x + rng.normal(0, noise, x.shape), y + rng.normal(0, noise, y.shape)
+
+
+def prior(sigma: float, mean: float = 800, shared: bool = True) -> FocalPrior:
+    return FocalPrior(np.full(2, np.log(mean)), np.full(2, sigma), shared)
+
+
+@given(st.integers(0, 10**6), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_jacobian_is_that_of_the_distance(seed, shared):
+    views = two_views(seed)
+    x, y = seen(views, 12, seed, 2.0)
+    known = prior(0.3, shared=shared)
+    views = replace(views, moves=np.zeros(len(known.directions)))
+    found = jacobian(views, x, y, known)
+    for k in range(found.shape[1]):
+        step = np.zeros(found.shape[1])
+        step[k] = 1e-6
+        ends = [views.moved(s, known).distance(x, y) for s in (step, -step)]
+        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-4, atol=1e-3)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10, deadline=None)
+def test_known_focal_lengths_and_a_third_of_outliers(seed):
+    views = two_views(seed)
+    x, y = seen(views, 300, seed, 0.2)
+    rng = np.random.default_rng(seed)
+    y[::3] = rng.uniform(-480, 480, y[::3].shape)
+    best = solve(x, y, prior(0.0))[0][0]
+    assert best.turned_from(views) < 1.0
+    assert (best.depths(x[1::3], y[1::3]) > 0).all(0).mean() > 0.98
+
+
+@pytest.mark.parametrize("true", [500, 800, 1500])
+def test_focal_length_is_found_where_cameras_converge(true):
+    """One camera looks sideways at what the other faces."""
+    R = Rotation.from_euler("yx", (-14, 5), degrees=True).as_matrix()
+    t = np.array([1.5, -0.4, 0.3])
+    views = TwoViews(R, t / np.linalg.norm(t), np.full(2, float(true)), np.zeros(0))
+    x, y = seen(views, 600, 1, 0.1)
+    best = solve(x, y, prior(0.3, 768))[0][0]
+    assert best.focals[0] == pytest.approx(true, rel=0.06)
+    assert best.turned_from(views) < 3
+
+
+def test_parallel_axes_leave_the_focal_length_open():
+    """Where it cannot be told, its deviation stays what was known before."""
+    views = TwoViews(np.eye(3), np.array([1.0, 0, 0]), np.full(2, 700.0), np.zeros(0))
+    x, y = seen(views, 500, 2, 0.2)
+    best = solve(x, y, prior(0.3, 768))[0][0]
+    assert best.focals[0] == pytest.approx(768, rel=0.05)
+    assert np.sqrt(best.covariance[5, 5]) > 0.9
+    assert abs(best.t[0]) > 0.999
+
+
+def test_two_lenses_keep_their_own_focal_lengths():
+    R = Rotation.from_euler("y", -14, degrees=True).as_matrix()
+    t = np.array([1.0, 0.3, 0.4])
+    views = TwoViews(R, t / np.linalg.norm(t), np.array([700.0, 1000.0]), np.zeros(0))
+    x, y = seen(views, 600, 3, 0.1)
+    told = FocalPrior(np.log([720.0, 980.0]), np.full(2, 0.05), shared=False)
+    best = solve(x, y, told)[0][0]
+    assert best.focals == pytest.approx([700, 1000], rel=0.03)
+
+
+@pytest.mark.parametrize("zoom", [1.0, 1.5])
+def test_zoom_between_two_photographs_is_seen(zoom):
+    """Of one lens by all that is known."""
+    R = Rotation.from_euler("yx", (-14, 3), degrees=True).as_matrix()
+    t = np.array([1.0, 0.3, 0.4])
+    views = TwoViews(R, t / np.linalg.norm(t), np.array([700.0, 700.0 * zoom]), np.zeros(0))
+    x, y = seen(views, 600, 8, 0.1)
+    (best, *_), used = solve(x, y, prior(0.3, 768))
+    assert used.shared == (zoom == 1)
+    assert best.focals[1] / best.focals[0] == pytest.approx(zoom, rel=0.02)
+    assert best.turned_from(views) < 3
+
+
+def test_nothing_is_said_of_seven_matches():
+    x, y = seen(two_views(1), 7, 1, 0.0)
+    assert solve(x, y, prior(0.0))[0] == []
+
+
+def test_same_matches_same_bytes():
+    x, y = seen(two_views(4), 200, 4, 0.5)
+    first, second = (solve(x, y, prior(0.3))[0][0] for _ in range(2))
+    assert first.R.tobytes() == second.R.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
+
+
+def test_depth_is_no_plane():
+    views = two_views(6)
+    x, y = seen(views, 300, 6, 0.2)
+    assert why_no_depth(x, y, prior(0.3), 300)[1] is None
+
+
+def test_turn_is_told_from_plane():
+    R = Rotation.from_euler("yxz", (9, 3, 4), degrees=True).as_matrix()
+    still = TwoViews(R, np.array([1.0, 0, 0]), np.full(2, 800.0), np.zeros(0))
+    x, _ = seen(still, 300, 7, 0.0)
+    there = np.concatenate([x / 800, np.ones((300, 1))], 1) @ R.T
+    kept, said = why_no_depth(x, 800 * there[:, :2] / there[:, 2:], prior(0.3), 300)
+    assert kept.all() and "turned" in said[0]

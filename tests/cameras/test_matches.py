@@ -1,0 +1,53 @@
+"""Matches by blocks are those of the whole table, and sharpened ones lie where they should."""
+
+import cv2
+import numpy as np
+import skimage.data
+
+from slgaussian.cameras.matches import Features, find_features, match
+from slgaussian.cameras.sharpen import sharpen
+
+
+def plain_match(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:
+    """Lowe's ratio test and mutual nearest neighbours, all distances at once in float64."""
+    x, y = a.descriptors.astype(np.float64), b.descriptors.astype(np.float64)
+    distance = np.sqrt((2 - 2 * x @ y.T).clip(0))
+    best = distance.argmin(1)
+    order = np.sort(distance, 1)
+    return {
+        (i, int(j))
+        for i, j in enumerate(best)
+        if distance[:, j].argmin() == i and order[i, 0] < ratio * order[i, 1]
+    }
+
+
+def test_blocks_match_as_the_whole_table_does():
+    left, right, _ = skimage.data.stereo_motorcycle()
+    a, b = (find_features(cv2.cvtColor(i, cv2.COLOR_RGB2GRAY), 700, 0.02) for i in (left, right))
+    i, j, ratios = match(a, b, 0.85)
+    assert set(zip(i.tolist(), j.tolist(), strict=True)) == plain_match(a, b, 0.85)
+    assert (ratios < 0.85).all() and len(i) > 100
+
+
+def test_no_features_no_matches():
+    blank = find_features(np.zeros((40, 40), np.uint8), 100, 0.02)
+    assert len(blank) == 0
+    assert all(len(part) == 0 for part in match(blank, blank, 0.85))
+
+
+def test_sharpened_matches_are_nearer_the_truth():
+    """The second image is the first one turned, enlarged, moved by parts of a pixel and darker."""
+    grey = cv2.cvtColor(skimage.data.chelsea(), cv2.COLOR_RGB2GRAY)
+    turn = cv2.getRotationMatrix2D((225, 150), 11, 1.17)
+    turn[:, 2] += (0.37, -0.21)
+    moved = cv2.warpAffine(grey, turn, grey.shape[::-1], flags=cv2.INTER_CUBIC)
+    moved = np.uint8(0.7 * moved + 20)
+    a, b = find_features(grey, 1500, 0.01), find_features(moved, 1500, 0.01)
+    i, j, _ = match(a, b, 0.8)
+    true = (a.points[i] - 0.5) @ turn[:, :2].T + turn[:, 2] + 0.5
+    before = np.linalg.norm(b.points[j] - true, axis=1)
+    i, j, true = i[before < 2], j[before < 2], true[before < 2]
+    after = np.linalg.norm(sharpen((grey, moved), a, b, i, j) - true, axis=1)
+    assert len(i) > 200
+    assert np.median(after) < 0.5 * np.median(before[before < 2])
+    assert (after < 2.5).all()
