@@ -216,13 +216,15 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             ]
             for kind in (GIVEN, FOUND, RESECTED)
         }
+        out.append(line)
+        if not both[FOUND]:
+            continue
         for key in DIGITS:
-            values = [float(np.mean([row[key] for row in both[kind]] or [np.nan])) for kind in both]
+            values = [float(np.mean([row[key] for row in both[kind]])) for kind in both]
             line[key] = " → ".join(f"{value:.{DIGITS[key]}f}" for value in values)
             line[f"{key} change"] = values[-1] - values[0]
         for key in ("pose_error", "focal_error"):
-            line[key] = float(np.median([row[key] for row in both[FOUND]] or [np.nan]))
-        out.append(line)
+            line[key] = float(np.median([row[key] for row in both[FOUND]]))
     return out
 
 
@@ -258,7 +260,8 @@ def main() -> None:
     better = [
         f"{line['scenes']} (PSNR {line['psnr change']:+.1f}, residual {line['residual']})"
         for line in lines
-        if not line["scenes"].startswith("all of")
+        if "psnr" in line
+        and not line["scenes"].startswith("all of")
         and (line["psnr change"] > 0 or line["residual change"] < 0)
     ]
     print(f"Found cameras fit better: {'; '.join(better) or 'nowhere'}.")
