@@ -42,6 +42,10 @@ ZOOMED = 6.0
 """Two photographs that should share a focal length do not, if so much of the posterior's logarithm
 speaks for it: among pairs that do, at most 4 did."""
 
+ROUGHLY, FINELY = 400, 5
+"""From every start the posterior of so many matches is descended; from so many of the best ends
+that of all."""
+
 MOST = 1200
 """Matches, the surest first, that are looked at; half as many for starting points."""
 
@@ -126,7 +130,11 @@ class TwoViews:
 
     def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
         """Turned by ``step[:3]``, t by ``step[3:5]`` across itself, focal lengths by the rest."""
-        across = np.linalg.svd(self.t[None])[2][1:]
+        side = np.zeros(3)
+        side[np.abs(self.t).argmin()] = 1
+        first = _cross(self.t, side)
+        first /= np.sqrt(first @ first)
+        across = np.stack([first, _cross(self.t, first)])
         t = self.t + step[3:5] @ across
         moves = self.moves + step[5:]
         focals = np.exp(prior.mean + moves @ prior.directions)
@@ -165,7 +173,7 @@ def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, apart: FocalPrior) ->
     if views.inliers(x, y, 3 * views.scale).mean() < 0.5:
         return True
     moves = np.repeat(views.moves, 2)
-    other = _descended(replace(views, moves=moves), x, y, apart)
+    other = _descended(replace(views, moves=moves), x, y, apart, 2)
     return other is not None and _gain(views, other, x, y, apart) > ZOOMED / 2
 
 
@@ -176,18 +184,28 @@ def _gain(
 
 
 def _solved(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
-    tried = (_descended(start, x, y, prior) for start in _starts(x, y, prior))
-    ends = [end for end in tried if end is not None]
-    if not ends:
-        return []
-    scale = min(end.scale for end in ends)
+    few = x[:ROUGHLY], y[:ROUGHLY]
+    rough = (_descended(start, *few, prior, 2) for start in _starts(x, y, prior))
+    ends = _rated([end for end in rough if end is not None], *few, prior)
+    fine = (_descended(end, x, y, prior, 3) for end in _unlike(ends, 1.0)[:FINELY])
+    ends = _rated([end for end in fine if end is not None], x, y, prior)
+    return [_with_covariance(end, x, y, prior) for end in _unlike(ends, 3.0)]
+
+
+def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
+    """With their costs on one scale, that of the sharpest, the best first."""
+    scale = min((end.scale for end in ends), default=START)
     rated = [replace(end, cost=posterior(end, x, y, prior, scale), scale=scale) for end in ends]
-    rated.sort(key=lambda end: end.cost)
+    return sorted(rated, key=lambda end: end.cost)
+
+
+def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
+    """Those that are not within so many degrees of one before them."""
     kept: list[TwoViews] = []
-    for end in rated:
-        if all(end.turned_from(better) > 3 for better in kept):
+    for end in ends:
+        if all(end.turned_from(better) > degrees for better in kept):
             kept.append(end)
-    return [_with_covariance(end, x, y, prior) for end in kept]
+    return kept
 
 
 def posterior(
@@ -232,10 +250,12 @@ def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoView
             yield TwoViews(R, t[:, 0], focals, moves)
 
 
-def _descended(start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews | None:
+def _descended(
+    start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, rounds: int
+) -> TwoViews | None:
     """Where the posterior leads from a start; None if it loses its matches on the way."""
     views = start
-    for _ in range(4):
+    for _ in range(rounds):
         kept = views.inliers(x, y, FAR)
         if kept.sum() < 8:
             return None
@@ -320,6 +340,13 @@ def _sampson(
     there = x @ F[:, :2].T + F[:, 2]
     here = y @ F[:2, :2] + F[2, :2]
     return (y * there[:, :2]).sum(1) + there[:, 2], there[:, :2], here
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of two vectors; NumPy's is slow on single ones."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from slgaussian.cameras.epipolar import FocalPrior
 
-FLAT = 0.9
+FLAT = 0.92
 """Matches on the homography, as a share of those that an essential matrix explains, from which on
 there is hardly anything else."""
 

@@ -167,7 +167,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     prior : FocalPrior, optional
         Of the two focal lengths, pixels of the images; otherwise what EXIF says and what is usual.
     """
-    prior = prior or _prior(a, b)
+    prior = prior or focal_prior(a, b)
     i, j, ratios = match(a.features, b.features, RATIO)
     order = surest_first(ratios)
     i, j = i[order], j[order]
@@ -240,7 +240,8 @@ def confidence(pose: PairPose) -> float:
     return float(enough * np.exp(-0.5 * (pose.found.uncertainty / BLUNT) ** 2))
 
 
-def _prior(a: Described, b: Described) -> FocalPrior:
+def focal_prior(a: Described, b: Described) -> FocalPrior:
+    """What is known of two focal lengths, pixels of the images."""
     (mean_a, sigma_a), (mean_b, sigma_b) = a.focal, b.focal
     return FocalPrior(
         np.array([mean_a, mean_b]), np.array([sigma_a, sigma_b]), shared=a.lens == b.lens
