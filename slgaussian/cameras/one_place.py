@@ -34,14 +34,13 @@ def why_no_depth(
     And what is wrong with them and what to do, two clauses; None if there is depth in them, of
     which ``explained`` fit one relative pose.
     """
-    none = np.zeros(len(x), bool)
     try:
         H, kept = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
     except cv2.error:
-        return none, None
-    if H is None or kept.sum() < FLAT * explained:
-        return none, None
-    on = kept.ravel() > 0
+        return np.zeros(len(x), bool), None
+    on = np.zeros(len(x), bool) if H is None else kept.ravel() > 0
+    if on.sum() < FLAT * explained:
+        return on, None
     x, y = x[on], y[on]
     aside = "take the second photograph from a step sideways"
     if np.median(np.linalg.norm(x - y, axis=1)) < STILL:

@@ -42,6 +42,10 @@ SURE, UNSURE = 0.95, 0.8
 """Probability, among all answers found, of those within :data:`ALIKE` of the best: a pair is
 doubted below the first and refused below the second."""
 
+MOSTLY = 0.85
+"""If more of the inliers than that obey one homography, a pair is refused where another would be
+doubted: what is left to tell the position is little."""
+
 ALIKE = 10.0
 """Degrees."""
 
@@ -195,7 +199,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     angle, uncertainty = float(np.median(best.angles(pose.x, pose.y))), _uncertainty(best)
     probability = _probability(answers)
     pose = replace(pose, found=replace(pose.found, angle=angle, uncertainty=uncertainty))
-    if probability < UNSURE:
+    mostly_flat = flat.sum() > MOSTLY * count
+    if probability < (SURE if mostly_flat else UNSURE):
         return _refused(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
