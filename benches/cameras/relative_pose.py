@@ -225,7 +225,7 @@ def main() -> None:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     print(table(summary(rows), COLUMNS))
     print(
-        f"\nWrong: more than {WRONG:g} degrees off, and not said. Feasible: pairs on which OpenCV "
+        f"\nWrong: answered and more than {WRONG:g} degrees off. Feasible: pairs on which OpenCV "
         f"with K known is within {FEASIBLE:g} degrees. Focal lengths are not judged where the "
         "photographs themselves do not tell them."
     )

@@ -19,8 +19,8 @@ WITHIN = 1.645
 
 OPTIMISM, MODEL = 2.0, 0.03
 """Matches err in more ways than the loss knows, and no lens is a pinhole: the deviation of a focal
-length's logarithm is so many times what the matches say, and that in quadrature. Nine in ten true
-ones of `docs/measured/poses.md` then lie in the interval."""
+length's logarithm is so many times what the matches say, and that in quadrature. Chosen so that
+nine in ten true ones of the answered pairs of `docs/measured/poses.md` lie in the interval."""
 
 SURE = 0.8
 DOUBTED = "these cameras are doubtful: some photographs share little with the others"

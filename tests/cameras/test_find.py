@@ -1,0 +1,78 @@
+"""Cameras of two photographs: their frame, what EXIF says, and what the order changes."""
+
+from dataclasses import replace
+from functools import cache
+
+import hard_photographs
+import numpy as np
+import pytest
+
+from slgaussian.cameras.find import camera_of, find_cameras, focal_of, with_up
+from slgaussian.cameras.found import FoundCameras
+from slgaussian.cameras.photograph import Photograph
+
+
+@cache
+def room() -> list[Photograph]:
+    return hard_photographs.ANSWERED["a room"]()
+
+
+@cache
+def found() -> FoundCameras:
+    return find_cameras(room())
+
+
+def test_world_is_the_first_camera_and_the_first_baseline_one():
+    a, b = found().cameras.values()
+    np.testing.assert_allclose(a.c2w, np.eye(4), atol=1e-12)
+    assert np.linalg.norm(b.center) == pytest.approx(1, abs=1e-12)
+
+
+def test_points_land_in_both_photographs():
+    for camera in found().cameras.values():
+        pixels, z = camera.project(found().points)
+        inside = (pixels >= 0).all(1) & (pixels <= (camera.width, camera.height)).all(1)
+        assert (z > 0).all() and inside.mean() > 0.98
+
+
+def test_order_decides_only_about_the_frame():
+    turned = find_cameras(room()[::-1])
+    assert list(turned.cameras) == ["b.jpg", "a.jpg"]
+    b_in_a = found().cameras["b.jpg"].c2w
+    a_in_b = turned.cameras["a.jpg"].c2w
+    np.testing.assert_allclose(b_in_a @ a_in_b, np.eye(4), atol=1e-9)
+    assert turned.focals == found().focals
+    assert turned.confidence == found().confidence
+
+
+def test_same_photographs_same_bytes():
+    again = find_cameras(room())
+    for name, camera in found().cameras.items():
+        assert camera.c2w.tobytes() == again.cameras[name].c2w.tobytes()
+        assert camera.K.tobytes() == again.cameras[name].K.tobytes()
+
+
+def test_what_exif_says_is_nearly_believed():
+    told = [replace(p, lens="phone", focal=1.04 * 0.9 * p.width) for p in room()]
+    focal = find_cameras(told).focals["a.jpg"]
+    assert focal.source == "EXIF"
+    assert focal.pixels == pytest.approx(0.9 * 480, rel=0.06)
+    assert focal.low < 0.9 * 480 < focal.high < 1.12 * focal.pixels
+
+
+def test_interval_is_never_wider_than_what_is_usual():
+    photograph = room()[0]
+    focal = focal_of(400, 10.0, photograph)
+    assert focal.source == "guess"
+    assert focal.high / focal.pixels == pytest.approx(np.exp(1.645 * 0.3))
+    assert focal_of(400, 0.01, photograph).source == "matches"
+
+
+@pytest.mark.parametrize("contradicting", [False, True])
+def test_up_is_the_mean_of_what_phones_say(contradicting):
+    ups = [np.array([0, -1.0, 0]), np.array([0, 1.0 if contradicting else -1.0, 0])]
+    taken = [replace(p, up=up) for p, up in zip(room(), ups, strict=True)]
+    focal = focal_of(400, 0.01, taken[0])
+    cameras = {p.name: camera_of(p, focal, np.eye(4), 1.0) for p in taken}
+    said = {camera.estimated.up for camera in with_up(cameras, taken).values()}
+    assert said == ({None} if contradicting else {(0, -1, 0)})
