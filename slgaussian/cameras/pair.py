@@ -91,6 +91,12 @@ class Described:
         """What the image holds; photographs are worked on in the order of it."""
         return hashlib.sha256(np.ascontiguousarray(self.photograph.image).data).hexdigest()
 
+    @cached_property
+    def mirrored(self) -> Described:
+        """The same, left and right exchanged."""
+        turned = np.ascontiguousarray(self.photograph.image[:, ::-1])
+        return Described.of(replace(self.photograph, image=turned))
+
     @property
     def middle(self) -> np.ndarray:
         """Principal point float64 [2]: the middle, pixels of the image."""
@@ -201,7 +207,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     pose = replace(pose, found=replace(pose.found, angle=angle, uncertainty=uncertainty))
     mostly_flat = flat.sum() > MOSTLY * count
     if probability < (SURE if mostly_flat else UNSURE):
-        return _refused(
+        return _mirrored(pose) or _refused(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
             "repeated patterns, flat things and little overlap",
@@ -311,22 +317,24 @@ def _refused(pose: PairPose, said: str, advice: str) -> PairPose:
 
 def _few(pose: PairPose) -> PairPose:
     """Too few matches agree: perhaps because one photograph is mirrored."""
-    a, b = pose.first, pose.second
-    mirrored = np.ascontiguousarray(b.photograph.image[:, ::-1])
-    turned = Described.of(replace(b.photograph, image=mirrored))
-    agreeing = _agreeing(a, turned)
-    if agreeing >= max(2 * LEAST, MIRRORED * pose.found.inliers):
-        return _refused(
-            pose,
-            f"{agreeing} matches agree if one is mirrored, and too few as they are",
-            "give both as they were taken",
-        )
     matches = pose.found.matches
-    return _refused(
+    return _mirrored(pose) or _refused(
         pose,
         f"found too few points that both show ({pose.found.inliers} of {matches} matches agree, "
         f"expected {LEAST} or more)",
         "take sharp photographs of one place that overlap by half or more, a step apart",
+    )
+
+
+def _mirrored(pose: PairPose) -> PairPose | None:
+    """The refusal of a pair of which one is mirrored, as more matches agree then."""
+    agreeing = _agreeing(pose.first, pose.second.mirrored)
+    if agreeing < max(2 * LEAST, MIRRORED * pose.found.inliers):
+        return None
+    return _refused(
+        pose,
+        f"{agreeing} matches agree if one is mirrored, and {pose.found.inliers} as they are",
+        "give both as they were taken",
     )
 
 
