@@ -81,7 +81,8 @@ def main() -> None:
     if len(sys.argv) < 3:
         sys.exit(__doc__)
     taken = [photograph(Path(file), Path(file).name) for file in sys.argv[1:]]
-    print("| longer side, pixels | " + " | ".join(by_part(*[shrunk(p, 240) for p in taken[:2]])))
+    names = ["longer side, pixels", *by_part(*[shrunk(p, 240) for p in taken[:2]])]
+    print("| " + " | ".join(names) + " |\n" + "|---" * len(names) + "|")
     for size in SIZES:
         parts = by_part(*[shrunk(p, size) for p in taken[:2]])
         print(f"| {size} | " + " | ".join(f"{seconds:.2f}" for seconds in parts.values()) + " |")

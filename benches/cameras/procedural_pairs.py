@@ -179,7 +179,7 @@ def main() -> None:
     print(table(summary(rows), COLUMNS))
     print(
         f"\n{len(rows) // 2} pairs; median errors of the answered. Wrong: more than {WRONG:g} "
-        "degrees off, and not said. OpenCV is told K."
+        "degrees off. OpenCV is told K."
     )
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
