@@ -9,7 +9,7 @@ import numpy as np
 
 from slgaussian.cameras.found import DOUBTFUL, UNUSED, Focal, FoundCameras
 from slgaussian.cameras.many import Many, find_many
-from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, PairPose, confidence, find_pair
+from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, confidence, find_pair
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
@@ -23,8 +23,7 @@ length's logarithm is so many times what the matches say, and that in quadrature
 nine in ten true ones of the answered pairs of `docs/measured/poses.md` lie in the interval."""
 
 SURE = 0.8
-DOUBTED = "these cameras are doubtful: some photographs share little with the others"
-"""What is said of three and more below that confidence."""
+"""Cameras of three and more are doubted below that confidence."""
 
 TOLD = 0.8
 """Matches have told a focal length if they narrow it down to less than this part of what is usual.
@@ -42,87 +41,68 @@ def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
     described = [Described.of(photograph) for photograph in photographs]
-    if len(described) > 2:
-        return _many_cameras(find_many(described), photographs)
-    order = sorted(range(len(described)), key=lambda k: described[k].digest)
-    a, b = (described[k] for k in order[:2])
-    pose = find_pair(a, b)
-    if pose.found.verdict == UNUSED or pose.views is None:
-        first, second = (photograph.name for photograph in photographs)
+    found = find_many(described) if len(described) > 2 else _find_two(*described)
+    return _told(found, described)
+
+
+def _find_two(a: Described, b: Described) -> Many:
+    first, second = sorted((a, b), key=lambda one: one.digest)
+    pose = find_pair(first, second)
+    views = pose.views
+    if pose.found.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
-            f"{first!r} and {second!r}: no cameras can be found: {pose.found.said}; {pose.advice}"
+            f"{a.photograph.name!r} and {b.photograph.name!r}: no cameras can be found: "
+            f"{pose.found.said}; {pose.advice}"
         )
-    return _pair_cameras(pose, photographs)
-
-
-def _pair_cameras(pose: PairPose, photographs: Sequence[Photograph]) -> FoundCameras:
-    assert pose.views is not None and pose.views.covariance is not None
-    views, covariance, sure = pose.views, pose.views.covariance, confidence(pose)
-    there = np.eye(4)
-    there[:3, :3], there[:3, 3] = views.R, views.t
-    c2w = {pose.first.photograph.name: np.eye(4), pose.second.photograph.name: np.linalg.inv(there)}
+    moves = np.sqrt(np.diag(views.covariance)[5:])
     z = views.depths(pose.x, pose.y)[0]
     points = np.concatenate([pose.x / views.focals[0], np.ones((len(z), 1))], 1) * z[:, None]
-    world = c2w[photographs[0].name]
-    w2world = np.linalg.inv(world)
-    deviations = np.sqrt(np.diag(covariance)[5:])
-    cameras, focals = {}, {}
-    by_name = {
-        p.photograph.name: (p, f)
-        for p, f in zip((pose.first, pose.second), views.focals, strict=True)
-    }
-    for photograph in photographs:
-        described, pixels = by_name[photograph.name]
-        _, sigma = described.focal
-        own = 0 if len(deviations) < 2 else [pose.first, pose.second].index(described)
-        focals[photograph.name] = focal_of(
-            pixels / described.shrunk,
-            sigma * float(deviations[own]) if len(deviations) else 0.0,
-            photograph,
-        )
-    for photograph in photographs:
-        cameras[photograph.name] = camera_of(
-            photograph, focals[photograph.name], w2world @ c2w[photograph.name], sure
-        )
-    cameras = with_up(cameras, photographs)
-    warned = (
-        (f"these cameras are doubtful: {pose.found.said}",)
-        if pose.found.verdict == DOUBTFUL
-        else ()
-    )
-    named = replace(pose.found, views=(photographs[0].name, photographs[1].name))
-    return FoundCameras(
-        cameras,
+    R, t = views.R, views.t
+    focals = views.focals
+    deviations = np.array([first.focal[1], second.focal[1]]) * (moves if len(moves) else 0)
+    if first is not a:
+        points = points @ R.T + t
+        R, t = R.T, -R.T @ t
+        focals, deviations = focals[::-1], deviations[::-1]
+    return Many(
+        np.stack([np.eye(3), R]),
+        np.stack([np.zeros(3), t]),
         focals,
-        dict.fromkeys(cameras, 0.0),
-        (named,),
-        points @ w2world[:3, :3].T + w2world[:3, 3],
-        sure,
-        warned,
+        deviations,
+        np.zeros(2),
+        points,
+        (replace(pose.found, views=(a.photograph.name, b.photograph.name)),),
+        confidence(pose),
     )
 
 
-def _many_cameras(many: Many, photographs: Sequence[Photograph]) -> FoundCameras:
+def _told(found: Many, described: Sequence[Described]) -> FoundCameras:
+    photographs = [one.photograph for one in described]
     cameras, focals = {}, {}
-    shown = [max(p.image.shape[:2]) / max(p.width, p.height) for p in photographs]
-    for k, photograph in enumerate(photographs):
-        pixels, deviation = float(many.focals[k] / shown[k]), float(many.deviations[k])
-        focals[photograph.name] = focal_of(pixels, deviation, photograph)
+    for k, (one, photograph) in enumerate(zip(described, photographs, strict=True)):
+        focal = focal_of(found.focals[k] / one.shrunk, float(found.deviations[k]), photograph)
         c2w = np.eye(4)
-        c2w[:3, :3], c2w[:3, 3] = many.R[k].T, -many.R[k].T @ many.t[k]
-        cameras[photograph.name] = camera_of(
-            photograph, focals[photograph.name], c2w, many.confidence
-        )
-    warned = (DOUBTED,) if many.confidence < SURE else ()
+        c2w[:3, :3], c2w[:3, 3] = found.R[k].T, -found.R[k].T @ found.t[k]
+        focals[photograph.name] = focal
+        cameras[photograph.name] = camera_of(photograph, focal, c2w, found.confidence)
     return FoundCameras(
         with_up(cameras, photographs),
         focals,
-        {p.name: float(k1) for p, k1 in zip(photographs, many.k1, strict=True)},
-        many.pairs,
-        many.points,
-        many.confidence,
-        warned,
+        {p.name: float(k1) for p, k1 in zip(photographs, found.k1, strict=True)},
+        found.pairs,
+        found.points,
+        found.confidence,
+        _warnings(found),
     )
+
+
+def _warnings(found: Many) -> tuple[str, ...]:
+    if len(found.pairs) == 1:
+        (pair,) = found.pairs
+        doubt = pair.said if pair.verdict == DOUBTFUL else ""
+    else:
+        doubt = "some photographs share little with the others" if found.confidence < SURE else ""
+    return (f"these cameras are doubtful: {doubt}",) if doubt else ()
 
 
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
