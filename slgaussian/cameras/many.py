@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,10 @@ COUPLING = 3.0
 
 OPEN = 0.5
 """Cameras of less confidence are refused."""
+
+UNBACKED = 0.6
+"""What confidence is multiplied by if a photograph is placed that no trusted pair speaks for: right
+on two chains of a walk, and wrong where two rooms held one thing."""
 
 STILL = 1e-3
 """The first two must be at least so much of the largest distance apart: theirs is the unit."""
@@ -100,7 +104,8 @@ def find_many(described: Sequence[Described]) -> Many:
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
             "the unit of length; leave one out, or put it last"
         )
-    sure = _confidence(ordered, placed)
+    pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
+    sure = _confidence(ordered, placed, pairs)
     inside = bundle.points @ bundle.R[back[0]].T + bundle.t[back[0]]
     lens = bundle.group[back]
     return Many(
@@ -110,7 +115,7 @@ def find_many(described: Sequence[Described]) -> Many:
         placed.adjusted.focal_deviations[lens],
         bundle.k1[lens],
         inside / scale,
-        tuple(_checked(pose, placed, views, order) for views, pose in poses.items()),
+        tuple(pairs.values()),
         sure,
     )
 
@@ -207,8 +212,14 @@ def _checked(
     )
 
 
-def _confidence(described: Sequence[Described], placed: Placed) -> float:
+def _confidence(
+    described: Sequence[Described],
+    placed: Placed,
+    pairs: Mapping[tuple[int, int], FoundPair],
+) -> float:
     """0 to 1: that every pose is right to some degrees.
+
+    Less if no pair of a view, taken alone, is trusted and says the same as all together.
 
     Raises
     ------
@@ -226,6 +237,9 @@ def _confidence(described: Sequence[Described], placed: Placed) -> float:
     worst = COUPLING**0.5 * max(off)
     seen = np.bincount(adjusted.bundle.view)
     sure = float((1 - np.exp(-seen.min() / LEAST)) * np.exp(-0.5 * (worst / BLUNT) ** 2))
+    backed = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
+    if len(backed) < len(described):
+        sure *= UNBACKED
     if sure < OPEN:
         name = described[placed.order[int(seen.argmin())]].photograph.name
         raise InputError(
