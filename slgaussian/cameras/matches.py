@@ -81,7 +81,10 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
         similarity[own, best[part]] = -1
         second[part] = similarity.max(1)
     nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * s, 0)) for s in (top, second))
-    kept = np.flatnonzero((top >= column[best]) & (nearest < ratio * next_nearest))
+    mutual = np.flatnonzero(top >= column[best])
+    # What is there twice, to the bit, is matched once.
+    mutual = mutual[np.unique(best[mutual], return_index=True)[1]]
+    kept = np.sort(mutual[nearest[mutual] < ratio * next_nearest[mutual]])
     return kept, best[kept], nearest[kept] / next_nearest[kept]
 
 
