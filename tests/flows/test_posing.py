@@ -14,6 +14,7 @@ from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
 from slgaussian.datasets import unposed
+from slgaussian.datasets.recognise import cameras_in
 from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.store import ArtifactStore
 
@@ -79,7 +80,7 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, out, monkeyp
     assert "60" in printed.out and "doubtful: few matches" in printed.out
     assert "cameras found: " in printed.err
     found = unposed.find(unposed.named(PHOTOS))
-    known = datasets.recognise.cameras_in(photos / out)
+    known = cameras_in(photos / out)
     assert len(known) == 2
     for mine, other in zip(found.cameras.values(), known.values(), strict=True):
         np.testing.assert_allclose(mine.K, other.K, atol=1e-9)
