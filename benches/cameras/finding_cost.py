@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from benches.cameras import plain_opencv
-from slgaussian.cameras.epipolar import solve, surest_first
+from slgaussian.cameras.epipolar import solve
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.matches import find_features, match
 from slgaussian.cameras.pair import CONTRAST, FEATURES, RATIO, Described, find_pair, focal_prior
@@ -55,7 +55,7 @@ def by_part(a: Photograph, b: Photograph) -> dict[str, float]:
     """CPU seconds of each part of a pair."""
     one, two = Described.of(a), Described.of(b)
     i, j, ratios = match(one.features, two.features, RATIO)
-    order = surest_first(ratios)
+    order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
     greys = one.grey, two.grey
     x = one.features.points[i] - one.middle

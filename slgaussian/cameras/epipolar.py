@@ -10,7 +10,7 @@ Image coordinates here are pixels from the principal point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -113,9 +113,10 @@ class TwoViews:
         b = _homogeneous(y / self.focals[1])
         normal = np.cross(a, b)
         square = np.maximum((normal**2).sum(1), 1e-18)
-        return np.stack(
-            [(np.cross(b, self.t) * normal).sum(1), (np.cross(a, self.t) * normal).sum(1)]
-        ) / np.where(square > 0, square, 1)
+        return (
+            np.stack([(np.cross(b, self.t) * normal).sum(1), (np.cross(a, self.t) * normal).sum(1)])
+            / square
+        )
 
     def angles(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Degrees [M] between the two lines of sight."""
@@ -261,7 +262,10 @@ def _descended(
             return None
         views = _descent(views, x[kept], y[kept], prior)
         distance = np.abs(views.distance(x[kept], y[kept]))
-        noise = NOISE * float(np.median(distance[distance < FAR / 2])) if len(distance) else START
+        near = distance[distance < FAR / 2]
+        if not len(near):
+            return None
+        noise = NOISE * float(np.median(near))
         views = replace(views, scale=float(np.clip(np.hypot(noise, FLOOR), FLOOR, 1.5)))
     return views
 
@@ -351,8 +355,3 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points, np.ones((len(points), 1))], 1)
-
-
-def surest_first(ratios: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Order int [M] of matches by their ratios, the same whatever their order was."""
-    return np.argsort(ratios, kind="stable")

@@ -16,7 +16,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve, surest_first
+from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
 from slgaussian.cameras.found import DOUBTFUL, GOOD, UNUSED, FoundPair
 from slgaussian.cameras.matches import Features, find_features, match
 from slgaussian.cameras.one_place import why_no_depth
@@ -55,7 +55,6 @@ SHARP, BLUNT = 3.0, 6.0
 SMALL, PART = 0.02, 0.2
 """Parts of a photograph that the inliers must spread over: of each, and of one of them if all obey
 one homography."""
-
 
 ENLARGED = 1.4
 """From there on a pair is doubted if nothing is known of its focal lengths: a zoom looks alike."""
@@ -146,6 +145,8 @@ class PairPose:
         ``found.verdict`` is UNUSED if the pose is not to be used.
     advice : str
         What to do then, a clause.
+    probability : float
+        Of the pose among all that the matches speak for.
     """
 
     first: Described
@@ -157,6 +158,7 @@ class PairPose:
     y: np.ndarray
     found: FoundPair
     advice: str = ""
+    probability: float = 1.0
 
     __repr__ = brief
 
@@ -179,7 +181,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     """
     prior = prior or focal_prior(a, b)
     i, j, ratios = match(a.features, b.features, RATIO)
-    order = surest_first(ratios)
+    order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
     x = a.features.points[i] - a.middle
     y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
@@ -204,7 +206,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         return _refused(pose, *flaw)
     angle, uncertainty = float(np.median(best.angles(pose.x, pose.y))), _uncertainty(best)
     probability = _probability(answers)
-    pose = replace(pose, found=replace(pose.found, angle=angle, uncertainty=uncertainty))
+    said = replace(pose.found, angle=angle, uncertainty=uncertainty)
+    pose = replace(pose, found=said, probability=probability)
     mostly_flat = flat.sum() > MOSTLY * count
     if probability < (SURE if mostly_flat else UNSURE):
         return _mirrored(pose) or _refused(
@@ -248,7 +251,7 @@ def confidence(pose: PairPose) -> float:
     if pose.found.verdict == UNUSED or pose.views is None:
         return 0.0
     enough = 1 - np.exp(-pose.found.inliers / LEAST)
-    return float(enough * np.exp(-0.5 * (pose.found.uncertainty / BLUNT) ** 2))
+    return float(pose.probability * enough * np.exp(-0.5 * (pose.found.uncertainty / BLUNT) ** 2))
 
 
 def focal_prior(a: Described, b: Described) -> FocalPrior:
