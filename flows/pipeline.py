@@ -90,6 +90,9 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
     for text in (f"with {', '.join(part.name for part in method.parts)}", *said):
         progress.line(text)
     made = score(store, settings.runner, settings.workers, settings, scenes, progress)
+    for scene, of in made.manifest.get("data", {}).items():
+        for name, why in of["left_out"].items():
+            progress.line(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
     try:
         results = _write(settings, store, made, progress.line)
     except OSError as error:

@@ -387,6 +387,20 @@ class Scene:
 
     __repr__ = brief
 
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """Photographs that were left out when cameras were found, and why."""
+        said = self.found.get("left_out")
+        return said if isinstance(said, dict) else {}
+
+    def placed(self, names: Sequence[str]) -> list[str]:
+        """The names, as :meth:`find` knows them, without those of :attr:`left_out`."""
+        return [
+            name
+            for name in names
+            if name in self.cameras or not any(_answers_to(full, name) for full in self.left_out)
+        ]
+
     def find(self, name: str) -> str:
         """The full view name for ``name``, which may leave out folders and the extension.
 
@@ -405,6 +419,12 @@ class Scene:
                 f"scene {self.name!r}: view {name!r} is ambiguous: it may be "
                 f"{', '.join(hits[:4])}; say more of its path"
             )
+        for full, why in self.left_out.items():
+            if _answers_to(full, name):
+                raise InputError(
+                    f"scene {self.name!r}: {name!r} was left out when cameras were found ({why}); "
+                    "choose another view, or add photographs between it and the others"
+                )
         few = ", ".join(list(self.cameras)[:4])
         raise InputError(
             f"scene {self.name!r}: no view {name!r} among the {len(self.cameras)} that have a "

@@ -78,23 +78,29 @@ class Photographs:
         }
 
     def read(self) -> Sample:
-        """The sample; InputError if it cannot be read, or a target is not held out."""
+        """The sample; InputError if it cannot be read, or a target is not held out.
+
+        Without those of the context that could not be placed when cameras were found.
+        """
         paths = [] if self.path is None else [self.path]
         scene = datasets.load(self.format, *paths, **self.options)
-        sample = scene.sample(self.context, self.targets, self.size, self.near, self.far)
+        context = scene.placed(self.context)
+        sample = scene.sample(context, self.targets, self.size, self.near, self.far)
         sample = replace(sample, scene=self.scene)
         _check_held_out(sample)
         return sample
 
 
-@stage("ingest", version=3)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=4)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
-    ``meta["cameras"]`` says whether its cameras were given, or found and how surely.
+    ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
+    ``meta["left_out"]`` which photographs could not be placed then, and why.
     """
     sample = photographs.read()
-    meta = {"cameras": _cameras_of(sample)}
+    left_out = sample.found.get("left_out", {})
+    meta = {"cameras": _cameras_of(sample), "left_out": left_out}
     return site.store.put("sample", sample_to_arrays(sample), meta)
 
 

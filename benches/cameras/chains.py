@@ -51,8 +51,10 @@ def ours(views: Sequence[View]) -> Answer:
     except InputError as refusal:
         print(f"    {refusal}")
         return {}
-    cameras = [found.cameras[view.name] for view in views]
-    return {i: (c.w2c[:3, :3], c.w2c[:3, 3], float(c.K[0, 0])) for i, c in enumerate(cameras)}
+    for name, why in found.left_out.items():
+        print(f"    {name}: {why}")
+    cameras = {i: found.cameras.get(view.name) for i, view in enumerate(views)}
+    return {i: (c.w2c[:3, :3], c.w2c[:3, 3], float(c.K[0, 0])) for i, c in cameras.items() if c}
 
 
 def colmap(views: Sequence[View]) -> Answer:

@@ -4,8 +4,9 @@
 
 DATA is what :mod:`benches.cameras.posed_pairs` reads. Every method finds its own features and gets
 the photographs as they are; the error of a pair is the larger of the angles by which rotation and
-direction of translation are off. poselib is asked where it is installed. FILE keeps a row a pair
-and method, as JSON lines.
+direction of translation are off. poselib is asked where it is installed. Intervals are those of the
+bootstrap over pairs, which is somewhat narrow for the walk, whose pairs share photographs. FILE
+keeps a row a pair and method, as JSON lines.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ from benches.cameras.pose_metrics import (
 from benches.cameras.posed_pairs import PosedPair, posed_pairs
 from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
+from slgaussian.benchmark.statistics import LEVEL, interval, resamplings
 from slgaussian.cameras.epipolar import FocalPrior
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.found import UNUSED
+from slgaussian.cameras.found import DOUBTFUL, UNUSED
 from slgaussian.cameras.pair import Described, find_pair
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
@@ -42,16 +44,29 @@ from slgaussian.scene import View
 FEASIBLE = 10.0
 """Degrees within which OpenCV's pose with the true intrinsics lies where a pair can be solved."""
 
+DRAWS = 1000
+"""Resamplings that an interval is taken from."""
+
 KNOWN, GUESSED = "OpenCV, K known", "OpenCV, f = 1.2 max(w, h)"
 
 
 class Answer(NamedTuple):
-    """``X_b = R @ X_a + t``, and the two focal lengths in pixels if they were found."""
+    """``X_b = R @ X_a + t``, and the two focal lengths in pixels if they were found.
+
+    Where a method says so, with the ends of the intervals that hold them nine times in ten, and
+    whether all this is doubted.
+    """
 
     R: np.ndarray
     t: np.ndarray
     focals: tuple[float, float] | None = None
+    intervals: tuple[tuple[float, float], tuple[float, float]] | None = None
+    doubted: bool | None = None
 
+
+JUDGED = ("rotation", "direction", "focal", "inside", "doubted")
+"""Errors in degrees and in parts; the share of the true focal lengths that lie in their interval;
+and 1 for a doubted answer."""
 
 Method = Callable[[View, View], Answer | None]
 
@@ -100,7 +115,7 @@ def ours_known(a: View, b: View) -> Answer | None:
     pose = find_pair(*described, FocalPrior(focals, np.zeros(2), shared=False))
     if pose.found.verdict == UNUSED or pose.views is None:
         return None
-    return Answer(pose.views.R, pose.views.t)
+    return Answer(pose.views.R, pose.views.t, doubted=pose.found.verdict == DOUBTFUL)
 
 
 def _centred(image: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -120,7 +135,14 @@ def ours(a: View, b: View) -> Answer | None:
     except InputError:
         return None
     there = found.cameras["b"].w2c @ found.cameras["a"].c2w
-    return Answer(there[:3, :3], there[:3, 3], (found.focals["a"].pixels, found.focals["b"].pixels))
+    one, other = found.focals["a"], found.focals["b"]
+    return Answer(
+        there[:3, :3],
+        there[:3, 3],
+        (one.pixels, other.pixels),
+        ((one.low, one.high), (other.low, other.high)),
+        found.pairs[0].verdict == DOUBTFUL,
+    )
 
 
 def methods() -> dict[str, Method]:
@@ -149,17 +171,24 @@ def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
 
 
 def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[str, float]:
+    """Of an answer; NaN for what is not known of it, or cannot be judged."""
     if answer is None:
-        return dict.fromkeys(("rotation", "direction", "focal"), float("nan"))
+        return dict.fromkeys(JUDGED, float("nan"))
     true = [(view.camera.K[0, 0] + view.camera.K[1, 1]) / 2 for view in (pair.a, pair.b)]
-    judged = answer.focals is not None and pair.focal_known
-    return {
-        "rotation": rotation_error(answer.R, there[:3, :3]),
-        "direction": direction_error(answer.t, there[:3, 3]),
-        "focal": float(np.abs(np.divide(answer.focals, true) - 1).mean())
-        if judged
-        else float("nan"),
-    }
+    focal = inside = float("nan")
+    if answer.focals is not None and pair.focal_known:
+        focal = float(np.abs(np.divide(answer.focals, true) - 1).mean())
+    if answer.intervals is not None and pair.focal_known:
+        within = zip(answer.intervals, true, strict=True)
+        inside = float(np.mean([low < f < high for (low, high), f in within]))
+    errors = (
+        rotation_error(answer.R, there[:3, :3]),
+        direction_error(answer.t, there[:3, 3]),
+        focal,
+        inside,
+        float("nan") if answer.doubted is None else float(answer.doubted),
+    )
+    return dict(zip(JUDGED, errors, strict=True))
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -178,24 +207,44 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             own = [row for row in rows if row["group"] in chosen and row["method"] == method]
             errors = np.array([max(row["rotation"], row["direction"]) for row in own])
             answered = np.isfinite(errors)
+            off = np.where(answered, errors, np.inf)
             solvable = np.array([row["pair"] in feasible for row in own])
-            focal = np.array([row["focal"] for row in own])
-            at5, at10, at20 = area_under_curve(np.where(answered, errors, np.inf))
+            focal, inside, doubted = (
+                np.array([row[key] for row in own]) for key in ("focal", "inside", "doubted")
+            )
+            drawn = resamplings(len(own))[:DRAWS]
+            areas = np.array([area_under_curve(off[some]) for some in drawn])
+            ends = [interval(area) for area in areas.T]
+            wrong = answered & (errors > WRONG)
             line = {
                 "group": title,
                 "method": method,
                 "pairs": len(own),
-                "auc": f"{at5:.1f}/{at10:.1f}/{at20:.1f}",
+                "auc": "/".join(f"{area:.1f}" for area in area_under_curve(off)),
+                "auc_ends": ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends),
                 "refused": int((~answered).sum()),
-                "wrong": int((errors[answered] > WRONG).sum()),
-                "wrong_share": float((errors[answered] > WRONG).mean()) if answered.any() else 0.0,
+                "wrong": int(wrong.sum()),
+                "wrong_share": float(wrong.sum() / max(answered.sum(), 1)),
                 "refused_feasible": float((~answered)[solvable].mean()) if solvable.any() else 0.0,
                 "seconds": float(np.median([row["seconds"] for row in own])),
             }
             if np.isfinite(focal).any():
                 line["focal"] = float(np.nanmedian(focal))
+                # Of a resampling that holds no focal length there is no median.
+                known = [some for some in drawn if np.isfinite(focal[some]).any()]
+                medians = np.array([np.nanmedian(focal[some]) for some in known])
+                line["focal_ends"] = interval(medians)
+            if np.isfinite(inside).any():
+                line["inside"] = float(np.nanmean(inside))
+            if np.isfinite(doubted).any():
+                line["doubted"] = float(np.nanmean(doubted))
+                line["unsaid"] = int((wrong & (doubted == 0)).sum())
             out.append(line)
     return out
+
+
+def _percents(ends: tuple[float, float]) -> str:
+    return f"{100 * ends[0]:.0f} to {percent(ends[1])}"
 
 
 COLUMNS = {
@@ -203,12 +252,23 @@ COLUMNS = {
     "method": ("method", str),
     "pairs": ("pairs", "d"),
     "auc": ("AUC 5/10/20°", str),
-    "focal": ("focal error, median", percent),
+    "auc_ends": (f"{percent(LEVEL)} of draws", str),
     "refused": ("refused", "d"),
     "wrong": ("wrong", "d"),
     "wrong_share": ("of the answered", percent),
     "refused_feasible": ("refused of the feasible", percent),
     "seconds": ("CPU s, median", ".2f"),
+}
+
+OF_ANSWERS = {
+    "group": ("pairs of", str),
+    "method": ("method", str),
+    "focal": ("focal error, median", percent),
+    "focal_ends": (f"{percent(LEVEL)} of draws", _percents),
+    "inside": ("in its 90 % interval", percent),
+    "doubted": ("doubted", percent),
+    "wrong": ("wrong", "d"),
+    "unsaid": ("wrong and not doubted", "d"),
 }
 
 
@@ -223,7 +283,10 @@ def main() -> None:
     rows = measure(posed_pairs(given.data))
     if given.rows:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    print(table(summary(rows), COLUMNS))
+    lines = summary(rows)
+    print(table(lines, COLUMNS))
+    print()
+    print(table([line for line in lines if "focal" in line or "doubted" in line], OF_ANSWERS))
     print(
         f"\nWrong: answered and more than {WRONG:g} degrees off. Feasible: pairs on which OpenCV "
         f"with K known is within {FEASIBLE:g} degrees. Focal lengths are not judged where the "

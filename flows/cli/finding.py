@@ -61,7 +61,7 @@ def keep(photos: Sequence[str], out: str | None, format: str | None) -> FoundCam
 
 def tabled(found: FoundCameras) -> str:
     """A row for each pair: matches, what agrees, angles and a verdict."""
-    place = {name: number for number, name in enumerate(found.cameras)}
+    place = {name: number for number, name in enumerate([*found.cameras, *found.left_out])}
     pairs = sorted(found.pairs, key=lambda pair: [place[name] for name in pair.views])
     rows = [
         (

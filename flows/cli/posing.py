@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,7 +21,8 @@ def posed_sample(
 
     Without a place of cameras they are found, and how goes to standard error. With one, a
     photograph is a file that it lists, or the name of one of its views; ``refine`` finds their
-    cameras anew, in the same world.
+    cameras anew, in the same world. Photographs that could not be placed are left out with a
+    warning.
 
     Raises
     ------
@@ -40,13 +42,29 @@ def posed_sample(
         names = list(scene.cameras)
     else:
         scene, folder = posed_scene(cameras, photos)
+        photos = _placed(scene, photos, folder)
         names = [_view_of(scene, photo, folder) for photo in photos]
         if refine:
             own = zip(names, map(Path, photos), strict=True)
             files = {name: photo for name, photo in own if photo.is_file()}
             scene, found = unposed.refined(scene, names, files)
             tell(found)
+            names = list(scene.cameras)
     return scene.sample(names, size=method.size, near=method.near, far=method.far)
+
+
+def _placed(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
+    """The photographs without those that were left out when the scene's cameras were found."""
+    left = {(folder / name).resolve(): why for name, why in scene.left_out.items()}
+    for photo in photos:
+        why = left.get(Path(photo).resolve())
+        if why is not None:
+            print(
+                f"warning: {photo} could not be placed when cameras were found, and is left out: "
+                f"{why}",
+                file=sys.stderr,
+            )
+    return [photo for photo in photos if Path(photo).resolve() not in left]
 
 
 def _view_of(scene: Scene, photo: str, folder: Path) -> str:

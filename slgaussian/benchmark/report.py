@@ -415,8 +415,13 @@ def _places(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
 def _estimated(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The scenes whose cameras were not given, and what is said of those."""
     entries = manifest.get("data", {}).items()
-    said = [(name, of.get("cameras", "given")) for name, of in entries]
-    return [(name, cameras) for name, cameras in said if cameras != "given"]
+    found = []
+    for name, of in entries:
+        cameras, left_out = of.get("cameras", "given"), list(of.get("left_out", {}))
+        aside = f"; without {', '.join(left_out)}, which cannot be placed" if left_out else ""
+        if cameras != "given":
+            found.append((name, cameras + aside))
+    return found
 
 
 def _plots(

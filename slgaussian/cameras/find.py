@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from slgaussian.cameras.found import DOUBTFUL, UNUSED, Focal, FoundCameras
-from slgaussian.cameras.many import Many, find_many
-from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, confidence, find_pair
+from slgaussian.cameras.found import DOUBTFUL, UNUSED, Focal, FoundCameras, FoundPair
+from slgaussian.cameras.many import Many, Solved, Unplaced, find_many
+from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, confidence
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
@@ -25,6 +25,9 @@ nine in ten true ones of the answered pairs of `docs/measured/poses.md` lie in t
 SURE = 0.8
 """Cameras of three and more are doubted below that confidence."""
 
+MENTIONED = 3
+"""Photographs left out of which a warning says why."""
+
 TOLD = 0.8
 """Matches have told a focal length if they narrow it down to less than this part of what is usual.
 """
@@ -33,7 +36,9 @@ TOLD = 0.8
 def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
     """The cameras of two or more photographs.
 
-    The same photographs give the same cameras; their order decides only about the frame.
+    The same photographs give the same cameras; their order decides only about the frame. Those
+    that cannot be placed are left out, as if they had not been given, if they are fewer than the
+    others.
 
     Raises
     ------
@@ -41,13 +46,61 @@ def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
     described = [Described.of(photograph) for photograph in photographs]
-    found = find_many(described) if len(described) > 2 else _find_two(*described)
-    return _told(found, described)
+    kept, left = described, dict[str, str]()
+    solved = Solved()
+    while True:
+        try:
+            found = (
+                find_many(kept, solved) if len(kept) > 2 else _find_two(kept[0], kept[1], solved)
+            )
+            break
+        except Unplaced as gap:
+            if 2 * (len(left) + len(gap.left_out)) >= len(described):
+                raise
+            left |= gap.left_out
+            kept = [one for one in kept if one.photograph.name not in left]
+        except InputError as refusal:
+            if not left:
+                raise
+            raise InputError(f"{_left_out(left, len(described))}; and then {refusal}") from None
+    left = {p.name: left[p.name] for p in photographs if p.name in left}
+    told = _told(found, kept)
+    if not left:
+        return told
+    aside = tuple(_aside(solved, described, left))
+    warnings = (*told.warnings, _left_out(left, len(described)))
+    return replace(told, pairs=told.pairs + aside, warnings=warnings, left_out=left)
 
 
-def _find_two(a: Described, b: Described) -> Many:
+def _left_out(left: Mapping[str, str], count: int) -> str:
+    """Which photographs were left out, why, and what to do."""
+    told = [f"{name!r} ({why})" for name, why in list(left.items())[:MENTIONED]]
+    more = f", and {len(left) - MENTIONED} more" if len(left) > MENTIONED else ""
+    return (
+        f"{len(left)} of {count} photographs cannot be placed among the others, and "
+        f"{'is' if len(left) == 1 else 'are'} left out: {', '.join(told)}{more}; take photographs "
+        "between them and the others that overlap both by half or more"
+    )
+
+
+def _aside(
+    solved: Solved, described: Sequence[Described], left: Mapping[str, str]
+) -> list[FoundPair]:
+    """What was seen of pairs with photographs that were left out; not used, whatever it is."""
+    place = {one.photograph.name: k for k, one in enumerate(described)}
+    found = []
+    for pose in solved.poses.values():
+        views = sorted(pose.found.views, key=place.__getitem__)
+        if left.keys() & {*views}:
+            said = pose.found.said or "of a photograph that cannot be placed among the others"
+            one = replace(pose.found, views=(views[0], views[1]), verdict=UNUSED, said=said)
+            found.append(one)
+    return found
+
+
+def _find_two(a: Described, b: Described, solved: Solved) -> Many:
     first, second = sorted((a, b), key=lambda one: one.digest)
-    pose = find_pair(first, second)
+    pose = solved(first, second)
     views = pose.views
     if pose.found.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -88,6 +88,8 @@ class FoundCameras:
         0 to 1: that every pose is right to some degrees.
     warnings : tuple of str
         What the user had better know, a sentence each.
+    left_out : mapping str -> str
+        The photographs that could not be placed among those of ``cameras``, and why, a clause each.
     """
 
     cameras: Mapping[str, Camera]
@@ -97,6 +99,7 @@ class FoundCameras:
     points: np.ndarray
     confidence: float
     warnings: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -110,6 +113,7 @@ class FoundCameras:
                 {key: _plain(value) for key, value in asdict(pair).items()} for pair in self.pairs
             ],
             "warnings": list(self.warnings),
+            "left_out": dict(self.left_out),
         }
 
     def in_frame_of(self, given: Mapping[str, Camera]) -> FoundCameras:
@@ -172,8 +176,10 @@ class FoundCameras:
             told = f"; {weakest.inliers} of {weakest.matches} matches{of} agree"
             if np.isfinite(weakest.angle):
                 told += f", lines of sight {weakest.angle:.0f} degrees apart"
+        placed, given = len(self.cameras), len(self.cameras) + len(self.left_out)
+        of_some = f" of {placed} of {given} photographs" if self.left_out else ""
         return (
-            f"cameras found: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
+            f"cameras found{of_some}: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
             f"{high:.0f}, from {sources}){told}; confidence {self.confidence:.0%}"
         )
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from slgaussian.cameras.found import UNUSED, FoundPair
 from slgaussian.cameras.matches import Features, match
@@ -31,6 +31,9 @@ OPEN = 0.5
 UNBACKED = 0.6
 """What confidence is multiplied by if a photograph is placed that no trusted pair speaks for: right
 on two chains of a walk, and wrong where two rooms held one thing."""
+
+NAMED = 4
+"""Photographs of a piece, and pieces, that a message names."""
 
 STILL = 1e-3
 """The first two must be at least so much of the largest distance apart: theirs is the unit."""
@@ -64,7 +67,36 @@ class Many:
     __repr__ = brief
 
 
-def find_many(described: Sequence[Described]) -> Many:
+class Unplaced(InputError):
+    """Some photographs cannot be placed among the others.
+
+    Attributes
+    ----------
+    left_out : mapping str -> str
+        Their names, and why, a clause each.
+    """
+
+    def __init__(self, message: str, left_out: Mapping[str, str]) -> None:
+        super().__init__(message)
+        self.left_out = left_out
+
+
+class Solved:
+    """Relative poses of pairs, each solved once."""
+
+    def __init__(self) -> None:
+        self.poses: dict[tuple[str, str], PairPose] = {}
+
+    def __call__(self, a: Described, b: Described) -> PairPose:
+        """The pose of a pair, in the order of what the two photographs hold."""
+        a, b = sorted((a, b), key=lambda one: one.digest)
+        names = a.photograph.name, b.photograph.name
+        if names not in self.poses:
+            self.poses[names] = find_pair(a, b)
+        return self.poses[names]
+
+
+def find_many(described: Sequence[Described], solved: Solved) -> Many:
     """The cameras of three or more photographs.
 
     They are worked on in the order of what they hold, so that the order in which they are given
@@ -72,12 +104,14 @@ def find_many(described: Sequence[Described]) -> Many:
 
     Raises
     ------
+    Unplaced
+        If some cannot be placed, or not surely enough.
     InputError
-        If one cannot be placed, or not surely enough.
+        If none can, or the first two were taken from one place.
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
-    poses = {(i, j): find_pair(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
+    poses = {(i, j): solved(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
     lenses = list(dict.fromkeys(one.lens for one in ordered))
     group = np.array([lenses.index(one.lens) for one in ordered])
     priors = [ordered[int(np.argmax(group == g))].focal for g in range(len(lenses))]
@@ -169,11 +203,7 @@ def _all_placed(
     poses: dict[tuple[int, int], PairPose],
     placed: Placed | None,
 ) -> None:
-    """Raise InputError if a photograph was not placed."""
-    there = set() if placed is None else set(placed.order.tolist())
-    left = [k for k in range(len(described)) if k not in there]
-    if not left:
-        return
+    """Raise InputError if no photograph was placed, Unplaced if some were not."""
     if placed is None:
         best = max(poses.values(), key=lambda pose: pose.found.inliers)
         a, b = best.found.views
@@ -182,13 +212,56 @@ def _all_placed(
             f", but {best.found.said or 'hold too little that both show'}; "
             f"{best.advice or 'take photographs that share more'}"
         )
-    named = ", ".join(repr(described[k].photograph.name) for k in left)
-    shared = max(pose.found.inliers for views, pose in poses.items() if set(views) & set(left))
-    raise InputError(
-        f"{named}: cannot be placed among the other {len(there)} photographs (at most {shared} "
-        f"matches agree with another one, expected {2 * LEAST} or more in two of them); leave out, "
-        "or take photographs between it and the others that overlap both by half or more"
+    there = set(placed.order.tolist())
+    left = [k for k in range(len(described)) if k not in there]
+    if not left:
+        return
+    names = [one.photograph.name for one in described]
+    pieces = [[names[k] for k in piece] for piece in _pieces(len(described), poses, there)]
+    raise Unplaced(
+        f"{len(described)} photographs do not all hang together: {_listed(pieces)} overlap too "
+        "little with each other; give those of one place alone, or take photographs between them "
+        "that overlap both by half or more",
+        {names[k]: _why_unplaced(names[k], k, poses, there) for k in left},
     )
+
+
+def _pieces(
+    count: int, poses: Mapping[tuple[int, int], PairPose], there: Set[int]
+) -> list[list[int]]:
+    """Which photographs hang together: those that were placed, and others by pairs, most first."""
+    joined = np.zeros((count, count))
+    for (i, j), pose in poses.items():
+        if pose.found.verdict != UNUSED:
+            joined[i, j] = (i in there) == (j in there)
+    joined[np.ix_(sorted(there), sorted(there))] = 1
+    _, piece = connected_components(joined, directed=False)
+    found = [np.flatnonzero(piece == k).tolist() for k in range(piece.max() + 1)]
+    return sorted(found, key=lambda one: (-len(one), one))
+
+
+def _listed(pieces: Sequence[Sequence[str]]) -> str:
+    """Names of each piece, not too many."""
+    told = []
+    for piece in pieces[:NAMED]:
+        names = sorted(piece)
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        told.append(", ".join(map(repr, names[:NAMED])) + more)
+    rest = sum(map(len, pieces[NAMED:]))
+    return "; ".join([*told, f"{rest} more"] if rest else told)
+
+
+def _why_unplaced(
+    name: str, view: int, poses: Mapping[tuple[int, int], PairPose], there: Set[int]
+) -> str:
+    """What its best pair with a photograph that was placed says against it, a clause."""
+    own = [pose for views, pose in poses.items() if view in views and there & {*views}]
+    if not own:
+        return "it shares next to nothing with them"
+    best = max(own, key=lambda pose: pose.found.inliers).found
+    other = best.views[best.views[0] == name]
+    said = best.said or f"only {best.inliers} matches agree, too few of which others show"
+    return f"of it and {other!r}, which shares most with it: {said}"
 
 
 def _checked(
@@ -223,7 +296,7 @@ def _confidence(
 
     Raises
     ------
-    InputError
+    Unplaced
         If that is too little.
     """
     adjusted = placed.adjusted
@@ -241,10 +314,16 @@ def _confidence(
     if len(backed) < len(described):
         sure *= UNBACKED
     if sure < OPEN:
-        name = described[placed.order[int(seen.argmin())]].photograph.name
-        raise InputError(
-            f"{name!r}: shares too little with the other photographs to be placed among them "
-            f"({seen.min()} points, which leave positions open by {worst:.0f} degrees); leave it "
-            "out, or take photographs between it and the others that overlap both by half or more"
+        fewest = int(seen.argmin())
+        name = described[placed.order[fewest]].photograph.name
+        why = (
+            f"it shares too little with them ({seen[fewest]} points, which leave positions open "
+            f"by {worst:.0f} degrees)"
+        )
+        raise Unplaced(
+            f"{name!r} cannot be placed surely among the other {len(described) - 1} photographs: "
+            f"{why}; leave it out, or take photographs between it and the others that overlap both "
+            "by half or more",
+            {name: why},
         )
     return sure

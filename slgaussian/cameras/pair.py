@@ -323,8 +323,8 @@ def _few(pose: PairPose) -> PairPose:
     matches = pose.found.matches
     return _mirrored(pose) or _refused(
         pose,
-        f"found too few points that both show ({pose.found.inliers} of {matches} matches agree, "
-        f"expected {LEAST} or more)",
+        f"too few points are found that both show ({pose.found.inliers} of {matches} matches "
+        f"agree, expected {LEAST} or more)",
         "take sharp photographs of one place that overlap by half or more, a step apart",
     )
 

@@ -140,7 +140,12 @@ def place(
         return None
     ties = sorted(ties, key=lambda tie: tie.views)
     tracks = _tracks(keypoints, ties)
-    starts = sorted((tie for tie in ties if tie.pose is not None), key=_worth, reverse=True)
+    together = _together(len(keypoints), ties)
+    starts = sorted(
+        (tie for tie in ties if tie.pose is not None),
+        key=lambda tie: (together[tie.views[0]], _worth(tie)),
+        reverse=True,
+    )
     found: list[tuple[tuple[int, int], _Growing]] = []
     for start in starts[:STARTS]:
         grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
@@ -151,6 +156,14 @@ def place(
         if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
             break
     return max(found, key=lambda one: one[0])[1].finished() if found else None
+
+
+def _together(count: int, ties: Sequence[Tie]) -> np.ndarray:
+    """Of each view, how many hang together with it by ties, int64 [V]: more cannot be placed."""
+    ends = np.array([tie.views for tie in ties]).T
+    tied = coo_array((np.ones(len(ties)), tuple(ends)), shape=(count, count))
+    _, piece = connected_components(tied, directed=False)
+    return np.bincount(piece)[piece]
 
 
 def _worth(tie: Tie) -> float:

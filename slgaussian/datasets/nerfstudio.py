@@ -138,7 +138,7 @@ def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> N
             }
         )
     about = found.as_json()
-    for key in ("focals", "k1"):
+    for key in ("focals", "k1", "left_out"):
         about[key] = {paths[name]: value for name, value in about[key].items()}
     for pair in about["pairs"]:
         pair["views"] = [paths[name] for name in pair["views"]]

@@ -72,19 +72,50 @@ def test_the_order_changes_only_the_frame(photographs, found):
     assert again.focals[taken[0].name] == found.focals[taken[0].name]
 
 
-def test_one_that_shows_another_room_is_named(photographs):
+@pytest.mark.parametrize(("seed", "why"), [(7, "too few points are found"), (5, "too little")])
+def test_one_of_another_room_is_left_out_as_if_not_given(seed, why, photographs, found):
+    """The second of the rooms holds a thing of the same pattern."""
+    taken, _ = photographs
+    other = replace(room(seed)[0][0], name="elsewhere.jpg")
+    some = find_cameras([taken[0], other, *taken[1:]])
+    assert list(some.cameras) == [p.name for p in taken]
+    for name, camera in found.cameras.items():
+        assert some.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
+    assert some.focals == found.focals and some.confidence == found.confidence
+    assert list(some.left_out) == ["elsewhere.jpg"] and why in some.left_out["elsewhere.jpg"]
+    (warning,) = some.warnings
+    assert warning.startswith("1 of 4 photographs cannot be placed among the others, and is left")
+    assert "'elsewhere.jpg' (" in warning and why in warning and "take photographs" in warning
+    aside = [pair for pair in some.pairs if "elsewhere.jpg" in pair.views]
+    assert aside and all(pair.verdict == UNUSED and pair.said for pair in aside)
+    assert "cameras found of 3 of 4 photographs" in some.summary()
+    assert some.as_json()["left_out"] == some.left_out
+
+
+def test_two_of_three_are_judged_as_two(photographs):
     taken, _ = photographs
     other = replace(room(7)[0][0], name="elsewhere.jpg")
-    with pytest.raises(InputError, match=r"'elsewhere.jpg': cannot be placed .* leave out"):
-        find_cameras([*taken[:2], other])
+    some, two = find_cameras([other, *taken[:2]]), find_cameras(taken[:2])
+    for name, camera in two.cameras.items():
+        assert some.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
+    assert some.confidence == two.confidence
 
 
-def test_one_that_shares_but_a_thing_is_named(photographs):
-    """The other room holds a thing of the same pattern."""
+def test_halves_of_two_places_are_refused_piece_by_piece(photographs):
     taken, _ = photographs
-    other = replace(room(5)[0][0], name="elsewhere.jpg")
-    with pytest.raises(InputError, match=r"'elsewhere.jpg': shares too little .* leave it out"):
-        find_cameras([*taken, other])
+    others = [replace(p, name=f"other_{p.name}") for p in room(7)[0]]
+    pieces = r"'view_00', 'view_01'; 'other_view_00', 'other_view_01' overlap too little"
+    either = rf"4 photographs do not all hang together: ({pieces}|'other_view_00'.*'view_01' over)"
+    with pytest.raises(InputError, match=either):
+        find_cameras([taken[0], others[0], taken[1], others[1]])
+
+
+def test_a_refusal_of_the_rest_says_what_was_left_out(photographs):
+    taken, _ = photographs
+    other = replace(room(7)[0][0], name="elsewhere.jpg")
+    twin = replace(taken[0], name="twin.jpg")
+    with pytest.raises(InputError, match=r"^1 of 4 .*'elsewhere.jpg' .* and then .*one place"):
+        find_cameras([taken[0], twin, taken[1], other])
 
 
 def test_nothing_placed_is_refused(photographs, monkeypatch):

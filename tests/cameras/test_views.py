@@ -94,6 +94,17 @@ def test_a_view_of_another_place_is_left_out():
     assert errors(found, R, C)[0] < 0.5
 
 
+def test_the_place_of_most_views_is_taken():
+    """Even though every pair of the other one would be a better start."""
+    keypoints, _, R, C, ties = walk(5)
+    fewer, _, _, _, better = walk(4, 600)
+    ties = [replace(tie, confidence=0.5) for tie in ties]
+    ties += [replace(tie, views=(tie.views[0] + 5, tie.views[1] + 5)) for tie in better]
+    found = placed([*keypoints, *fewer], np.zeros(9, int), ties)
+    assert sorted(found.order) == [0, 1, 2, 3, 4]
+    assert errors(found, R, C)[0] < 0.5
+
+
 def test_a_wrong_pair_does_not_spoil_the_others():
     keypoints, group, R, C, ties = walk(5)
     turned = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()

@@ -15,18 +15,23 @@ from slgaussian import datasets
 from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import cameras_in
+from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.store import ArtifactStore
 
 SIZE = 96, 128
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
+ELSEWHERE = "elsewhere.png"
+"""A photograph that the made-up finder cannot place."""
+
 SAID = Estimated((0.9, 1.15), "matches", 0.42, (0.0, -1.0, 0.0))
 
 
 def truth(photographs) -> FoundCameras:
     """The room's own cameras, as if they had been found: in the world of the first."""
     known = room(*SIZE).cameras
-    names = [photograph.name for photograph in photographs]
+    names = [photograph.name for photograph in photographs if photograph.name != ELSEWHERE]
+    left_out = {p.name: "of another place" for p in photographs if p.name == ELSEWHERE}
     cameras = {n: replace(known[n.removesuffix(".png")], estimated=SAID) for n in names}
     K, there = np.eye(3), np.eye(4)
     there[0, 3] = 1
@@ -41,6 +46,7 @@ def truth(photographs) -> FoundCameras:
         np.array([[0.5, 0.25, 3.0]]),
         0.42,
         ("the poses may be off by some degrees; take a third photograph",),
+        left_out,
     )
     return found.in_frame_of(frame)
 
@@ -115,6 +121,28 @@ def test_a_file_of_cameras_says_how_they_were_found(photos, monkeypatch, capsys)
     assert "t.json: frame '../view_00.png': estimated says how" in said(capsys)
 
 
+def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeypatch, capsys):
+    all_three = [PHOTOS[0], ELSEWHERE, PHOTOS[1]]
+    Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
+    assert run(monkeypatch, "field", *all_three, "-o", "field") == 0
+    assert "cameras found of 2 of 3 photographs: " in capsys.readouterr().err
+    field = slg.SemanticField.load("field")
+    assert list(field.cameras) == PHOTOS
+    assert field.settings["cameras"]["left_out"] == {ELSEWHERE: "of another place"}
+
+    assert run(monkeypatch, "cameras", *all_three, "-o", "there/t.json", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["left_out"] == {ELSEWHERE: "of another place"}
+    content = json.loads((photos / "there/t.json").read_text())
+    assert [frame["file_path"] for frame in content["frames"]] == [f"../{n}" for n in PHOTOS]
+    assert content["slgaussian"]["left_out"] == {f"../{ELSEWHERE}": "of another place"}
+    assert run(monkeypatch, "masks", *all_three, "--cameras", "there/t.json", "-o", "ids") == 0
+    warned = f"warning: {ELSEWHERE} could not be placed when cameras were found, and is left out"
+    assert warned in capsys.readouterr().err
+    known = datasets.load("nerfstudio", photos / "there/t.json")
+    with pytest.raises(InputError, match=r"was left out when cameras were found \(of another"):
+        known.sample([PHOTOS[0], ELSEWHERE])
+
+
 def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsys):
     given = json.loads((photos / "given.json").read_text())
     right = datasets.load("nerfstudio", photos / "given.json").cameras
@@ -132,9 +160,11 @@ def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsy
 
 
 @pytest.mark.usefixtures("server")
-def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos):
+def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos, capsys):
+    Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
+    every = [ELSEWHERE, *PHOTOS]
     scenes = [
-        {"name": "alone", "format": "photographs", "path": photos, "context": PHOTOS},
+        {"name": "alone", "format": "photographs", "path": photos, "context": every},
         {"name": "given", "path": photos / "given.json", "context": PHOTOS},
     ]
     asked = [{**scene, "queries": ["red ball"]} for scene in scenes]
@@ -143,7 +173,11 @@ def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos):
     said = "estimated, focal length from matches, confidence 42%"
     data = json.loads((photos / "out/manifest.json").read_text())["data"]
     assert {name: of["cameras"] for name, of in data.items()} == {"alone": said, "given": "given"}
-    assert data["alone"]["files"].keys() == {*PHOTOS}
+    assert data["alone"]["files"].keys() == {*every}
+    assert data["alone"]["left_out"] == {ELSEWHERE: "of another place"}
+    warned = f"warning: alone: {ELSEWHERE} cannot be placed and is left out: of another place"
+    assert warned in capsys.readouterr().err
+    said += f"; without {ELSEWHERE}, which cannot be placed"
     for page in ("report.html", "report.md"):
         told = (photos / "out" / page).read_text()
         assert f"Cameras were not given, but found, of alone ({said})." in told
