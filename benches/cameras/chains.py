@@ -38,8 +38,11 @@ from slgaussian.cameras.photograph import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 
-Answer = Mapping[int, tuple[np.ndarray, np.ndarray, float]]
-"""World to camera, R [3, 3] and t [3], and focal length in pixels, of the views placed."""
+UNTOLD = (float("nan"), float("nan"))
+
+Answer = Mapping[int, tuple[np.ndarray, np.ndarray, float, tuple[float, float]]]
+"""World to camera, R [3, 3] and t [3], of the views placed; focal length in pixels, and the ends of
+the interval that is said to hold it nine times in ten, or :data:`UNTOLD`."""
 
 
 def ours(views: Sequence[View]) -> Answer:
@@ -53,8 +56,12 @@ def ours(views: Sequence[View]) -> Answer:
         return {}
     for name, why in found.left_out.items():
         print(f"    {name}: {why}")
-    cameras = {i: found.cameras.get(view.name) for i, view in enumerate(views)}
-    return {i: (c.w2c[:3, :3], c.w2c[:3, 3], float(c.K[0, 0])) for i, c in cameras.items() if c}
+    out = {}
+    for i, view in enumerate(views):
+        if view.name in found.cameras:
+            w2c, focal = found.cameras[view.name].w2c, found.focals[view.name]
+            out[i] = w2c[:3, :3], w2c[:3, 3], focal.pixels, (focal.low, focal.high)
+    return out
 
 
 def colmap(views: Sequence[View]) -> Answer:
@@ -90,7 +97,7 @@ def colmap(views: Sequence[View]) -> Answer:
             if image.has_pose:
                 pose = image.cam_from_world().matrix()
                 focal = float(model.cameras[image.camera_id].focal_length)
-                out[names.index(image.name)] = (pose[:, :3], pose[:, 3], focal)
+                out[names.index(image.name)] = (pose[:, :3], pose[:, 3], focal, UNTOLD)
         return out
 
 
@@ -101,19 +108,21 @@ def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
         if i not in answer or j not in answer:
             errors.append(180.0)
             continue
-        (R_a, t_a, _), (R_b, t_b, _) = answer[i], answer[j]
+        (R_a, t_a, *_), (R_b, t_b, *_) = answer[i], answer[j]
         R = R_b @ R_a.T
         true = chain.views[j].camera.w2c @ chain.views[i].camera.c2w
         found = rotation_error(R, true[:3, :3]), direction_error(t_b - R @ t_a, true[:3, 3])
         errors.append(max(found))
-    focals = [
-        abs(f / chain.views[i].camera.K[0, 0] - 1) for i, (_, _, f) in answer.items()
-    ] * chain.focal_known
+    # All views of a chain share one focal length.
+    true = chain.views[0].camera.K[0, 0]
+    *_, focal, (low, high) = next(iter(answer.values()), (np.nan, UNTOLD))
+    told = chain.focal_known and np.isfinite(focal)
     return {
         "placed": len(answer),
         "views": len(chain.views),
         "errors": errors,
-        "focal": float(np.median(focals)) if focals else None,
+        "focal": float(abs(focal / true - 1)) if told else None,
+        "inside": bool(low < true < high) if told and np.isfinite(low) else None,
     }
 
 
@@ -121,6 +130,7 @@ def summary(group: str, method: str, rows: Sequence[Mapping[str, Any]]) -> dict[
     errors = [error for row in rows for error in row["errors"]]
     answered = [error for error in errors if error < 180]
     focals = [row["focal"] for row in rows if row["focal"] is not None]
+    inside = [row["inside"] for row in rows if row["inside"] is not None]
     return {
         "place": group,
         "method": method,
@@ -129,6 +139,7 @@ def summary(group: str, method: str, rows: Sequence[Mapping[str, Any]]) -> dict[
         "AUC 5/10/20": "/".join(f"{area:.0f}" for area in area_under_curve(errors)),
         "wrong": percent(float(np.mean([e > WRONG for e in answered])) if answered else 0.0),
         "focal off": f"{100 * float(np.median(focals)):.1f} %" if focals else "",
+        "in its 90 % interval": percent(float(np.mean(inside))) if inside else "",
         "s a chain": f"{np.mean([row['seconds'] for row in rows]):.1f}",
     }
 

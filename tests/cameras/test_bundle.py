@@ -148,6 +148,17 @@ def test_a_tiny_baseline_is_said_to_be_uncertain():
     assert moved_by(found.bundle, truth) < 2 * moved
 
 
+def test_how_far_a_view_stands_is_not_in_which_direction():
+    found = adjust(true_bundle(3, 60, 9))
+    t = found.bundle.t[2]
+    along = np.outer(t, t) / (t @ t)
+    covariance = np.zeros_like(found.covariance)
+    covariance[15:18, 15:18] = 0.04 * along + 1e-6 * (np.eye(3) - along)
+    turned, moved = replace(found, covariance=covariance).degrees(2)
+    assert turned == 0
+    assert moved == pytest.approx(np.degrees(1e-3 / np.linalg.norm(t)))
+
+
 def test_points_behind_the_cameras_tell_of_a_baseline_that_drowns_in_noise():
     truth = replace(true_bundle(2, 200, 9, baseline=0.01), focal_sigma=np.zeros(1))
     found = adjust(truth)

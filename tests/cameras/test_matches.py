@@ -51,3 +51,36 @@ def test_sharpened_matches_are_nearer_the_truth():
     assert len(i) > 200
     assert np.median(after) < 0.5 * np.median(before[before < 2])
     assert (after < 2.5).all()
+
+
+def texture(seed: int, coarse: float) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(size=(160, 160)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), coarse)
+    return np.clip(128 + 40 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+
+
+def at_places(shift: float = 0.0) -> Features:
+    grid = np.stack(np.meshgrid(np.arange(30, 131, 10.0), np.arange(30, 131, 10.0)), -1)
+    points = grid.reshape(-1, 2) + (shift, 0)
+    return Features(
+        points,
+        np.zeros((len(points), 128), np.float32),
+        *np.stack([0 * points[:, 0] + 2, 0 * points[:, 0]]),
+    )
+
+
+def test_unlike_patches_are_not_laid_on_each_other():
+    every = at_places()
+    i = np.arange(len(every))
+    found = sharpen((texture(0, 1.5), texture(1, 1.5)), every, every, i, i)
+    assert (found == every.points).all(1).mean() > 0.7
+
+
+def test_a_feature_does_not_go_far():
+    """Of a picture that moved by four pixels, and features that did not."""
+    picture, every = texture(0, 4.0), at_places()
+    i = np.arange(len(every))
+    found = sharpen((picture, np.roll(picture, 4, 1)), every, every, i, i)
+    near = sharpen((picture, np.roll(picture, 4, 1)), every, at_places(3.0), i, i)
+    assert np.linalg.norm(found - every.points, axis=1).max() < 3
+    assert np.median(np.linalg.norm(near - every.points - (4, 0), axis=1)) < 0.2

@@ -105,6 +105,29 @@ def test_the_place_of_most_views_is_taken():
     assert errors(found, R, C)[0] < 0.5
 
 
+def test_one_bad_observation_does_not_cost_the_others_of_its_point():
+    keypoints, group, R, C, ties = walk(5)
+    rng = np.random.default_rng(1)
+    bad = [rng.random(len(points)) < 0.15 for points in keypoints]
+    keypoints = [
+        points + np.where(lost[:, None], 30 * rng.choice([-1, 1], points.shape), 0)
+        for points, lost in zip(keypoints, bad, strict=True)
+    ]
+    ties = [replace(tie, xy=keypoints[tie.views[1]][tie.features[1]]) for tie in ties]
+    found = placed(keypoints, group, ties)
+    assert len(found.adjusted.bundle.view) > 300  # of 382 without the bad ones
+    assert errors(found, R, C)[0] < 0.5
+
+
+def test_a_view_that_explains_few_of_its_matches_is_left_out():
+    keypoints, group, _, _, ties = walk(5, 1500)
+    rng = np.random.default_rng(2)
+    lost = rng.random(len(keypoints[4])) < 0.85
+    keypoints[4] = np.where(lost[:, None], rng.uniform(0, 600, keypoints[4].shape), keypoints[4])
+    ties = [replace(tie, xy=keypoints[tie.views[1]][tie.features[1]]) for tie in ties]
+    assert sorted(placed(keypoints, group, ties).order) == [0, 1, 2, 3]
+
+
 def test_a_wrong_pair_does_not_spoil_the_others():
     keypoints, group, R, C, ties = walk(5)
     turned = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
