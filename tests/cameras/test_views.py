@@ -128,6 +128,26 @@ def test_a_view_that_explains_few_of_its_matches_is_left_out():
     assert sorted(placed(keypoints, group, ties).order) == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("confidence", [0.9, 0.3])
+def test_few_points_place_a_view_only_with_a_pair_that_is_trusted(confidence):
+    keypoints, group, R, C, ties = walk(5)
+    shared = np.intersect1d(*[tie.features[1] for tie in ties if tie.views[1] == 4])[:14]
+    for k, tie in enumerate(ties):
+        if tie.views[1] == 4:
+            kept = np.isin(tie.features[1], shared)
+            features = tie.features[0][kept], tie.features[1][kept]
+            ties[k] = replace(tie, features=features, xy=tie.xy[kept], confidence=confidence)
+    found = placed(keypoints, group, ties)
+    assert sorted(found.order) == [0, 1, 2, 3] + [4] * (confidence > 0.5)
+
+
+def test_the_unit_is_the_distance_of_the_first_and_the_farthest():
+    keypoints, group, _, C, ties = walk(5)
+    found = placed(keypoints, group, ties)
+    assert found.order[0] == 0
+    assert found.order[1] == np.linalg.norm(C - C[0], axis=1).argmax()
+
+
 def test_a_wrong_pair_does_not_spoil_the_others():
     keypoints, group, R, C, ties = walk(5)
     turned = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
