@@ -3,11 +3,12 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import hard_photographs
 import numpy as np
 import pytest
 
-from slgaussian.cameras.find import camera_of, find_cameras, focal_of, with_up
+from slgaussian.cameras.find import MODEL, OPTIMISM, camera_of, find_cameras, focal_of, with_up
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import Photograph
 
@@ -58,6 +59,26 @@ def test_what_exif_says_is_nearly_believed():
     assert focal.source == "EXIF"
     assert focal.pixels == pytest.approx(0.9 * 480, rel=0.06)
     assert focal.low < 0.9 * 480 < focal.high < 1.12 * focal.pixels
+
+
+def test_each_photograph_keeps_its_own_lens_whatever_the_order():
+    a, b = room()
+    larger = cv2.resize(b.image, (600, 450), interpolation=cv2.INTER_CUBIC)
+    known = [
+        Photograph("a.jpg", a.image, 480, 360, "a", 0.9 * 480),
+        Photograph("b.jpg", larger, 600, 450, "b", 0.9 * 600),
+    ]
+    one, other = find_cameras(known), find_cameras(known[::-1])
+    assert one.focals == other.focals
+    assert one.focals["b.jpg"].pixels == pytest.approx(0.9 * 600, rel=0.06)
+
+
+def test_interval_is_wider_than_what_matches_say_of_themselves():
+    photograph = room()[0]
+    for deviation in (0.0, 0.05):
+        known = np.hypot(OPTIMISM * deviation, MODEL)
+        focal = focal_of(400, deviation, photograph)
+        assert focal.high / 400 == 400 / focal.low == pytest.approx(np.exp(1.645 * known))
 
 
 def test_interval_is_never_wider_than_what_is_usual():

@@ -130,7 +130,7 @@ def test_a_view_that_explains_few_of_its_matches_is_left_out():
 
 @pytest.mark.parametrize("confidence", [0.9, 0.3])
 def test_few_points_place_a_view_only_with_a_pair_that_is_trusted(confidence):
-    keypoints, group, R, C, ties = walk(5)
+    keypoints, group, _, _, ties = walk(5)
     shared = np.intersect1d(*[tie.features[1] for tie in ties if tie.views[1] == 4])[:14]
     for k, tie in enumerate(ties):
         if tie.views[1] == 4:
