@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
@@ -139,6 +140,18 @@ def test_many_photographs_are_not_all_solved_with_all():
     pairs = worth_solving([Described.of(window) for window in windows])
     assert {(k, k + 1) for k in range(9)} <= set(pairs)
     assert len(pairs) <= 30
+
+
+def test_what_is_solved_hangs_together():
+    """Two bundles of windows, each of which is more alike in itself than to the other."""
+    texture = np.random.default_rng(0).integers(0, 255, (60, 160, 3), dtype=np.uint8)
+    strip = np.kron(texture, np.ones((4, 4, 1), np.uint8))
+    places = [start + 12 * k for start in (0, 220) for k in range(4)]
+    windows = [Photograph(str(x), strip[:, x : x + 300], 300, 240) for x in places]
+    pairs = np.array(worth_solving([Described.of(window) for window in windows])).T
+    graph = np.zeros((8, 8))
+    graph[tuple(pairs)] = 1
+    assert connected_components(graph, directed=False)[0] == 1
 
 
 def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):

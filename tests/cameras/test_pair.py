@@ -1,22 +1,34 @@
 """Every bound of a pair refuses or doubts by itself, and says so: each is moved, one at a time."""
 
+from dataclasses import replace
+
 import hard_photographs
 import pytest
 
 from slgaussian.cameras import pair
+from slgaussian.cameras.epipolar import solve
 from slgaussian.cameras.found import DOUBTFUL, GOOD, UNUSED
 from slgaussian.cameras.pair import Described, PairPose, find_pair
+
+
+def apart(*given):
+    """What is found if one focal length does not explain both photographs."""
+    answers, prior = solve(*given)
+    return answers, replace(prior, shared=False)
+
 
 REFUSING = {
     "least share": ({"SHARE": 2.0}, "too few points are found"),
     "least spread": ({"SMALL": 1.1}, "one small part"),
     "open position": ({"BLUNT": 0.0}, "leave the position open by"),
     "other answers": ({"UNSURE": 1.1}, "different positions of the cameras"),
+    "a pattern": ({"_repetition": lambda pose: 1.0}, "a pattern that repeats"),
     "other answers of a plane": ({"MOSTLY": -1.0, "SURE": 1.1}, "different positions"),
 }
 DOUBTING = {
     "open position": ({"SHARP": 0.0}, "leave the position open by"),
     "other answers": ({"SURE": 1.1}, "another position of the cameras"),
+    "two lenses": ({"solve": apart}, "different focal lengths"),
     "zoom": ({"ENLARGED": 0.5}, "times as large in one"),
 }
 
