@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable
 
 _LONG = re.compile(r"[^\s/]{256,}")  # no file has such a name
+_NAMED = 4  # names of a piece, and pieces, that a message tells
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
@@ -40,6 +41,17 @@ def did_you_mean(found: object, known: Iterable[str]) -> str:
     plain = {_plain(name): name for name in known}
     near = difflib.get_close_matches(_plain(str(found)), plain, n=1)
     return f"; did you mean {plain[near[0]]!r}?" if near else ""
+
+
+def listed(pieces: Iterable[Iterable[str]]) -> str:
+    """Names of each piece of something that falls apart, not too many, as a message says them."""
+    sorted_pieces = [sorted(names) for names in pieces]
+    told = []
+    for names in sorted_pieces[:_NAMED]:
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        told.append(", ".join(map(repr, names[:_NAMED])) + more)
+    rest = sum(map(len, sorted_pieces[_NAMED:]))
+    return "; ".join([*told, f"{rest} more"] if rest else told)
 
 
 def _plain(name: str) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
+from scipy.ndimage import minimum_filter
 
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
@@ -156,6 +157,9 @@ def covariances(gaussians: Gaussians) -> torch.Tensor:
 def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
     """Depth maps of the context views, from the Gaussian that each pixel gave birth to.
 
+    A pixel without one, because other views draw its surface already, has the depth of the nearest
+    of their Gaussians that lands on it or beside it.
+
     Parameters
     ----------
     gaussians : Gaussians
@@ -165,13 +169,24 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     Returns
     -------
     float32 [V, H, W]
-        z-depth in scene units; 0 where a pixel has no Gaussian (left).
+        z-depth in scene units; 0 where nothing is drawn, and in views that draw nothing (left).
     """
     H, W = cameras[0].height, cameras[0].width
-    depths = np.zeros(len(cameras) * H * W, np.float32)
+    depths = np.zeros((len(cameras), H * W), np.float32)
     source = gaussians.source.numpy()
     means = gaussians.means.numpy().astype(np.float64)
-    for index, camera in enumerate(cameras):
+    for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         mine = source // (H * W) == index
-        depths[source[mine]] = camera.project(means[mine])[1]
+        pixels, z = camera.project(means)
+        depth[source[mine] % (H * W)] = z[mine]
+        if not mine.any() or (depth > 0).all():
+            continue
+        landed = np.full((H, W), np.inf, np.float32)
+        inside = ~mine & (z > 0) & (pixels >= 0).all(1) & (pixels < (W, H)).all(1)
+        column, row = pixels[inside].astype(np.int64).T
+        np.minimum.at(landed, (row, column), z[inside].astype(np.float32))
+        # Points do not land on every pixel.
+        beside = minimum_filter(landed, 3)
+        lent = np.where(np.isfinite(landed), landed, beside).ravel()
+        depth[:] = np.where((depth == 0) & np.isfinite(lent), lent, depth)
     return depths.reshape(len(cameras), H, W)

@@ -15,8 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, listed
 from slgaussian.formats.brief import brief
 from slgaussian.formats.images import MOST_PIXELS
 from slgaussian.kernels.seeding import content_of
@@ -309,8 +310,8 @@ class Sample:
     Raises
     ------
     InputError
-        If context views have different sizes, are one picture, share one position (no baseline),
-        or cannot see a common point.
+        If context views have different sizes, are one picture from two places, share one position
+        (no baseline), or fall into pieces that cannot see a common point.
     """
 
     scene: str
@@ -337,9 +338,7 @@ class Sample:
                     f"{w1}x{h1}; context views must have one size; give one to bring them to, "
                     f"height first: --size {least[0]}x{least[1]}, or size={least} in Python"
                 )
-        for i, a in enumerate(self.context):
-            for b in self.context[i + 1 :]:
-                _check_pair(self.scene, a, b)
+        _check_views(self.scene, self.context)
 
     @cached_property
     def content(self) -> str:
@@ -492,31 +491,49 @@ def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
     return float(inside.mean())
 
 
-def _check_pair(scene: str, a: View, b: View) -> None:
-    baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
-    size = max(float(np.abs(a.camera.center).max()), float(np.abs(b.camera.center).max()), 1e-12)
-    if baseline <= 1e-9 * size:
-        raise InputError(
-            f"scene {scene!r}: {a.name!r} and {b.name!r} were taken from the same position (no "
-            "baseline), so depth cannot be found; choose two photographs taken some way apart"
+def _check_views(scene: str, views: Sequence[View]) -> None:
+    """Raise InputError if two views are one picture from two places, or if no pairs that may see a
+    common point from two places join all views."""
+    joined = np.eye(len(views))
+    together = ""
+    for i, a in enumerate(views):
+        for j, b in enumerate(views[i + 1 :], i + 1):
+            baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
+            size = max(np.abs(a.camera.center).max(), np.abs(b.camera.center).max(), 1e-12)
+            if baseline <= 1e-9 * size:
+                together = together or (
+                    f"{a.name!r} and {b.name!r} were taken from the same position (no baseline), "
+                    "so depth cannot be found; choose two photographs taken some way apart"
+                )
+                continue
+            blank = (a.image == a.image[0, 0]).all()
+            if not blank and np.array_equal(a.image, b.image):
+                raise InputError(
+                    f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
+                    "poses differ; one of the two photographs is the wrong file"
+                )
+            joined[i, j] = _may_overlap(a.camera, b.camera, baseline)
+    count, piece = connected_components(joined, directed=False)
+    if count == 1:
+        return
+    pieces = [[v.name for v, at in zip(views, piece, strict=True) if at == k] for k in range(count)]
+    raise InputError(
+        f"scene {scene!r}: "
+        + (
+            together
+            or f"{listed(pieces)} do not overlap at any depth; choose views that see the same "
+            "things, and check that their poses are camera-to-world and follow the axes of their "
+            "file format"
         )
-    blank = (a.image == a.image[0, 0]).all()
-    if not blank and np.array_equal(a.image, b.image):
-        raise InputError(
-            f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their poses "
-            "differ; one of the two photographs is the wrong file"
-        )
-    # The depth is unknown here, so try all that a two-view method could resolve.
-    depths = baseline * np.geomspace(0.5, 1e4, 40)
-    seen = max(
-        min(shared_view(a.camera, b.camera, d), shared_view(b.camera, a.camera, d)) for d in depths
     )
-    if seen == 0:
-        raise InputError(
-            f"scene {scene!r}: {a.name!r} and {b.name!r} do not overlap at any depth; choose views "
-            "that see the same things, and check that their poses are camera-to-world and follow "
-            "the axes of their file format"
-        )
+
+
+def _may_overlap(a: Camera, b: Camera, baseline: float) -> bool:
+    """Whether two cameras see a common point at a depth that a two-view method could resolve."""
+    return any(
+        min(shared_view(a, b, depth), shared_view(b, a, depth)) > 0
+        for depth in baseline * np.geomspace(0.5, 1e4, 40)
+    )
 
 
 def _fit(height: int, width: int, size: Size) -> tuple[int, int]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from slgaussian import datasets
 from slgaussian.errors import InputError
+from slgaussian.predict.links import without_strangers
 from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_to_arrays
@@ -91,15 +92,16 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=4)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=5)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
-    ``meta["left_out"]`` which photographs could not be placed then, and why.
+    ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
+    and why.
     """
-    sample = photographs.read()
-    left_out = sample.found.get("left_out", {})
+    sample, strangers = without_strangers(photographs.read())
+    left_out = {**sample.found.get("left_out", {}), **strangers}
     meta = {"cameras": _cameras_of(sample), "left_out": left_out}
     return site.store.put("sample", sample_to_arrays(sample), meta)
 

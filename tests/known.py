@@ -28,7 +28,7 @@ def known_field(
     method: Method | None = None,
     bank: MemoryBank | None = None,
 ) -> SemanticField:
-    """The field of these Gaussians and label maps."""
-    method = method or Method()
+    """The field of these Gaussians and label maps; without a method, of all of them."""
+    method = method or Method(keep="all")
     bank = bank or known_bank(sample, gaussians, labels, method)
     return lift_field(sample, gaussians, labels, bank, method, QUALITY)

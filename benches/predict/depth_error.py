@@ -42,7 +42,9 @@ STAGES = (
     "weighted_median",
     "color_gains",
     "blend",
-    "meet",
+    "lend",
+    "kept_near",
+    "needed",
     "unproject",
     "hidden",
 )
@@ -73,7 +75,7 @@ def depth_errors(view: View, other: View, depth: np.ndarray) -> tuple[float, flo
 def sparse_error(sample: Sample) -> float:
     """Median relative depth error of SIFT matches near their refined epipolar lines."""
     views = sample.context
-    relative = link_views(views)[0][0].relative
+    relative = link_views(views, ranged=False).links[0][0].relative
     greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in views]
     a, b = sift_matches(*greys)
     fits = np.abs(relative.epipolar_distance(a, b)) < INLIER

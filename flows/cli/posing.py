@@ -9,15 +9,25 @@ from pathlib import Path
 from flows.cli.finding import tell
 from flows.settings import Settings
 from slgaussian.datasets import unposed
+from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene
+from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
+from slgaussian.predict.links import without_strangers
 from slgaussian.scene import Sample, Scene
 
 
 def posed_sample(
-    photos: Sequence[str], cameras: Path | None, refine: bool, method: Settings
+    photos: Sequence[str],
+    cameras: Path | None,
+    refine: bool,
+    method: Settings,
+    keyframes: int | None = None,
 ) -> Sample:
     """The photographs with their cameras, at the size that ``method`` asks for.
+
+    Of more than ``keyframes``, so many are taken
+    (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
 
     Without a place of cameras they are found, and how goes to standard error. With one, a
     photograph is a file that it lists, or the name of one of its views; ``refine`` finds their
@@ -36,6 +46,12 @@ def posed_sample(
                 "--cameras"
             )
         files = unposed.named(photos)
+        if keyframes is not None:
+            looks = [glance(path.read_bytes())[0] for path in files.values()]
+            kept = choose_keyframes([blur(look) for look in looks], keyframes)
+            names = list(files)
+            files = {names[k]: files[names[k]] for k in kept}
+            _tell_keyframes(list(files), len(names))
         found = unposed.find(files)
         tell(found)
         scene = unposed.posed(files, found)
@@ -44,13 +60,28 @@ def posed_sample(
         scene, folder = posed_scene(cameras, photos)
         photos = _placed(scene, photos, folder)
         names = [_view_of(scene, photo, folder) for photo in photos]
+        if keyframes is not None:
+            among = [scene.cameras[name] for name in names]
+            looks = [small(scene.read(name).image) for name in names]
+            kept = choose_keyframes([blur(look) for look in looks], keyframes, among)
+            names, photos = [names[k] for k in kept], [photos[k] for k in kept]
+            _tell_keyframes(names, len(among))
         if refine:
             own = zip(names, map(Path, photos), strict=True)
             files = {name: photo for name, photo in own if photo.is_file()}
             scene, found = unposed.refined(scene, names, files)
             tell(found)
             names = list(scene.cameras)
-    return scene.sample(names, size=method.size, near=method.near, far=method.far)
+    sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
+    sample, left_out = without_strangers(sample)
+    for name, why in left_out.items():
+        print(f"warning: {name} is left out: {why}", file=sys.stderr)
+    return sample
+
+
+def _tell_keyframes(kept: Sequence[str], among: int) -> None:
+    named = ", ".join(kept[:4]) + (", ..." if len(kept) > 4 else "")
+    print(f"keyframes: {len(kept)} of {among} photographs, {named}", file=sys.stderr)
 
 
 def _placed(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
 from slgaussian.formats.brief import brief
 
@@ -25,15 +26,50 @@ _CHUNK = 1 << 21
 
 
 @dataclass(frozen=True, eq=False)
+class PosePrior:
+    """Where the cameras are believed to stand; it fixes the frame and the scale.
+
+    Attributes
+    ----------
+    R, centers : float64 [V, 3, 3], [V, 3]
+        World to camera, and where each stands.
+    turn : float
+        Standard deviation of each rotation about each axis, radians.
+    move : float64 [V]
+        Standard deviation of each centre along each axis, scene units.
+    """
+
+    R: np.ndarray
+    centers: np.ndarray
+    turn: float
+    move: np.ndarray
+
+    __repr__ = brief
+
+    def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far off poses are in standard deviations [V, 6], and derivatives [V, 6, 6]."""
+        back = R.transpose(0, 2, 1)
+        turned = Rotation.from_matrix(R @ self.R.transpose(0, 2, 1)).as_rotvec()
+        moved = -(back @ t[:, :, None])[..., 0] - self.centers
+        slopes = np.zeros((len(R), 6, 6))
+        slopes[:, :3, :3] = np.eye(3) / self.turn
+        # The rotation turns the world about the camera's origin, and t goes with it.
+        slopes[:, 3:, :3] = -back @ _cross_matrices(t) / self.move[:, None, None]
+        slopes[:, 3:, 3:] = -back / self.move[:, None, None]
+        return np.concatenate([turned / self.turn, moved / self.move[:, None]], 1), slopes
+
+
+@dataclass(frozen=True, eq=False)
 class Bundle:
     """Cameras, points and where the points were seen.
 
-    The world is the first camera: its pose is the identity.
+    Without a prior of the poses the world is the first camera: its pose is the identity.
 
     Attributes
     ----------
     R, t : float64 [V, 3, 3], [V, 3]
-        World to camera, OpenCV axes. ``t[1]`` keeps its length, which fixes the scale.
+        World to camera, OpenCV axes. Without a prior of the poses ``t[1]`` keeps its length, which
+        fixes the scale.
     centers : float64 [V, 2]
         Principal points, pixels; kept.
     group : int64 [V]
@@ -50,6 +86,7 @@ class Bundle:
         standard deviation of 0 keeps the focal length, one of infinity leaves it free.
     k1_sigma : float
         Standard deviation of the prior of each k1, about 0; 0 keeps k1.
+    poses : PosePrior, optional
     """
 
     R: np.ndarray
@@ -65,6 +102,7 @@ class Bundle:
     focal_prior: np.ndarray
     focal_sigma: np.ndarray
     k1_sigma: float = 0.0
+    poses: PosePrior | None = None
 
     __repr__ = brief
 
@@ -245,8 +283,11 @@ def _derivatives(bundle: Bundle, q: np.ndarray, seen: _Seen) -> tuple[np.ndarray
 
 def _cost(bundle: Bundle, layout: _Layout, residuals: np.ndarray, scale: float) -> float:
     """Minus twice the logarithm of the posterior, less a constant."""
-    seen = 3 * np.log1p((residuals**2).sum(1) / scale**2).sum()
-    return float(seen + (layout.prior * _off_prior(bundle) ** 2).sum())
+    cost = 3 * np.log1p((residuals**2).sum(1) / scale**2).sum()
+    cost += (layout.prior * _off_prior(bundle) ** 2).sum()
+    if bundle.poses is not None:
+        cost += (bundle.poses.pull(bundle.R, bundle.t)[0] ** 2).sum()
+    return float(cost)
 
 
 def _off_prior(bundle: Bundle) -> np.ndarray:
@@ -263,6 +304,7 @@ class _Normal:
     points: np.ndarray  # [N, 3, 3]
     point_side: np.ndarray  # [N, 3]
     between: np.ndarray  # [M, 3, 8] of each observation's point and camera
+    prior: np.ndarray  # [P, P] of the cameras
 
 
 def _normal(bundle: Bundle, layout: _Layout, q: np.ndarray, seen: _Seen, scale: float) -> _Normal:
@@ -278,12 +320,19 @@ def _normal(bundle: Bundle, layout: _Layout, q: np.ndarray, seen: _Seen, scale: 
     np.add.at(H, (columns[:, :, None], columns[:, None, :]), blocks)
     np.add.at(side, columns, layout.by_view @ (weighted @ minus)[..., 0])
     side[6 * V :] -= layout.prior * _off_prior(bundle)
+    prior = np.diag(np.concatenate([np.zeros(6 * V), layout.prior]))
+    if bundle.poses is not None:
+        off, slopes = bundle.poses.pull(bundle.R, bundle.t)
+        own = columns[:, :6]
+        prior[own[:, :, None], own[:, None, :]] = slopes.transpose(0, 2, 1) @ slopes
+        side[: 6 * V] -= (off[:, None] @ slopes).ravel()
     return _Normal(
         H,
         side,
         (layout.by_point @ (of_points @ point).reshape(M, -1)).reshape(-1, 3, 3),
         layout.by_point @ (of_points @ minus)[..., 0],
         of_points @ camera,
+        prior,
     )
 
 
@@ -327,6 +376,8 @@ def _free(bundle: Bundle, layout: _Layout) -> np.ndarray:
     """Orthogonal directions [P, F] in which the cameras may move: neither frame nor scale."""
     V = len(bundle.R)
     every = np.eye(6 * V + len(layout.free))
+    if bundle.poses is not None:
+        return every[:, np.concatenate([np.ones(6 * V, bool), layout.free])]
     # t[1] moves across itself.
     _, _, across = np.linalg.svd(bundle.t[1:2])
     second = every[:, 9:12] @ across[1:].T
@@ -377,9 +428,8 @@ def _step(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The damped step: of the cameras [P], and of the points [N, 3] along their tangents."""
     S, side, inverse = _reduced(bundle, layout, normal, damping)
-    V = len(bundle.R)
-    np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras)
-    np.einsum("ii->i", S)[6 * V :] += (1 + damping) * layout.prior
+    S += normal.prior
+    np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
     free = _free(bundle, layout)
     H = free.T @ S @ free
     norm = _unit(np.diag(H))
@@ -402,7 +452,8 @@ def _moved(
     V, G = len(bundle.R), len(bundle.focals)
     poses = step[: 6 * V].reshape(V, 6)
     t = bundle.t + poses[:, 3:]
-    t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
+    if bundle.poses is None:
+        t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
     logs = np.clip(step[6 * V : 6 * V + G], -1, 1)  # no step may run away to an absurd lens
     q = q + (_tangents(q) @ moved[..., None])[..., 0]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -418,14 +469,19 @@ def _moved(
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Rotations [V, 3, 3] about vectors [V, 3] by their length, radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    cross = _cross_matrices(vectors)
     return (
         np.eye(3)
         + np.sinc(angle / np.pi) * cross
         + (np.sinc(angle / (2 * np.pi)) ** 2 / 2) * (cross @ cross)
     )
+
+
+def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Matrices [V, 3, 3] that multiply as the cross product with vectors [V, 3] does."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
 
 
 def _covariance(
@@ -445,8 +501,7 @@ def _covariance(
     slope = (weight**2 * scale**2 / 3).mean()
     noise = weight.mean() * (weight**2 * r2).sum() / left / slope**2
     H = free.T @ (S / max(noise, 1e-2)) @ free
-    V = len(bundle.R)
-    H += (free[6 * V :].T * layout.prior) @ free[6 * V :]
+    H += free.T @ normal.prior @ free
     norm = _unit(np.diag(H))
     values, vectors = np.linalg.eigh(H * norm[:, None] * norm)
     # What no observation says anything of is very uncertain, not certain.

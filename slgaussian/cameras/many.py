@@ -13,7 +13,7 @@ from slgaussian.cameras.found import UNUSED, FoundPair
 from slgaussian.cameras.matches import Features, match
 from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence, find_pair
 from slgaussian.cameras.views import Placed, Tie, place
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, listed
 from slgaussian.formats.brief import brief
 
 COARSE = 800
@@ -31,9 +31,6 @@ OPEN = 0.5
 UNBACKED = 0.6
 """What confidence is multiplied by if a photograph is placed that no trusted pair speaks for: right
 on two chains of a walk, and wrong where two rooms held one thing."""
-
-NAMED = 4
-"""Photographs of a piece, and pieces, that a message names."""
 
 STILL = 1e-3
 """The first two must be at least so much of the largest distance apart: theirs is the unit."""
@@ -219,7 +216,7 @@ def _all_placed(
     names = [one.photograph.name for one in described]
     pieces = [[names[k] for k in piece] for piece in _pieces(len(described), poses, there)]
     raise Unplaced(
-        f"{len(described)} photographs do not all hang together: {_listed(pieces)} overlap too "
+        f"{len(described)} photographs do not all hang together: {listed(pieces)} overlap too "
         "little with each other; give those of one place alone, or take photographs between them "
         "that overlap both by half or more",
         {names[k]: _why_unplaced(names[k], k, poses, there) for k in left},
@@ -238,17 +235,6 @@ def _pieces(
     _, piece = connected_components(joined, directed=False)
     found = [np.flatnonzero(piece == k).tolist() for k in range(piece.max() + 1)]
     return sorted(found, key=lambda one: (-len(one), one))
-
-
-def _listed(pieces: Sequence[Sequence[str]]) -> str:
-    """Names of each piece, not too many."""
-    told = []
-    for piece in pieces[:NAMED]:
-        names = sorted(piece)
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        told.append(", ".join(map(repr, names[:NAMED])) + more)
-    rest = sum(map(len, pieces[NAMED:]))
-    return "; ".join([*told, f"{rest} more"] if rest else told)
 
 
 def _why_unplaced(

@@ -91,13 +91,26 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
 def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mutual SIFT matches (ratio 0.8) of two grey uint8 images.
 
+    Features and matches of the last images are kept.
+
     Returns
     -------
     float64 [M, 2], float64 [M, 2]
-        Pixels in each image, pixel centres at +0.5; read-only, as who asks again for the same two
-        images gets the same arrays.
+        Pixels in each image, pixel centres at +0.5.
     """
-    return _sift_matches(_Grey(ref), _Grey(src))
+    first, second = _Grey(ref), _Grey(src)
+    i, j = _sift_pairs(first, second)
+    return _sift(first).points[i], _sift(second).points[j]
+
+
+def sift(grey: np.ndarray) -> Features:
+    """The SIFT features of a grey uint8 image that :func:`sift_pairs` counts."""
+    return _sift(_Grey(grey))
+
+
+def sift_pairs(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As :func:`sift_matches`, but int [M] and int [M], which features of each image."""
+    return _sift_pairs(_Grey(ref), _Grey(src))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +130,18 @@ class _Grey:
         return hash(self.content)
 
 
-@lru_cache(maxsize=4)  # the cameras are checked by what depth is found from later
-def _sift_matches(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
-    a, b = (find_features(image.pixels, 4000, 0.02) for image in (first, second))
-    i, j, _ = match(a, b, 0.8)
-    found = a.points[i], b.points[j]
-    for points in found:
-        points.setflags(write=False)
+# The cameras are checked by what depth is found from later, and a view meets several others.
+@lru_cache(maxsize=32)
+def _sift(image: _Grey) -> Features:
+    found = find_features(image.pixels, 4000, 0.02)
+    for array in (found.points, found.descriptors, found.scales, found.angles):
+        array.setflags(write=False)
     return found
+
+
+@lru_cache(maxsize=256)
+def _sift_pairs(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
+    i, j, _ = match(_sift(first), _sift(second), 0.8)
+    for array in (i, j):
+        array.setflags(write=False)
+    return i, j

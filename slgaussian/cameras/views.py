@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
+from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
 from slgaussian.formats.brief import brief
 
 PIXELS = 3.0
@@ -171,45 +172,15 @@ def _worth(tie: Tie) -> float:
     return len(tie.features[0]) * min(tie.angle, 8.0) ** 0.5 * (0.1 + tie.confidence)
 
 
-@dataclass(frozen=True, eq=False)
-class _Tracks:
-    """Observations, sorted by track."""
-
-    view: np.ndarray
-    track: np.ndarray
-    xy: np.ndarray
-    count: int
-
-
-def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> _Tracks:
-    """Matches joined; whatever would be seen twice in one view is left out.
+def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
+    """The matches of the ties joined.
 
     A track lies where its feature in the first of its views lies in the others.
     """
-    offsets = np.cumsum([0, *(len(points) for points in keypoints)])
-    view = np.repeat(np.arange(len(keypoints)), np.diff(offsets))
-    ends = [
-        np.concatenate([offsets[tie.views[k]] + tie.features[k] for tie in ties]) for k in (0, 1)
-    ]
-    total = int(offsets[-1])
-    joined = coo_array((np.ones(len(ends[0])), tuple(ends)), shape=(total, total))
-    _, label = connected_components(joined, directed=False)
-    xy = np.concatenate(list(keypoints))
+    points = [found.copy() for found in keypoints]
     for tie in reversed(ties):
-        xy[offsets[tie.views[1]] + tie.features[1]] = tie.xy
-    size = np.bincount(label)
-    twice, times = np.unique(label * len(keypoints) + view, return_counts=True)
-    good = size > 1
-    good[twice[times > 1] // len(keypoints)] = False
-    seen = np.flatnonzero(good[label])
-    kept, track = np.unique(label[seen], return_inverse=True)
-    order = np.argsort(track, kind="stable")
-    return _Tracks(
-        view[seen][order],
-        track[order],
-        xy[seen][order],
-        len(kept),
-    )
+        points[tie.views[1]][tie.features[1]] = tie.xy
+    return join_tracks(points, [(*tie.views, *tie.features) for tie in ties])
 
 
 class _Growing:
@@ -217,7 +188,7 @@ class _Growing:
 
     def __init__(
         self,
-        tracks: _Tracks,
+        tracks: Tracks,
         centers: np.ndarray,
         group: np.ndarray,
         focal_prior: np.ndarray,
@@ -320,7 +291,6 @@ class _Growing:
         every = np.flatnonzero(good)
         uv = np.zeros_like(tracks.xy)
         uv[every] = self._rays(every)
-        pose = np.concatenate([self.R, self.t[:, :, None]], 2)
         for _ in range(4):
             mine = np.flatnonzero(good)
             seen = np.bincount(tracks.track[mine], minlength=tracks.count)
@@ -330,12 +300,8 @@ class _Growing:
             view, track = tracks.view[mine], tracks.track[mine]
             if not len(mine):
                 break
-            rows = uv[mine, :, None] * pose[view, 2:3] - pose[view, :2]
-            start = np.flatnonzero(np.diff(track, prepend=-1))
-            A = np.add.reduceat(rows.transpose(0, 2, 1) @ rows, start)
-            q = np.linalg.eigh(A)[1][:, :, 0]
-            w = np.where(np.abs(q[:, 3]) > 1e-9, q[:, 3], 1e-9)
-            X[track[start]] = q[:, :3] / w[:, None]
+            points, start = triangulate(self.R, self.t, view, track, uv[mine])
+            X[track[start]] = points
             local = (self.R[view] @ X[track, :, None])[..., 0] + self.t[view]
             front = local[:, 2] > 0
             off = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv[mine]

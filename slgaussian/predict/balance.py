@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slgaussian.predict.links import Link
+from slgaussian.predict.links import ViewGraph
 
 MIN_SAMPLES = 200
 """Fewest shared pixels that two exposures are compared on."""
@@ -25,23 +25,25 @@ def color_gains(
     images: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     answered: Sequence[np.ndarray],
-    links: Sequence[Sequence[Link]],
+    graph: ViewGraph,
 ) -> np.ndarray:
-    """Factors float64 [V, 3] on the RGB values of each view that make the views agree.
+    """Factors float64 [V, 3] on the RGB values of each view that make neighbours agree.
 
     For every linked pair the median ratio of values is taken over the answered pixels of the first
-    view and the pixels they land on in the second; the gains meet these ratios in least squares of
-    their logarithms, and their geometric mean over the views is 1.
+    view and the pixels they land on in the second; exposures meet these ratios in least squares of
+    their logarithms. Each view is brought to the mean exposure of its neighbourhood
+    (:meth:`slgaussian.predict.links.ViewGraph.closeness`), two views to the mean of both: along a
+    walk from the dark into the light, views asked for look as the photographs there do.
 
     Parameters
     ----------
     images : V of uint8 [H, W, 3]
     inverse_depths : V of float32 [H, W]
     answered : V of bool [H, W]
-    links : V sequences of Link
+    graph : ViewGraph
     """
     rows, ratios = [], []
-    for i, link in ((i, link) for i, sources in enumerate(links) for link in sources):
+    for i, link in ((i, link) for i, sources in enumerate(graph.links) for link in sources):
         j = link.source
         y, x = np.nonzero(answered[i])
         spacing = max(1, len(y) // MAX_SAMPLES)
@@ -62,5 +64,5 @@ def color_gains(
     if not rows:
         return np.ones((len(images), 3))
     # The least-norm solution: views that nothing is known about keep gain 1.
-    logs = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
-    return np.exp(logs).clip(1 / MAX_GAIN, MAX_GAIN)
+    darker = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
+    return np.exp(darker - graph.closeness() @ darker).clip(1 / MAX_GAIN, MAX_GAIN)

@@ -10,6 +10,8 @@ sizes known to it, and costs of one candidate side by side until the end of a bl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit, prange
 from numba.extending import intrinsic
@@ -72,6 +74,47 @@ def matching_cost(
         np.float32((1 - census_weight) * 100),
         np.float32(census_weight * 200 / (_SIDE**2 - 1)),
     )
+
+
+def combine(costs: Sequence[np.ndarray]) -> np.ndarray:
+    """One cost volume of those of several sources: the mean of the better half, uint8 [H, W, D].
+
+    What is hidden or outside in one source may be seen in another; the least alone would reward
+    accidents. Sources that a candidate lands outside of have no say, unless all are such.
+    """
+    if len(costs) == 1:
+        return costs[0]
+    out = np.empty_like(costs[0])
+    _combine(np.stack(costs), out)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _combine(costs, out):
+    S, H, W, D = costs.shape
+    for y in prange(H):
+        sorted_costs = np.empty(S, np.int32)
+        for x in range(W):
+            for d in range(D):
+                seen = 0
+                for s in range(S):
+                    cost = np.int32(costs[s, y, x, d])
+                    if cost == OUTSIDE:
+                        continue
+                    k = seen
+                    while k > 0 and sorted_costs[k - 1] > cost:
+                        sorted_costs[k] = sorted_costs[k - 1]
+                        k -= 1
+                    sorted_costs[k] = cost
+                    seen += 1
+                if seen == 0:
+                    out[y, x, d] = OUTSIDE
+                    continue
+                half = min(seen, (S + 1) // 2)
+                total = half // 2
+                for k in range(half):
+                    total += sorted_costs[k]
+                out[y, x, d] = total // half
 
 
 def _squares(image: np.ndarray) -> np.ndarray:

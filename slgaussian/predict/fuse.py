@@ -1,51 +1,65 @@
-"""What the views agree on: where their cameras stand, and the colours of what both of them show."""
+"""What the views agree on: the colours of what several show, and who of them draws it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numba import njit, prange
-from scipy.spatial.transform import Rotation
 
-from slgaussian.predict.fill import AGREES, cross_check
-from slgaussian.predict.links import Link
-from slgaussian.scene import Camera
+from slgaussian.cameras.relative import Relative
+from slgaussian.predict.fill import AGREES, IN_FRONT, cross_check
+from slgaussian.predict.links import Link, ViewGraph
+
+COPIES = 2
+"""Views that draw one surface, at most. On a forward-facing capture of eight views one is 0.3 dB
+worse, and all eight are 1 dB worse."""
 
 FEATHER = 16.0
 """Distance from the image border, pixels, over which a view gains its full say in a blend: where
 its image ends there is no seam then."""
 
 
-def meet(cameras: Sequence[Camera], links: Sequence[Sequence[Link]]) -> list[Camera]:
-    """The cameras, moved by the least that gives them the refined relative poses of the links.
+def needed(
+    graph: ViewGraph,
+    inverse_depths: Sequence[np.ndarray],
+    known: Sequence[np.ndarray],
+    steps: Sequence[float],
+) -> list[np.ndarray]:
+    """Which pixels of each view bring a surface that is not there yet: V of bool [H, W].
 
-    Depths fit the refined poses that they were matched with; placed with the given ones, the two
-    copies of a surface lie beside each other and blur. Rotations are corrected first, then centres,
-    each in least squares over the links and with the least change: two views go half way each.
-    Where they differ by a few degrees, three and more rotations meet to first order only.
+    The views come one after the other, in the order given, and the first two bring all they show.
+    A surface is drawn at most :data:`COPIES` times. What lies where a view has matched something
+    behind it is not drawn: of what is matched itself the views before decide, of guesses all. So
+    what is drawn mostly stays when a photograph is added.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    inverse_depths : V of float32 [H, W]
+    known : V of float32 [H, W]
+        The same where it was matched or lent, infinite elsewhere.
+    steps : V of float
+        Distance between candidates, which agreement is measured by.
     """
-    rows, turns, pairs = [], [], []
-    for i, link in ((i, link) for i, sources in enumerate(links) for link in sources):
-        R_i, R_j = cameras[i].c2w[:3, :3], cameras[link.source].c2w[:3, :3]
-        row = np.zeros(len(cameras))
-        row[i], row[link.source] = 1, -1
-        rows.append(row)
-        turns.append(Rotation.from_matrix(R_j @ link.relative.R @ R_i.T).as_rotvec())
-        pairs.append((i, link))
-    least = np.linalg.pinv(np.array(rows))
-    poses = [camera.c2w.copy() for camera in cameras]
-    for pose, turn in zip(poses, least @ np.array(turns), strict=True):
-        pose[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
-    gaps = [
-        poses[link.source][:3, :3] @ link.relative.t - (poses[i] - poses[link.source])[:3, 3]
-        for i, link in pairs
-    ]
-    for pose, move in zip(poses, least @ np.array(gaps), strict=True):
-        pose[:3, 3] += move
-    return [replace(camera, c2w=pose) for camera, pose in zip(cameras, poses, strict=True)]
+    keep = [np.ones(values.shape, bool) for values in inverse_depths]
+    if len(keep) == 2:
+        return keep
+    for i, mine in enumerate(inverse_depths):
+        guessed = ~np.isfinite(known[i])
+        shown = np.zeros(mine.shape, np.uint8)
+        for j in range(len(keep)):
+            if j == i:
+                continue
+            relative = Relative.between(graph.cameras[i], graph.cameras[j])
+            late = i > j and i > 1
+            refuted = cross_check(mine, known[j], relative, steps[i]) == IN_FRONT
+            keep[i] &= ~refuted if late else ~(refuted & guessed)
+            if late:
+                shown += cross_check(mine, inverse_depths[j], relative, steps[i]) == AGREES
+        keep[i] &= shown < COPIES
+    return keep
 
 
 def blend(

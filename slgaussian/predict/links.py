@@ -1,27 +1,42 @@
-"""Which views are matched with which, their refined geometry and their sparse matches."""
+"""The graph of views: which are matched with which, their settled cameras and sparse matches."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.cameras.matches import sift_matches
-from slgaussian.cameras.neighbours import nearest, neighbours
+from slgaussian.cameras.matches import sift, sift_pairs
+from slgaussian.cameras.neighbours import neighbours
 from slgaussian.cameras.relative import Relative
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, listed
 from slgaussian.predict.candidates import MIN_MATCHES
-from slgaussian.predict.pose import GATE, refine
-from slgaussian.scene import View
+from slgaussian.predict.pose import GATE, MIN_REFINE, refine
+from slgaussian.predict.settle import settle
+from slgaussian.scene import Camera, Sample, View
 
 INLIER = 2.0
 """Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
 
-
 MIN_PARALLAX = 1.0
 """Motion of matches by depth, pixels (their 90th percentile), below which two views are taken for
 one: the matches themselves are a few tenths of a pixel off."""
+
+TRIED = 6
+"""Views, the nearest, that each is matched with by features."""
+
+SOURCES = 4
+"""Views that depth is found from at most; on a walk and a forward-facing capture two and three are
+worse, and memory goes with their number."""
+
+BELIEVED = 2
+"""Views, the nearest, that one without matches is linked with."""
+
+BEST_ANGLE = 5.0
+NARROW, BROAD = 2.0, 10.0
+"""Degrees between two lines of sight at which a match tells most of depth, and how fast narrower
+and wider ones tell less (Yao et al. 2018, "MVSNet", section 4.1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +48,7 @@ class Link:
     source : int
         Index of the source view.
     relative : Relative
-        From the reference to the source, refined for matching.
+        From the reference to the source, as their settled cameras say.
     sparse : float64 [M]
         Inverse depths of sparse matches in the reference.
     """
@@ -43,53 +58,166 @@ class Link:
     sparse: np.ndarray
 
 
-def link_views(views: Sequence[View]) -> list[list[Link]]:
-    """For each view, links to its nearest views in order of distance.
+@dataclass(frozen=True, eq=False)
+class ViewGraph:
+    """Views that see the same things.
 
-    As many as :data:`slgaussian.cameras.neighbours.NEIGHBOURS`. Two views whose matches show no
-    parallax are not linked: nothing can be learnt from them.
+    Attributes
+    ----------
+    cameras : V Camera
+        Settled: all matches meet under them as well as they can.
+    links : V sequences of Link
+        The sources of each view, the best first.
+    """
+
+    cameras: Sequence[Camera]
+    links: Sequence[Sequence[Link]]
+
+    def closeness(self) -> np.ndarray:
+        """Weights float64 [V, V] of a mean around each view; rows sum to 1.
+
+        A view and the one that shares most matches with it count alike, others by the square of
+        what they share: the exposures and poses of a walk change as one goes along.
+        """
+        shared = np.zeros((len(self.links), len(self.links)))
+        for i, sources in enumerate(self.links):
+            for link in sources:
+                shared[i, link.source] = shared[link.source, i] = max(1, len(link.sparse))
+        most = np.maximum(shared.max(1, keepdims=True), 1)
+        weights = (shared / most) ** 2 + np.eye(len(shared))
+        return weights / weights.sum(1, keepdims=True)
+
+
+def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
+    """Match views that may see the same things, settle their cameras and choose sources of depth.
+
+    Views whose matches show no parallax are not linked, nothing can be learnt from them; nor are
+    those with too few matches. A view that matches no other is linked with the nearest by its pose
+    alone, if its depth range is given (``ranged``) or other views tell one.
 
     Raises
     ------
     InputError
-        If that leaves a view without a link, or if most matches of two views would lie behind the
-        cameras.
+        If a view is linked with none. Pieces of two views and more are joined by their poses.
     """
-    greys = [view.grey for view in views]
-    sources = [nearest(views, i) for i in range(len(views))]
-    links: dict[tuple[int, int], Link] = {}
-    too_close: dict[int, str] = {}
-    for i, j in neighbours(views):
+    matches, why = _matched(views)
+    points = [sift(view.grey).points for view in views]
+    moving = {pair: found for pair, found in matches.items() if len(found[0]) >= MIN_REFINE}
+    cameras = settle([view.camera for view in views], points, moving)
+    found: list[list[tuple[float, Link]]] = [[] for _ in views]
+    for (i, j), (p, q) in matches.items():
+        _link(found, cameras, (i, j), points[i][p], points[j][q])
+    if ranged or matches:
+        alone = {i for i, own in enumerate(found) if not own}
+        for i, j in neighbours(views, BELIEVED):
+            if (i, j) not in why and alone & {i, j}:
+                _link(found, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
+    _refuse_alone(views, found, why)
+    return ViewGraph(
+        cameras,
+        [[link for _, link in sorted(own, key=lambda one: -one[0])[:SOURCES]] for own in found],
+    )
+
+
+def without_strangers(sample: Sample) -> tuple[Sample, dict[str, str]]:
+    """The sample without the context views that match no other, and why each is left out.
+
+    All stay where there are two, or where more than half would go.
+    """
+    views = sample.context
+    met = {i for pair in _matched(views)[0] for i in pair} if len(views) > 2 else set()
+    if len(met) == len(views) or len(met) < max(3, len(views) / 2):
+        return sample, {}
+    why = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
+    left = {view.name: why for i, view in enumerate(views) if i not in met}
+    return replace(sample, context=tuple(views[i] for i in sorted(met))), left
+
+
+Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+
+
+def _matched(views: Sequence[View]) -> tuple[Matches, dict[tuple[int, int], str]]:
+    """Which features of which pairs of views show one point, int [M] and int [M], and what is wrong
+    with pairs whose matches tell no depth."""
+    features = [sift(view.grey) for view in views]
+    matches: Matches = {}
+    why = {}
+    for i, j in neighbours(views, TRIED):
         given = Relative.between(views[i].camera, views[j].camera)
-        a, b = sift_matches(greys[i], greys[j])
-        possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*greys[i].shape)
-        a, b = a[possible], b[possible]
-        forth = refine(given, a, b)
-        back = forth.reversed()
-        fits = np.abs(forth.epipolar_distance(a, b)) < INLIER
-        a, b = a[fits], b[fits]
-        here, there = forth.triangulate(a, b), back.triangulate(b, a)
-        front = (here > 0) & (there > 0)
-        if len(a) >= MIN_MATCHES:
-            both = f"{views[i].name!r} and {views[j].name!r}"
-            motion = np.abs(here) * forth.parallax(a)
-            if np.percentile(motion, 90) < MIN_PARALLAX:
-                too_close[i] = too_close[j] = (
-                    f"{both} were taken from almost the same place: their {len(a)} matches show "
-                    f"{np.median(motion):.2g} pixels of parallax, but depth takes "
-                    f"{MIN_PARALLAX:g} or more; choose photographs taken farther apart"
-                )
-                continue
-            if front.mean() < 0.5:
-                raise InputError(
-                    f"{both}: by their poses, {(~front).sum()} of their {len(a)} matches lie "
-                    "behind the cameras; check that no two photographs are exchanged, and that "
-                    "poses are camera-to-world and follow the axes of their file format"
-                )
-        links[i, j] = Link(j, forth, here[front])
-        links[j, i] = Link(i, back, there[front])
-    linked = [[links[i, j] for j in js if (i, j) in links] for i, js in enumerate(sources)]
-    for i, found in enumerate(linked):
-        if not found:
-            raise InputError(too_close[i])
-    return linked
+        p, q = sift_pairs(views[i].grey, views[j].grey)
+        a, b = features[i].points[p], features[j].points[q]
+        possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
+        p, q, a, b = (found[possible] for found in (p, q, a, b))
+        there = refine(given, a, b)
+        fits = np.abs(there.epipolar_distance(a, b)) < INLIER
+        p, q, a, b = (found[fits] for found in (p, q, a, b))
+        front = (there.triangulate(a, b) > 0) & (there.reversed().triangulate(b, a) > 0)
+        if len(a) < MIN_MATCHES:
+            continue
+        said = _useless(views[i], views[j], there, a, b, front)
+        if said is None:
+            matches[i, j] = p[front], q[front]
+        else:
+            why[i, j] = said
+    return matches, why
+
+
+def _useless(
+    a: View, b: View, there: Relative, at_a: np.ndarray, at_b: np.ndarray, front: np.ndarray
+) -> str | None:
+    """Why many matches of two views tell no depth, None if they do."""
+    both = f"{a.name!r} and {b.name!r}"
+    motion = np.abs(there.triangulate(at_a, at_b)) * there.parallax(at_a)
+    if np.percentile(motion, 90) < MIN_PARALLAX:
+        return (
+            f"{both} were taken from almost the same place: their {len(at_a)} matches show "
+            f"{np.median(motion):.2g} pixels of parallax, but depth takes "
+            f"{MIN_PARALLAX:g} or more; choose photographs taken farther apart"
+        )
+    if front.mean() < 0.5:
+        return (
+            f"{both}: by their poses, {(~front).sum()} of their {len(at_a)} matches lie "
+            "behind the cameras; check that no two photographs are exchanged, and that "
+            "poses are camera-to-world and follow the axes of their file format"
+        )
+    return None
+
+
+def _link(
+    found: list[list[tuple[float, Link]]],
+    cameras: Sequence[Camera],
+    pair: tuple[int, int],
+    at_a: np.ndarray,
+    at_b: np.ndarray,
+) -> None:
+    """Link two views both ways, each with how much it tells of depth."""
+    i, j = pair
+    forth = Relative.between(cameras[i], cameras[j])
+    back = forth.reversed()
+    here, there = forth.triangulate(at_a, at_b), back.triangulate(at_b, at_a)
+    fits = np.abs(forth.epipolar_distance(at_a, at_b)) < INLIER
+    good = fits & (here > 0) & (there > 0)
+    angle = np.degrees(np.arctan(here * forth.parallax(at_a) / cameras[j].K[0, 0]))[good]
+    wide = np.where(angle < BEST_ANGLE, NARROW, BROAD)
+    worth = float(np.exp(-0.5 * ((angle - BEST_ANGLE) / wide) ** 2).sum())
+    found[i].append((worth, Link(j, forth, here[good])))
+    found[j].append((worth, Link(i, back, there[good])))
+
+
+def _refuse_alone(
+    views: Sequence[View],
+    found: Sequence[Sequence[tuple[float, Link]]],
+    why: dict[tuple[int, int], str],
+) -> None:
+    """Raise InputError if a view is linked with none."""
+    alone = {i for i, own in enumerate(found) if not own}
+    for pair, said in why.items():
+        if alone & {*pair}:
+            raise InputError(said)
+    if alone:
+        names = listed([views[i].name] for i in sorted(alone))
+        raise InputError(
+            f"views do not overlap or have too little texture: {names} has fewer than "
+            f"{MIN_MATCHES} matches with any other; leave out what shows something else, "
+            "choose views that overlap, or give near and far"
+        )

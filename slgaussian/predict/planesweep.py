@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 class PlaneSweep:
     """Depth by plane sweep and semi-global matching, one Gaussian a context pixel and some more.
 
-    Each view is matched against its nearest neighbours; what they confirm is kept, the rest is
-    filled with planes of the scene. See ``sweep`` in this package, and what it imports.
+    Each view is matched against the few that tell most of its depth; what they confirm is kept, the
+    rest is lent by them or filled with planes of the scene. What others draw twice already is not
+    drawn again. See ``sweep`` in this package, and what it imports.
 
     Attributes
     ----------
@@ -55,7 +56,8 @@ class PlaneSweep:
     def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Gaussians in the world frame of ``sample``.
 
-        First one a context pixel, in the order of ``source``; then a few for what no view sees.
+        First one a context pixel, in the order of ``source``, but for those that show what two
+        views before show already; then a few for what no view sees.
         ``seed`` decides which planes are tried where matching gave no depth.
 
         Raises

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
@@ -18,7 +18,7 @@ from slgaussian.predict.candidates import (
     inverse_depth_range,
     visible_share,
 )
-from slgaussian.predict.cost import matching_cost
+from slgaussian.predict.cost import combine, matching_cost
 from slgaussian.predict.fill import (
     AGREES,
     IN_FRONT,
@@ -28,19 +28,17 @@ from slgaussian.predict.fill import (
     weighted_median,
     without_speckles,
 )
-from slgaussian.predict.fuse import blend, meet
+from slgaussian.predict.fuse import blend, needed
 from slgaussian.predict.hidden import hidden
+from slgaussian.predict.lend import SPECKLE, Swept, lend
 from slgaussian.predict.links import Link, link_views
+from slgaussian.predict.settle import kept_near
 from slgaussian.predict.sgm import aggregate, winners
 from slgaussian.predict.unproject import concatenate, unproject
 from slgaussian.scene import Sample, View
 
 if TYPE_CHECKING:
     from slgaussian.predict.planesweep import PlaneSweep
-
-SPECKLE = 1 / 1200
-"""Answered patches of at most this share of the image are taken for accidents and filled instead.
-"""
 
 MIN_MARGIN = 0.02
 """A pixel whose best cost is not this much below all others is not answered: on a blank wall the
@@ -59,78 +57,55 @@ shows must close the surface by itself. What lies in another view's free space i
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Swept:
-    """One view after the sweep: candidates, raw depth, and where another view confirms it.
-
-    Attributes
-    ----------
-    steps : float64 [D]
-        Candidate inverse depths, ascending.
-    inverse_depth : float32 [H, W]
-        1 / z in scene units, between the first and last candidate.
-    answered : bool [H, W]
-        Where matching gave the depth and another view agrees.
-    """
-
-    steps: np.ndarray
-    inverse_depth: np.ndarray
-    answered: np.ndarray
-
-    @property
-    def step(self) -> float:
-        """Distance between neighbouring candidates."""
-        return float(self.steps[1] - self.steps[0])
-
-    @property
-    def known(self) -> np.ndarray:
-        """Inverse depth where it is answered, infinite elsewhere."""
-        return np.where(self.answered, self.inverse_depth, np.float32(np.inf))
-
-
 def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
     """Gaussians of the context views; see :meth:`slgaussian.predict.planesweep.PlaneSweep`."""
     views = sample.context
-    links = link_views(views)
-    swept = _sweep(settings, sample, links)
-    whole = _complete(sample, links, swept, seed)
-    opacities = [_opacity(i, links[i], swept, whole) for i in range(len(views))]
-    gains = color_gains([v.image for v in views], whole, [s.answered for s in swept], links)
+    graph = link_views(views, all(None not in _given(settings, v) for v in views))
+    swept = _sweep(settings, sample, graph.links)
+    depths, answered = ([getattr(s, name) for s in swept] for name in ("inverse_depth", "answered"))
+    gains = color_gains([view.image for view in views], depths, answered, graph)
     exposed = [
         (view.image * np.float32(gain / 255)).clip(0, 1)
         for view, gain in zip(views, gains, strict=True)
     ]
+    swept = lend(swept, exposed, graph.links)
+    whole = _complete(sample, graph.links, swept, seed)
+    opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(graph.links)]
     steps = [s.step for s in swept]
-    colors = blend(exposed, whole, steps, links)
-    cameras = meet([view.camera for view in views], links)
+    colors = blend(exposed, whole, steps, graph.links)
+    given = [view.camera for view in views]
+    cameras = kept_near(given, graph.cameras, graph.closeness())
     shown = unproject(cameras, colors, whole, opacities)
-    return concatenate([shown, hidden(cameras, colors, whole, steps)])
+    kept = np.concatenate(
+        [keep.ravel() for keep in needed(graph, whole, [s.known for s in swept], steps)]
+    )
+    beyond = hidden(cameras, colors, whole, steps)
+    return concatenate([shown[torch.from_numpy(kept)], beyond])
 
 
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
     """Match every view against its sources and check the answers against each other."""
     views = sample.context
     guides = [view.grey for view in views]
+    everywhere = np.concatenate([link.sparse for own in links for link in own])
     found = []
     for i, view in enumerate(views):
-        low, high = _range(settings, sample.scene, view, links[i])
+        low, high = _range(settings, sample.scene, view, links[i], everywhere)
         size = guides[i].shape
         steps = max(
             (candidates(k.relative, size, low, high, settings.depth_candidates) for k in links[i]),
             key=len,
         )
-        for link in links[i]:
-            if visible_share(link.relative, size, steps) < MIN_VISIBLE:
-                raise InputError(
-                    f"scene {sample.scene!r}: {view.name!r} and {views[link.source].name!r} "
-                    f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
-                    "choose views that overlap, or correct near and far"
-                )
-        # The least cost over the sources: what is hidden in one may be seen in another.
-        cost = matching_cost(guides[i], guides[links[i][0].source], links[i][0].relative, steps)
-        for link in links[i][1:]:
-            other = matching_cost(guides[i], guides[link.source], link.relative, steps)
-            np.minimum(cost, other, out=cost)
+        shown = [k for k in links[i] if visible_share(k.relative, size, steps) >= MIN_VISIBLE]
+        if not shown:
+            raise InputError(
+                f"scene {sample.scene!r}: {view.name!r} and {views[links[i][0].source].name!r} "
+                f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
+                "choose views that overlap, or correct near and far"
+            )
+        cost = combine(
+            [matching_cost(guides[i], guides[k.source], k.relative, steps) for k in shown]
+        )
         best, offset, margin = winners(aggregate(cost, guides[i]))
         index = best + offset
         inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
@@ -147,15 +122,27 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
     return result
 
 
+def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:
+    """Near and far of a view as somebody said them."""
+    return (
+        settings.near if settings.near is not None else view.camera.near,
+        settings.far if settings.far is not None else view.camera.far,
+    )
+
+
 def _range(
-    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link]
+    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link], everywhere: np.ndarray
 ) -> tuple[float, float]:
-    """Least and greatest inverse depth to try for one view."""
-    near = settings.near if settings.near is not None else view.camera.near
-    far = settings.far if settings.far is not None else view.camera.far
+    """Least and greatest inverse depth to try for one view.
+
+    ``everywhere`` are the sparse inverse depths of all views, for one that has too few.
+    """
+    near, far = _given(settings, view)
     low = high = 0.0
     if near is None or far is None:
         sparse = np.concatenate([link.sparse for link in links])
+        if len(sparse) < MIN_MATCHES:
+            sparse = everywhere
         if len(sparse) < MIN_MATCHES:
             raise InputError(
                 f"scene {scene!r}: views do not overlap or have too little texture around "

@@ -20,7 +20,7 @@ from slgaussian.cameras.check import (
     explained,
     refuse,
 )
-from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.matches import sift, sift_pairs
 from slgaussian.errors import InputError
 from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Estimated, Sample, View
@@ -170,10 +170,11 @@ def test_a_field_is_not_built_with_cameras_that_are_not_its_own(room):
 
 def test_matches_are_found_once_and_cannot_be_changed(room):
     greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in room.context]
-    a, _ = sift_matches(*greys)
-    again, _ = sift_matches(*(grey.copy() for grey in greys))
-    other, _ = sift_matches(*greys[::-1])
+    a, _ = sift_pairs(*greys)
+    again, _ = sift_pairs(*(grey.copy() for grey in greys))
+    other, _ = sift_pairs(*greys[::-1])
     assert again is a and other is not a
+    assert sift(greys[0]) is sift(greys[0].copy())
     with pytest.raises(ValueError):
         a[0] = 0
 

@@ -5,15 +5,24 @@ from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.balance import color_gains
-from slgaussian.predict.links import Link
+from slgaussian.predict.links import Link, ViewGraph
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 
 
-def links_between(a, b):
-    relative = Relative.between(a, b)
+def graph_of(*cameras):
+    """Each view linked with those beside it."""
     none = np.zeros(0)
-    return [[Link(1, relative, none)], [Link(0, relative.reversed(), none)]]
+    count = len(cameras)
+    links = [
+        [
+            Link(j, Relative.between(cameras[i], cameras[j]), none)
+            for j in (i - 1, i + 1)
+            if 0 <= j < count
+        ]
+        for i in range(count)
+    ]
+    return ViewGraph(cameras, links)
 
 
 def test_gains_undo_an_exposure_difference():
@@ -23,10 +32,26 @@ def test_gains_undo_an_exposure_difference():
     images[1] = ((views[1].image // 2 + 30) * factor).round().astype(np.uint8)
     inverse_depths = [1 / view.depth for view in views]
     answered = [np.ones(view.depth.shape, bool) for view in views]
-    gains = color_gains(images, inverse_depths, answered, links_between(*CAMERAS))
+    gains = color_gains(images, inverse_depths, answered, graph_of(*CAMERAS))
     # Whole grey levels around 90: half a level is 0.5 %.
     assert np.allclose(gains[0] / gains[1], factor, rtol=0.01)
     assert np.allclose(gains[0] * gains[1], 1)
+
+
+def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
+    cameras = [camera(x=0.2 * k) for k in range(3)]
+    views = sample(*cameras).context
+    bright = np.array([0.7, 0.9, 1.2])
+    images = [
+        ((view.image // 2 + 30) * b).round().astype(np.uint8)
+        for view, b in zip(views, bright, strict=True)
+    ]
+    answered = [np.ones(view.depth.shape, bool) for view in views]
+    gains = color_gains(images, [1 / view.depth for view in views], answered, graph_of(*cameras))
+    logs = np.log(bright)
+    expected = np.array([logs[:2].mean(), logs.mean(), logs[1:].mean()]) - logs
+    # Whole grey levels around 90: half a level is 0.5 %.
+    assert np.allclose(np.log(gains), expected[:, None], atol=0.01)
 
 
 def test_without_shared_pixels_the_gains_are_one():
@@ -34,5 +59,5 @@ def test_without_shared_pixels_the_gains_are_one():
     nothing = [np.zeros(view.depth.shape, bool) for view in views]
     inverse_depths = [1 / view.depth for view in views]
     images = [view.image for view in views]
-    gains = color_gains(images, inverse_depths, nothing, links_between(*CAMERAS))
+    gains = color_gains(images, inverse_depths, nothing, graph_of(*CAMERAS))
     assert np.array_equal(gains, np.ones((2, 3)))

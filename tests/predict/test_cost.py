@@ -5,7 +5,7 @@ import pytest
 from textured_planes import Plane, camera
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.cost import matching_cost
+from slgaussian.predict.cost import combine, matching_cost
 
 # Written out, not imported: a slip in the module must show here.
 OUTSIDE, RADIUS = 60, 2
@@ -88,3 +88,17 @@ def test_true_depth_costs_least_and_outside_costs_the_constant():
     inner = cost[:, 20:]
     assert (inner.argmin(-1) == 1).mean() > 0.99
     assert np.median(inner[..., 1]) < 5
+
+
+def test_combined_costs_are_the_mean_of_the_better_half_of_those_that_see():
+    rng = np.random.default_rng(0)
+    costs = [rng.integers(0, 200, (5, 7, 11)).astype(np.uint8) for _ in range(4)]
+    for cost in costs:
+        cost[rng.random(cost.shape) < 0.4] = OUTSIDE
+    for count in (1, 2, 3, 4):
+        found = combine(costs[:count])
+        for at in np.ndindex(found.shape):
+            seen = sorted(int(c[at]) for c in costs[:count] if c[at] != OUTSIDE)
+            half = seen[: (count + 1) // 2]
+            expected = int(sum(half) / len(half) + 0.5) if half else OUTSIDE
+            assert found[at] == expected

@@ -1,16 +1,13 @@
-"""Cameras that meet half way, and one colour for what two views show."""
-
-from dataclasses import replace
+"""One colour for what two views show, and no more copies of a surface than two."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.fill import AGREES, cross_check
-from slgaussian.predict.fuse import blend, meet
-from slgaussian.predict.links import Link
+from slgaussian.predict.fuse import blend, needed
+from slgaussian.predict.links import Link, ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0
@@ -28,53 +25,6 @@ def links_of(*cameras):
         ]
         for i, one in enumerate(cameras)
     ]
-
-
-def disturbed(given, turn, move):
-    c2w = given.c2w.copy()
-    c2w[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ c2w[:3, :3]
-    c2w[:3, 3] += move
-    return replace(given, c2w=c2w)
-
-
-def turned_by(a, b):
-    return np.linalg.norm(Rotation.from_matrix(b.c2w[:3, :3] @ a.c2w[:3, :3].T).as_rotvec())
-
-
-def test_two_cameras_meet_half_way():
-    turn, move = np.array([0.01, -0.02, 0.005]), np.array([0.02, 0.01, -0.03])
-    refined = links_of(CAMERAS[0], disturbed(CAMERAS[1], turn, move))
-    met = meet(CAMERAS, refined)
-    # Exact for two but for rounding: 1e-16 times a few products.
-    for link, (a, b) in ((refined[0][0], met), (refined[1][0], met[::-1])):
-        found = Relative.between(a, b)
-        assert np.allclose(found.R, link.relative.R, atol=1e-12)
-        assert np.allclose(found.t, link.relative.t, atol=1e-12)
-    for before, after in zip(CAMERAS, met, strict=True):
-        assert turned_by(before, after) == pytest.approx(np.linalg.norm(turn) / 2, rel=1e-6)
-    assert np.allclose(
-        met[0].center - CAMERAS[0].center, CAMERAS[1].center - met[1].center, atol=1e-12
-    )
-
-
-def test_cameras_that_agree_stay():
-    three = (*CAMERAS, camera(x=-0.2, y=0.3, turn=0.05))
-    for before, after in zip(three, meet(three, links_of(*three)), strict=True):
-        assert np.allclose(before.c2w, after.c2w, atol=1e-12)
-
-
-def test_three_cameras_meet():
-    three = (*CAMERAS, camera(x=-0.2, y=0.3, turn=0.05))
-    rng = np.random.default_rng(0)
-    moved = [disturbed(c, rng.normal(0, 0.003, 3), rng.normal(0, 0.01, 3)) for c in three]
-    refined = links_of(*moved)
-    met = meet(three, refined)
-    for i, sources in enumerate(refined):
-        for link in sources:
-            found = Relative.between(met[i], met[link.source])
-            # To first order: squares of 0.005 radians. The disturbance itself is 100 times that.
-            assert np.abs(found.R - link.relative.R).max() < 5e-5
-            assert np.abs(found.t - link.relative.t).max() < 5e-5
 
 
 def plainly_blended(images, inverse_depths, steps, links):
@@ -155,3 +105,50 @@ def test_without_overlap_colours_stay():
     mixed = blend(images, depths, [0.001] * 2, links_of(*apart))
     # A weight times a value over the weight: two roundings.
     assert np.allclose(mixed, images, rtol=3e-7)
+
+
+def kept(cameras, depths, guessed=None):
+    """What :func:`needed` keeps if all depths are known but those of the view ``guessed``."""
+    inverse = [1 / depth.astype(np.float32) for depth in depths]
+    known = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
+    return needed(ViewGraph(cameras, links_of(*cameras)), inverse, known, [0.001] * len(cameras))
+
+
+def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
+    cameras = [camera(x=x) for x in (0, 0.2, 0.4, 0.6)]
+    depths = [view.depth for view in sample(*cameras).context]
+    keep = kept(cameras, depths)
+    assert keep[0].all() and keep[1].all()
+    # The first two saw all of it but what lies beyond their borders, on the right.
+    W = keep[2].shape[1]
+    assert keep[2][:, : W // 2].mean() < 0.05
+    assert keep[2][:, -5:].mean() > 0.9 and keep[3][:, -5:].mean() > 0.9
+    assert keep[3].mean() < 0.4
+
+
+def test_nothing_is_drawn_where_a_view_before_sees_through():
+    cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
+    depths = [view.depth.copy() for view in sample(*cameras).context]
+    depths[2][40:60, 40:60] *= 0.5
+    keep = kept(cameras, depths)
+    assert not keep[2][41:59, 41:59].any()
+
+
+def test_a_guess_is_not_drawn_where_a_view_after_sees_through_but_does_not_refute_one():
+    cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
+    depths = [view.depth.copy() for view in sample(*cameras).context]
+    depths[0][40:60, 60:80] *= 0.5
+    keep = kept(cameras, depths, guessed=0)
+    assert not keep[0][41:59, 61:79].any()
+    # Known, it stays: the views before decide about what is matched.
+    assert kept(cameras, depths)[0].all()
+    # Depth that the first view only guesses takes nothing from the others.
+    depths[0][:] *= 4
+    assert kept(cameras, depths, guessed=0)[2].mean() > 0.9
+
+
+def test_a_surface_that_one_view_before_shows_gets_its_second_copy():
+    cameras = [camera(x=0), camera(x=6), camera(x=0.4)]
+    depths = [view.depth for view in sample(*cameras).context]
+    keep = kept(cameras, depths)
+    assert keep[2].mean() > 0.9

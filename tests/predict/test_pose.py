@@ -1,19 +1,22 @@
 """Relative geometry: projection, triangulation, and what refinement recovers."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from textured_planes import camera, sample
+from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
+from slgaussian.errors import InputError
 from slgaussian.predict.candidates import (
     candidates,
     inverse_depth_range,
     pixel_grid,
     visible_share,
 )
-from slgaussian.predict.links import link_views
+from slgaussian.predict.links import link_views, without_strangers
 from slgaussian.predict.pose import refine
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
@@ -174,8 +177,42 @@ def test_visible_share_tells_overlap_from_none():
     assert visible_share(away, (120, 160), steps) == 0
 
 
-def test_three_views_link_to_their_neighbours_in_order():
+def test_three_views_link_to_each_other_the_best_angle_first():
+    """The lines of sight of the first two meet at 10 degrees, those of the others at 4 and 6."""
     views = sample(camera(), camera(x=0.5), camera(x=0.2)).context
-    links = link_views(views)
-    assert [[link.source for link in sources] for sources in links] == [[2, 1], [2, 0], [0, 1]]
+    links = link_views(views, ranged=False).links
+    assert [[link.source for link in sources] for sources in links] == [[2, 1], [2, 0], [1, 0]]
     assert all(len(link.sparse) > 30 for sources in links for link in sources)
+
+
+def test_a_view_that_matches_no_other_is_linked_by_its_pose():
+    near = sample(camera(), camera(x=0.3)).context
+    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    links = link_views([*near, other], ranged=False).links
+    assert [[link.source for link in own] for own in links] == [[1, 2], [0, 2], [0, 1]]
+    assert [len(link.sparse) for link in links[2]] == [0, 0]
+
+
+def test_two_views_without_matches_are_named():
+    near = Plane(NORMAL, 3.0).view("here", camera())
+    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
+        link_views([near, other], ranged=False)
+    assert link_views([near, other], ranged=True).links[0][0].source == 1
+
+
+def test_a_photograph_that_is_there_twice_is_linked_with_others_alone():
+    one, two = sample(camera(), camera(x=0.3)).context
+    links = link_views([one, replace(one, name="again"), two], ranged=False).links
+    assert [[link.source for link in sources] for sources in links[:2]] == [[2], [2]]
+    assert {link.source for link in links[2]} == {0, 1}
+
+
+def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
+    given = sample(camera(), camera(x=0.3), camera(x=0.5))
+    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    among = replace(given, context=(given.context[0], other, *given.context[1:]))
+    kept, left_out = without_strangers(among)
+    assert [view.name for view in kept.context] == [view.name for view in given.context]
+    assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
+    assert without_strangers(given) == (given, {})

@@ -91,7 +91,7 @@ def estimated_near(views: Sequence[View]) -> float:
 
     See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`. It scales with the scene.
     """
-    links = link_views(views)
+    links = link_views(views, ranged=True).links
     found = [np.concatenate([link.sparse for link in mine]) for mine in links]
     if min(map(len, found)) >= MIN_MATCHES:
         # Inverse depths: their 95th percentile is the 5th of depths.

@@ -1,0 +1,69 @@
+"""Which of many photographs, or of a video's frames, are enough to show what all of them show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+MIDDLE = 0.5
+"""Share of a part of the way, about its middle, that its keyframe is taken from: two keyframes are
+then half a part apart at least."""
+
+
+def choose_keyframes(
+    blurs: Sequence[float], count: int, cameras: Sequence[Camera] | None = None
+) -> list[int]:
+    """Numbers of the keyframes, ascending.
+
+    The way from the first to the last is cut into ``count`` equal parts, and of the middle of each
+    the sharpest frame is taken. The way is what the camera moves and turns, each as a share of all
+    that it moves and turns: standing still adds nothing. Without cameras, frames are taken to be
+    evenly spread. A part without a frame gives none.
+
+    Parameters
+    ----------
+    blurs : sequence of N float
+        :func:`slgaussian.datasets.sharpness.blur` of every frame, in the order taken.
+    count : int
+        Two or more.
+    cameras : sequence of N Camera, optional
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two parts.
+    """
+    if count < 2:
+        raise InputError(f"keyframes: found {count}, expected two or more")
+    if len(blurs) <= count:
+        return list(range(len(blurs)))
+    part = _way(len(blurs), cameras) * count
+    number = np.minimum(part.astype(int), count - 1)
+    off = np.abs(part - number - 0.5)
+    kept = []
+    for k in range(count):
+        own = np.flatnonzero(number == k)
+        middle = own[off[own] <= MIDDLE / 2]
+        if len(own):
+            among = middle if len(middle) else own
+            kept.append(int(among[np.argmin(np.asarray(blurs)[among])]))
+    return kept
+
+
+def _way(frames: int, cameras: Sequence[Camera] | None) -> np.ndarray:
+    """How far along the way each frame is, float64 [N] from 0 to 1."""
+    even = np.linspace(0, 1, frames)
+    if cameras is None:
+        return even
+    centers = np.array([camera.center for camera in cameras])
+    axes = np.array([camera.c2w[:3, 2] for camera in cameras])
+    moved = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+    turned = np.arccos((axes[1:] * axes[:-1]).sum(1).clip(-1, 1))
+    shares = [steps / steps.sum() for steps in (moved, turned) if steps.sum() > 0]
+    if not shares:
+        return even
+    return np.concatenate([[0], np.cumsum(np.mean(shares, axis=0))])

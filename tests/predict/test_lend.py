@@ -1,0 +1,57 @@
+"""Depth lent to a view by those that see the same surface."""
+
+from dataclasses import replace
+
+import numpy as np
+from textured_planes import camera, sample
+
+from slgaussian.cameras.relative import Relative
+from slgaussian.predict.lend import Swept, lend
+from slgaussian.predict.links import Link
+
+CAMERAS = (camera(), camera(x=0.3))
+LINKS = [
+    [Link(1, Relative.between(*CAMERAS), np.zeros(0))],
+    [Link(0, Relative.between(*CAMERAS[::-1]), np.zeros(0))],
+]
+HOLE = (slice(50, 70), slice(60, 90))
+
+
+def pair():
+    """Two views that know the depth of everything, but for a hole in the first."""
+    views = sample(*CAMERAS).context
+    images = [np.full((*view.depth.shape, 3), 0.5, np.float32) for view in views]
+    steps = np.linspace(0.05, 1, 100)
+    swept = [
+        Swept(steps, 1 / view.depth.astype(np.float32), np.ones(view.depth.shape, bool))
+        for view in views
+    ]
+    answered, guessed = swept[0].answered.copy(), swept[0].inverse_depth.copy()
+    answered[HOLE], guessed[HOLE] = False, 0.9
+    return views, images, [replace(swept[0], answered=answered, inverse_depth=guessed), swept[1]]
+
+
+def test_a_hole_gets_the_depth_that_the_other_view_found_there():
+    views, images, swept = pair()
+    first, second = lend(swept, images, LINKS)
+    assert first.answered[HOLE].mean() > 0.98
+    there = first.answered[HOLE]
+    found, true = first.inverse_depth[HOLE][there], 1 / views[0].depth[HOLE][there]
+    # A point may land half a pixel beside: the planes are tilted by less than 1 % a pixel.
+    assert np.abs(found / true - 1).max() < 0.02
+    assert np.array_equal(second.inverse_depth, swept[1].inverse_depth)
+
+
+def test_answers_are_not_overruled():
+    _, images, swept = pair()
+    first, _ = lend(swept, images, LINKS)
+    mine = swept[0].answered
+    assert np.array_equal(first.inverse_depth[mine], swept[0].inverse_depth[mine])
+
+
+def test_what_has_another_colour_is_not_believed():
+    """It may lie behind what the view shows there."""
+    _, images, swept = pair()
+    images[0][40:80, 50:100] = 0.8
+    first, _ = lend(swept, images, LINKS)
+    assert not first.answered[53:67, 63:87].any()
