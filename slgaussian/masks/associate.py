@@ -10,6 +10,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
+from slgaussian.masks.consensus import settle
 from slgaussian.masks.flatten import (
     CRUMB_SHARE,
     flatten,
@@ -35,6 +36,10 @@ def associate(
     back: MaskTracker | None = None,
 ) -> LabelMaps:
     """Label maps of a sequence of views with ids that mean the same object in every view.
+
+    Views of which the tracker says that they show one thing need not follow each other: it
+    remembers them all. What it cannot know when it comes to a view, the votes of all views settle
+    in the end, if there are three or more and all have a depth: :mod:`slgaussian.masks.consensus`.
 
     The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
     the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
@@ -64,7 +69,9 @@ def associate(
     Returns
     -------
     LabelMaps
-        Ids 1 .. N without gaps, in order of appearance: those of the first view by falling area.
+        Ids from 1 in order of appearance: those of the first view by falling area. A photograph
+        that is added at the end leaves those of the others as they are, but for objects that its
+        votes join or split. Two views have no gaps in their ids.
         Objects seen in one view only are kept (:attr:`LabelMaps.seen_once`). 0 is left only where
         nothing was proposed. Of a ``final`` tracker, its ids as they are. The same input gives the
         same ids.
@@ -87,21 +94,26 @@ def associate(
     if tracker.final:
         given = [tracker.propagate(here) for here in seen]
         return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32))
-    winners, margins = [], []
+    winners, margins, cuts = [], [], []
     known = 0
     for index, here in enumerate(seen):
         carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
         detected = _detect(here, proposer, carried)
+        cuts.append(detected)
         first = without_crumbs(match_detections(carried, detected, known + 1))
+        first = _without_gaps(first, known)
         known = max(known, int(first.max()))
         tracker.add(here, first)
-        labels, margin = vote(_copies(here, tracker, first, replicas))
+        labels, margin = vote(*_copies(here, tracker, first, replicas))
         winners.append(labels)
         margins.append(margin)
     labels = np.stack(winners)
     if back is not None:
         labels = reconcile(seen, labels, back)
-    return LabelMaps(renumbered(labels), np.stack(margins))
+    labels = renumbered(labels)
+    if all(here.depth is not None for here in seen):
+        labels = settle(seen, labels, np.stack(cuts))
+    return LabelMaps(labels, np.stack(margins))
 
 
 def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
@@ -202,11 +214,24 @@ def _detect(seen: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.n
     return detected
 
 
-def _copies(seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int) -> np.ndarray:
-    """The labels of all copies of a view, int32 [replicas, H, W]; see :func:`associate`."""
+def _without_gaps(labels: np.ndarray, known: int) -> np.ndarray:
+    """Number labels above ``known`` from there on without gaps, in their order."""
+    new = np.unique(labels[labels > known])
+    table = np.arange(int(labels.max(initial=0)) + 1, dtype=np.int32)
+    table[new] = known + 1 + np.arange(len(new))
+    return table[labels]
+
+
+def _copies(
+    seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int
+) -> tuple[np.ndarray, list[int]]:
+    """The different copies of a view, int32 [R, H, W], and how often each counts; see
+    :func:`associate`.
+    """
     copies = [first]
     while len(copies) < replicas:
-        copies.append(tracker.propagate(seen))
-        if np.array_equal(copies[-1], copies[-2]):
-            copies += [copies[-1]] * (replicas - len(copies))
-    return np.stack(copies)
+        again = tracker.propagate(seen)
+        if np.array_equal(again, copies[-1]):
+            break
+        copies.append(again)
+    return np.stack(copies), [1] * (len(copies) - 1) + [replicas - len(copies) + 1]

@@ -15,12 +15,15 @@ if TYPE_CHECKING:
 AGREE_PIXELS = 2.0
 AGREE_SHARE = 0.05
 """Forward and backward flow may disagree by the pixels, or by this share of the motion."""
+STRONGEST = 300
+"""Keypoints by which it is guessed how much of a view another one shows."""
 
 
 @dataclass(frozen=True, eq=False)
 class _FlowFrame(Frame):
     points: np.ndarray
     descriptors: np.ndarray | None
+    strongest: np.ndarray | None
 
 
 class FlowTracker(MemoryTracker):
@@ -40,7 +43,16 @@ class FlowTracker(MemoryTracker):
         sift = cv2.SIFT_create(nfeatures=1500, contrastThreshold=0.02)
         keypoints, descriptors = sift.detectAndCompute(grey, None)
         points = np.array([point.pt for point in keypoints], np.float32).reshape(-1, 2)
-        return _FlowFrame(**vars(frame), points=points, descriptors=descriptors)
+        strong = np.argsort([-point.response for point in keypoints], kind="stable")[:STRONGEST]
+        strongest = None if descriptors is None else descriptors[strong]
+        return _FlowFrame(
+            **vars(frame), points=points, descriptors=descriptors, strongest=strongest
+        )
+
+    def shows(self, new: Frame, old: Frame) -> float:
+        """Keypoints in both; see :meth:`slgaussian.masks.memory.MemoryTracker.shows`."""
+        assert isinstance(new, _FlowFrame) and isinstance(old, _FlowFrame)  # as described
+        return len(_good_matches(new.strongest, old.strongest))
 
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
@@ -59,10 +71,7 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
     """
     import cv2
 
-    if min(len(a.points), len(b.points)) < 2:
-        return np.eye(3)
-    pairs = cv2.BFMatcher().knnMatch(a.descriptors, b.descriptors, k=2)
-    good = [best for best, second in pairs if best.distance < 0.8 * second.distance]
+    good = _good_matches(a.descriptors, b.descriptors)
     if len(good) < 12:
         return np.eye(3)
     source = a.points[[match.queryIdx for match in good]]
@@ -77,6 +86,16 @@ def _homography(a: _FlowFrame, b: _FlowFrame) -> np.ndarray:
     if weights.min() < 0.2 or weights.max() > 5:
         return np.eye(3)
     return warp
+
+
+def _good_matches(a: np.ndarray | None, b: np.ndarray | None) -> list:
+    """OpenCV's matches of SIFT descriptors that are clearly better than the second best."""
+    import cv2
+
+    if a is None or b is None or len(b) < 2:
+        return []
+    pairs = cv2.BFMatcher().knnMatch(a, b, k=2)
+    return [best for best, second in pairs if best.distance < 0.8 * second.distance]
 
 
 def _flow(a: np.ndarray, b: np.ndarray, warp: np.ndarray) -> np.ndarray:

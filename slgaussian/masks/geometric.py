@@ -8,6 +8,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
+from slgaussian.masks.shared import SurfacePoints, overlap
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -39,6 +40,10 @@ class GeometricTracker(MemoryTracker):
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
         return both_ways(_seen_from(new, old), _seen_from(old, new), AGREE_PIXELS, 0)
+
+    def shows(self, new: Frame, old: Frame) -> float:
+        """The share of a few points; see :meth:`slgaussian.masks.memory.MemoryTracker.shows`."""
+        return overlap(SurfacePoints(new.seen), SurfacePoints(old.seen))
 
 
 def _seen_from(frame: Frame, other: Frame) -> np.ndarray:

@@ -23,6 +23,8 @@ LIKE = 0.6
 COMMON = 0.01
 """A colour bin belongs to an object that has at least this share of its pixels there."""
 COLOR_BINS = (10, 10, 10)
+MOST_FRAMES = 6
+"""Remembered frames that a new view is matched with: those that show most of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,9 @@ class MemoryTracker(ABC):
     the old views, take a neighbour's label if they wear that object's colours, as remembered from
     all frames; the rest stays 0.
 
+    Only the frames that show most of a view are matched with it, so that many views cost a matching
+    each a few times, and not each with all before it.
+
     The same memory and view give the same labels, whatever the number of threads. A view whose
     image equals a remembered one gets that frame's labels back (the latest such frame's), exactly.
     """
@@ -59,6 +64,7 @@ class MemoryTracker(ABC):
 
     def __init__(self) -> None:
         self._frames: list[Frame] = []
+        self._worn = np.zeros((1, int(np.prod(COLOR_BINS))))
 
     @abstractmethod
     def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -72,6 +78,10 @@ class MemoryTracker(ABC):
         matched : bool [H, W]
         """
 
+    @abstractmethod
+    def shows(self, new: Frame, old: Frame) -> float:
+        """How much of ``new`` the frame ``old`` shows, at little cost; the more the larger."""
+
     def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
@@ -81,7 +91,13 @@ class MemoryTracker(ABC):
             If labels or depth have the wrong type or size, or a label is negative.
         """
         check_labels(seen.view, labels)
-        self._frames.append(self.describe(seen, labels.copy()))
+        frame = self.describe(seen, labels.copy())
+        self._frames.append(frame)
+        more = int(labels.max()) + 1 - len(self._worn)
+        self._worn = np.pad(self._worn, ((0, max(more, 0)), (0, 0)))
+        bins = self._worn.shape[1]
+        keys = labels.astype(np.int64) * bins + _color_bins(frame.lab)
+        self._worn += np.bincount(keys.ravel(), minlength=self._worn.size).reshape(-1, bins)
 
     def propagate(self, seen: SeenView) -> np.ndarray:
         """Labels int32 [H, W] for a view; see :class:`slgaussian.masks.MaskTracker`."""
@@ -99,7 +115,7 @@ class MemoryTracker(ABC):
         top = max(int(frame.labels.max()) for frame in self._frames) + 1
         votes = np.zeros((len(size), top))
         met = np.zeros(labels.shape, bool)
-        for frame in self._frames:
+        for frame in self._nearest(new):
             place, matched = self.match(new, frame)
             if matched.any():
                 gap = new.lab - frame.lab.reshape(-1, 3)[place]
@@ -114,6 +130,13 @@ class MemoryTracker(ABC):
         of_leaf = np.where(seen_share >= SEEN, votes.argmax(1), 0).astype(np.int32)
         self._grow(of_leaf, leaves, new.lab, top)
         return of_leaf[leaves]
+
+    def _nearest(self, new: Frame) -> list[Frame]:
+        """The remembered frames that show most of a view, in the order in which they came."""
+        if len(self._frames) <= MOST_FRAMES:
+            return self._frames
+        shown = np.array([self.shows(new, frame) for frame in self._frames])
+        return [self._frames[k] for k in np.sort(np.argsort(-shown, kind="stable")[:MOST_FRAMES])]
 
     def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
         """What :meth:`match` needs to know of a view."""
@@ -130,11 +153,7 @@ class MemoryTracker(ABC):
         """Let objects grow, in place, over unlabelled leaves that wear their colours."""
         from slgaussian.masks.merge import adjacency
 
-        bins = int(np.prod(COLOR_BINS))
-        worn = np.zeros((top, bins))
-        for frame in self._frames:
-            keys = frame.labels.astype(np.int64) * bins + _color_bins(frame.lab)
-            worn += np.bincount(keys.ravel(), minlength=worn.size).reshape(worn.shape)
+        worn, bins = self._worn, self._worn.shape[1]
         owns = worn >= COMMON * worn.sum(1, keepdims=True).clip(1)
         colors = _color_bins(lab)
         keys = leaves.astype(np.int64) * bins + colors

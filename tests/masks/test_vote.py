@@ -73,3 +73,12 @@ def test_named_ballots(ballots, winner, margin):
 def test_refuses_what_is_no_stack(stack):
     with pytest.raises(InputError, match=r"expected int32 \[R, H, W\]"):
         vote(stack)
+
+
+@given(stacks, st.lists(st.integers(1, 4), min_size=7, max_size=7))
+def test_a_map_that_counts_several_times_is_as_many_equal_ones(stack, times):
+    times = times[: len(stack)]
+    labels, margin = vote(stack, times)
+    expected, won = vote(np.repeat(stack, times, 0))
+    np.testing.assert_array_equal(labels, expected)
+    np.testing.assert_array_equal(margin, won)
