@@ -1,6 +1,8 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +22,16 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
+from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
+from slgaussian.storage.account import Account
 
 
 def build_field(
-    sample: Sample, method: Method | None = None, trust_cameras: bool = False
+    sample: Sample,
+    method: Method | None = None,
+    trust_cameras: bool = False,
+    took: Callable[[str, float], None] = lambda step, seconds: None,
 ) -> SemanticField:
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
@@ -36,13 +43,16 @@ def build_field(
         Its parts and their settings; ``Method()`` if left out, which needs no weights.
     trust_cameras : bool
         Do not refuse cameras that the matches between the photographs contradict.
+    took : callable
+        Is told each step, as it ends, and its seconds. They are no part of the field.
 
     Returns
     -------
     SemanticField
         Its own ``settings`` say all this, see :meth:`slgaussian.parts.method.Method.identity`, and
         under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`;
-        and where nobody gave cameras, under ``cameras`` how they were found.
+        under ``account`` what it is made of, see :class:`slgaussian.storage.account.Account`; and
+        where nobody gave cameras, under ``cameras`` how they were found.
 
     Raises
     ------
@@ -53,11 +63,15 @@ def build_field(
     method = method or Method()
     method.check()
     compiling.watch()
-    gaussians, quality = predict(sample, method.predictor, method.seed, trust_cameras)
-    geometry = SceneGeometry.of(sample.context, gaussians)
-    label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
-    bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
-    return lift_field(sample, gaussians, label_maps, bank, method, quality)
+    with _timed("geometry", took):
+        gaussians, quality = predict(sample, method.predictor, method.seed, trust_cameras)
+        geometry = SceneGeometry.of(sample.context, gaussians)
+    with _timed("masks", took):
+        label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    with _timed("supervision", took):
+        bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
+    with _timed("field", took):
+        return lift_field(sample, gaussians, label_maps, bank, method, quality)
 
 
 def predict(
@@ -119,14 +133,42 @@ def lift_field(
 ) -> SemanticField:
     """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
 
-    It says of itself which method made it, and how good the views were.
+    It says of itself which method made it, how good the views were, and what it is made of. Its
+    Gaussians are those that ``method.keep`` says: what needs one a pixel reads those that went in.
     """
     cameras = {view.name: view.camera for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
+    change = Change()
+    if method.keep == "needed":
+        merged = merge(lifted, list(cameras.values()))
+        lifted, change = merged.gaussians, merged.change
+    account = Account(
+        gaussians_made=len(gaussians),
+        gaussians_kept=len(lifted),
+        change_mean=change.mean,
+        change_rms=change.rms,
+        change_greatest=change.greatest,
+        code_dimensions=bank.dimension,
+        replicas_asked=method.replicas,
+        bytes_gaussians=_size(lifted.to_arrays()),
+        bytes_bank=_size(bank.to_arrays()),
+    )
     said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
+    said["account"] = account.as_json()
     if sample.found:
         said["cameras"] = dict(sample.found)
     return SemanticField(lifted, bank, cameras, said, method.encoder.places())
+
+
+@contextmanager
+def _timed(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    took(step, time.perf_counter() - start)
+
+
+def _size(arrays: Mapping[str, np.ndarray]) -> int:
+    return sum(array.nbytes for array in arrays.values())
 
 
 def _opaque(views: Sequence[View]) -> np.ndarray | None:

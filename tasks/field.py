@@ -12,7 +12,7 @@ from tasks.artifacts import labels_from_arrays, put_field, sample_from_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("field", version=4)
+@stage("field", version=5)
 def field(
     site: Worksite,
     sample: ArtifactRef,

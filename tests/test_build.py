@@ -13,6 +13,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
+from slgaussian.storage.account import Account
 
 NAMES = {
     "predictor": "planesweep",
@@ -63,13 +64,18 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         field = build_field(sample, Method(replicas=1, settings=given))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
-        quality = settings.pop("quality")
+        quality, account = settings.pop("quality"), Account(**settings.pop("account"))
+        assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
+        assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
+        held = sum(array.nbytes for array in field.gaussians.to_arrays().values())
+        assert (account.bytes_gaussians, account.code_dimensions) == (held, 3)
         assert quality["judged"] is False and 0.5 < quality["overlap"] < 1
         assert settings == {
             "scene": sample.scene,
             **NAMES,
             "replicas": 1,
             "seed": 0,
+            "keep": "needed",
             "planesweep": {"depth_candidates": 144, **given["planesweep"]},
             "lexicon": {"synonyms": None},
             "separated": {"dimension": 3, "error": 0.01},
@@ -132,3 +138,21 @@ def test_what_is_transparent_becomes_nothing(tmp_path):
     seen = field.render(next(iter(field.cameras.values())))
     assert (seen.alpha[:, :20] < 0.5).all() and not seen.ids[:, :20].any()
     assert (seen.alpha[8:-8, 50:-8] > 0.5).mean() > 0.9
+
+
+def test_a_field_keeps_what_it_needs_or_all(pair):
+    few, every = (build_field(pair, Method(replicas=1, keep=keep)) for keep in ("needed", "all"))
+    height, width = pair.context[0].image.shape[:2]
+    sources = every.gaussians.source.numpy()
+    assert len(np.unique(sources)) == 2 * height * width
+    assert len(few.gaussians) < 0.95 * len(every.gaussians)
+    told = every.settings["account"]
+    assert told["gaussians_made"] == told["gaussians_kept"] == len(sources)
+    assert told["change_greatest"] == 0
+    # Who is left has the object of the pixel that it came from, and no object is gone.
+    labels = np.zeros(2 * height * width, np.int32)
+    labels[sources] = every.labels()
+    assert np.array_equal(few.labels(), labels[few.gaussians.source.numpy()])
+    assert set(few.labels()) == set(every.labels())
+    with pytest.raises(InputError, match="keep: found 'al', expected needed or all"):
+        Method(keep="al")

@@ -55,7 +55,7 @@ def field() -> SemanticField:
         sh=rgb_to_sh(torch.tensor(colours, dtype=torch.float32)),
         source=torch.arange(n, dtype=torch.int32),
     )
-    return known_field(sample, gaussians, label_maps, Method(codes="grid"))
+    return known_field(sample, gaussians, label_maps, Method(codes="grid", keep="all"))
 
 
 def test_a_new_view_shows_the_right_colours_ids_and_depth(field):

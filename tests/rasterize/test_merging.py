@@ -1,0 +1,222 @@
+"""What is merged is even, flat and of one object, and changes no given view by a grey level."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+import torch
+
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians, covariances
+from slgaussian.predict.unproject import concatenate, unproject
+from slgaussian.rasterize import rasterize
+from slgaussian.rasterize.merging import MOST, merge
+from slgaussian.scene import Camera
+
+H, W = 42, 54
+GREY = 1 / 255
+
+
+def camera(shift=0.0, width=W, height=H) -> Camera:
+    K = np.array([[60.0, 0, width / 2], [0, 60, height / 2], [0, 0, 1]])
+    c2w = np.eye(4)
+    c2w[0, 3] = shift
+    return Camera(K, c2w, width, height)
+
+
+CAMERAS = [camera(), camera(0.2)]
+
+
+def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
+    """A Gaussian a pixel of both views; what is given is of one view, and the same in the other."""
+    colour = np.full((H, W, 3), 0.6, np.float32) if colour is None else colour.astype(np.float32)
+    depth = np.full((H, W), 3.0, np.float32) if depth is None else depth.astype(np.float32)
+    light = np.full((H, W), opacity, np.float32)
+    made = unproject(CAMERAS, [colour] * 2, [1 / depth] * 2, [light] * 2)
+    if labels is None:
+        return made
+    codes = np.concatenate([labels, labels]).reshape(-1, 1).astype(np.float32)
+    return replace(made, features=torch.from_numpy(np.concatenate([codes, codes > 0], 1)))
+
+
+def noise(levels: float) -> np.ndarray:
+    return 0.5 + np.random.default_rng(0).uniform(-levels, levels, (H, W, 3)) * GREY
+
+
+def shown(gaussians: Gaussians, seen: Camera) -> np.ndarray:
+    drawn = rasterize(gaussians, None, seen)
+    return (drawn.values / drawn.alpha.clamp_min(0.5)[..., None]).clamp(0, 1).numpy()
+
+
+def test_a_plain_wall_needs_few_and_looks_the_same():
+    plain = wall()
+    merged = merge(plain, CAMERAS)
+    assert len(merged.gaussians) < 0.3 * len(plain)
+    for seen in (*CAMERAS, camera(0.1), camera(0.4)):
+        inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
+        assert np.abs(shown(merged.gaussians, seen) - shown(plain, seen))[inner].max() < 2 * GREY
+        alpha = rasterize(merged.gaussians, None, seen).alpha.numpy()[inner]
+        assert alpha.min() > 0.97
+
+
+def test_what_is_uneven_stays():
+    rough = wall(noise(60))
+    assert len(merge(rough, CAMERAS).gaussians) == len(rough)
+
+
+def test_what_is_uneven_stays_where_no_given_view_sees_it():
+    rough, screen = wall(noise(20)), wall(depth=np.full((H, W), 1.0), opacity=1.0)
+    merged = merge(concatenate([rough, screen]), CAMERAS)
+    assert len(merged.gaussians) == len(rough) + len(screen)
+
+
+@pytest.mark.parametrize("levels", [2, 6, 10])
+def test_the_change_is_measured_and_bounded(levels):
+    speckled = wall(noise(levels))
+    merged = merge(speckled, CAMERAS)
+    changes = [np.abs(shown(merged.gaussians, c) - shown(speckled, c)) / GREY for c in CAMERAS]
+    assert merged.change.mean == pytest.approx(np.mean(changes), rel=1e-4)
+    assert merged.change.rms == pytest.approx(
+        max(np.sqrt((c.astype(np.float64) ** 2).mean()) for c in changes), rel=1e-4
+    )
+    assert merged.change.greatest == pytest.approx(max(c.max() for c in changes), rel=1e-4)
+    assert merged.change.rms <= MOST / GREY
+
+
+def test_what_shows_is_taken_back():
+    # Dark lines two pixels wide on a wall: what is merged beside them must not blur them.
+    colour = np.full((H, W, 3), 0.6)
+    colour[:, 20:22] = 0.1
+    lined = wall(colour)
+    merged = merge(lined, CAMERAS)
+    assert len(merged.gaussians) < 0.5 * len(lined)
+    columns = lined.source.numpy() % W
+    for column in range(18, 24):
+        own = merged.into.numpy()[columns == column]
+        assert len(np.unique(own)) == len(own)
+
+
+def test_objects_do_not_merge():
+    labels = np.ones((H, W))
+    labels[11:31, 13:37] = 2
+    labels[0:8] = 0
+    both = wall(labels=labels)
+    merged = merge(both, CAMERAS)
+    assert len(merged.gaussians) < 0.6 * len(both)
+    assert torch.equal(merged.gaussians.features[merged.into], both.features)
+
+
+def test_surfaces_at_other_depths_do_not_merge():
+    depth = np.full((H, W), 3.0)
+    depth[:, 25:] = 2.0
+    step = wall(depth=depth)
+    merged = merge(step, CAMERAS)
+    near = step.means[:, 2] < 2.5
+    z = merged.gaussians.means[merged.into, 2]
+    assert torch.equal(z < 2.5, near) and float((z - step.means[:, 2]).abs().max()) < 1e-5
+    assert len(merged.gaussians) < 0.6 * len(step)
+
+
+def test_a_slanted_surface_merges_along_itself():
+    x = np.arange(W) + 0.5
+    depth = np.tile(1 / (0.5 - 0.004 * x), (H, 1))
+    slanted = wall(depth=depth)
+    merged = merge(slanted, CAMERAS)
+    assert len(merged.gaussians) < 0.4 * len(slanted)
+    # On the plane 1/z = a + b u both before and after, and no thicker than a fraction of a pixel.
+    means = merged.gaussians.means.double().numpy()[merged.into.numpy()[: H * W]]
+    pixels, z = CAMERAS[0].project(means)
+    assert np.abs(1 / z - (0.5 - 0.004 * pixels[:, 0])).max() < 1e-3
+    assert float(merged.gaussians.scales.min(1).values.max()) < 0.25 * z.max() / 60
+
+
+def test_axes_in_another_order_are_the_same_shape():
+    x = np.arange(W) + 0.5
+    slanted = wall(depth=np.tile(1 / (0.5 - 0.004 * x), (H, 1)))
+    quarter = torch.tensor([0.5, 0.5, 0.5, 0.5], dtype=torch.float64)  # x to y, y to z, z to x
+    turned = quaternion_product(slanted.quats.double(), quarter).float()
+    other = torch.arange(len(slanted)) % 3 == 1
+    mixed = replace(
+        slanted,
+        quats=torch.where(other[:, None], turned, slanted.quats),
+        scales=torch.where(other[:, None], slanted.scales[:, [1, 2, 0]], slanted.scales),
+    )
+    assert torch.allclose(covariances(mixed), covariances(slanted), rtol=0, atol=1e-9)
+    found = [covariances(merge(g, CAMERAS).gaussians) for g in (slanted, mixed)]
+    assert torch.allclose(*found, rtol=0, atol=1e-3 * float(found[0].abs().max()))
+
+
+def quaternion_product(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    w = a[..., :1] * b[..., :1] - (a[..., 1:] * b[..., 1:]).sum(-1, keepdim=True)
+    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:]
+    cross = torch.linalg.cross(a[..., 1:], b[..., 1:].expand_as(a[..., 1:]))
+    return torch.cat([w, v + cross], -1)
+
+
+def test_pixels_are_told_and_each_stands_for_its_own():
+    merged = merge(wall(), CAMERAS)
+    source, into = merged.gaussians.source.numpy(), merged.into.numpy()
+    assert sorted(set(into)) == list(range(len(source)))
+    members = np.bincount(into)
+    assert set(np.unique(members)) <= {1, 4, 16}
+    first = np.full(len(source), 10**9)
+    np.minimum.at(first, into, np.arange(len(into)))
+    assert (source == first).all()  # a Gaussian a pixel here: the number is the pixel
+
+
+def test_holes_and_further_gaussians_stay():
+    plain = wall()
+    holes = (torch.arange(2 * H * W) % 7 != 3) | (torch.arange(2 * H * W) % W > 30)
+    further = replace(plain[torch.arange(40)], means=plain.means[:40] + torch.tensor([0, 0, 1.5]))
+    given = concatenate([plain[holes], further])
+    merged = merge(given, CAMERAS)
+    assert len(merged.gaussians) < 0.75 * len(given)
+    last = merged.gaussians[merged.into[-40:]]
+    for name, values in last.items():
+        assert torch.equal(values, getattr(further, name)), name
+    columns = given.source.numpy()[:-40] % W
+    beside = merged.into.numpy()[:-40][columns < 28]
+    assert len(np.unique(beside)) == len(beside)
+
+
+def test_turning_the_world_changes_nothing():
+    from scipy.spatial.transform import Rotation
+
+    speckled = wall(noise(8))
+    turn = Rotation.from_euler("xyz", [0.4, -1.1, 2.0])
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix()
+    cameras = [replace(c, c2w=pose @ c.c2w) for c in CAMERAS]
+    own = Rotation.from_quat(speckled.quats.numpy()[:, [1, 2, 3, 0]])
+    turned = replace(
+        speckled,
+        means=torch.from_numpy(turn.apply(speckled.means.numpy())).float(),
+        quats=torch.from_numpy((turn * own).as_quat()[:, [3, 0, 1, 2]]).float(),
+    )
+    a, b = merge(speckled, CAMERAS), merge(turned, cameras)
+    assert abs(len(a.gaussians) - len(b.gaussians)) < 0.01 * len(a.gaussians)
+    assert a.change.rms == pytest.approx(b.change.rms, rel=0.02)
+
+
+def test_same_bytes_with_any_number_of_threads():
+    speckled, found = wall(noise(8)), []
+    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+        numba.set_num_threads(threads)
+        found.append(merge(speckled, CAMERAS))
+    for (name, one), (_, other) in zip(
+        found[0].gaussians.items(), found[1].gaussians.items(), strict=True
+    ):
+        assert torch.equal(one, other), name
+    assert found[0].change == found[1].change
+
+
+def test_nothing_and_what_cannot_be_placed():
+    nothing = wall()[:0]
+    assert len(merge(nothing, CAMERAS).gaussians) == 0
+    with pytest.raises(InputError, match=r"merge cameras: found sizes \[\], expected one size"):
+        merge(wall(), [])
+    with pytest.raises(InputError, match="expected one size"):
+        merge(wall(), [camera(), camera(width=W + 1)])
+    with pytest.raises(InputError, match=f"expected those of 1 views of {W}x{H}"):
+        merge(wall(), CAMERAS[:1])
