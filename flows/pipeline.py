@@ -6,9 +6,9 @@ import json
 import os
 import platform
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from flows.jobs import baseline_job_name, baseline_jobs, chosen_baselines, scene
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
 from flows.road import STAGES
-from flows.room_scenes import room_scene, seeds
+from flows.room_scenes import THIRDS, room_scene, seeds
 from flows.runners.progress import Progress
 from flows.runners.shard import Failure, Job
 from flows.runners.worker_pool import (
@@ -39,6 +39,7 @@ from slgaussian.benchmark.outputs import (
 )
 from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import Times
+from slgaussian.benchmark.view_counts import Counts
 from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
 from slgaussian.storage.specs import load_spec
@@ -52,25 +53,61 @@ from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.baselines import baselines
 from tasks.report import Scored, report
 
+BUILDING = ("geometry", "masks", "supervision", "field")
+"""The stages that make a field of a sample."""
+
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
 
 
 @dataclass(frozen=True)
+class Cost:
+    """What the field of a scene cost when it was made: Gaussians that were predicted, those that it
+    kept, and seconds of its stages."""
+
+    gaussians: int
+    kept: int
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Finished:
-    """What a run leaves: results in the order of the scenes, ours first in each, who was left out,
-    and ``ready``, a command that asks the field of one of the scenes; empty if none has a field."""
+    """What a run leaves.
+
+    Attributes
+    ----------
+    results : list of SceneResult
+        In the order of the scenes, ours first in each.
+    failures : list of Failure
+        Who was left out.
+    report : Path or None
+    ready : str
+        A command that asks the field of one of the scenes; empty if none has a field.
+    costs : {scene: Cost}
+        Of the scenes that went through.
+    counts : sequence of Counts
+        Of a run with several numbers of context views (:mod:`flows.by_views`), which has no
+        ``results`` and ``costs`` of its own.
+    """
 
     results: list[SceneResult]
     failures: list[Failure]
     report: Path | None
     ready: str
+    costs: dict[str, Cost] = field(default_factory=dict)
+    counts: Sequence[Counts] = ()
 
 
-def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Finished:
+def run(
+    settings: Settings,
+    store: ArtifactStore,
+    verbose: bool = False,
+    chosen: tuple[Sequence[SceneSettings], Sequence[str]] | None = None,
+) -> Finished:
     """Run the pipeline; write its tables, masks, fields and report to ``settings.out``.
 
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`). ``chosen`` are the
+    scenes, and what is to be said of them, where they are not those that the settings say.
 
     Raises
     ------
@@ -78,7 +115,7 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         If there is nothing to do, a part of the method is unknown, or the store or the output
         folder cannot be written.
     """
-    scenes, said = scenes_of(settings)
+    scenes, said = scenes_of(settings) if chosen is None else chosen
     method = settings.built_by
     method.check()
     Rules(**settings.rules())
@@ -102,7 +139,8 @@ def run(settings: Settings, store: ArtifactStore, verbose: bool = False) -> Fini
         ) from error
     progress.summary()
     written = None if made.report is None else settings.out / "report.html"
-    return Finished(results, made.failures, written, _ready(made, settings.out))
+    ready = _ready(made, settings.out)
+    return Finished(results, made.failures, written, ready, made.costs)
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -113,7 +151,8 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     labelled = any((settings.data, settings.pairs, settings.labels))
     scenes, said = labelled_scenes(settings) if labelled else ([], [])
     if settings.rooms is not None:
-        scenes = [*scenes, *map(room_scene, seeds(settings.rooms, "rooms"))]
+        thirds = 1 if settings.views is None else THIRDS
+        scenes = [*scenes, *(room_scene(seed, thirds) for seed in seeds(settings.rooms, "rooms"))]
     scenes = [*scenes, *settings.scenes]
     if not scenes:
         raise InputError("nothing to do: give [[scenes]], or data and pairs, or rooms")
@@ -209,9 +248,9 @@ class _Made:
     """What the flow made.
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
-    ``others`` by method those of baselines, ``truths`` what they were scored against, and ``lost``
-    what lost ours. ``seconds`` are those that all took by stage when they were made,
-    which for cached ones is long ago.
+    ``others`` by method those of baselines, ``truths`` what they were scored against, ``lost``
+    what lost ours, and ``costs`` what their fields cost. ``seconds`` are those that all took by
+    stage when they were made, which for cached ones is long ago.
     """
 
     fields: dict[str, ArtifactRef]
@@ -220,6 +259,7 @@ class _Made:
     others: dict[str, dict[str, ArtifactRef]]
     truths: dict[str, ArtifactRef]
     lost: dict[str, ArtifactRef]
+    costs: dict[str, Cost]
     failures: list[Failure]
     seconds: dict[str, float]
     manifest: dict[str, Any]
@@ -291,15 +331,29 @@ def _gathered(
         others,
         {scene: outcome.refs[scene]["truth"] for scene in through},
         {scene: outcome.refs[scene]["attribution"] for scene in through},
+        {scene: _cost(outcome.refs[scene]) for scene in through},
         [*outcome.failures, *more.failures],
         seconds,
         manifest(settings, scenes, stages, outcome.refs, rows),
     )
 
 
+def _cost(refs: Mapping[str, ArtifactRef]) -> Cost:
+    seconds = sum(refs[stage].meta["seconds"] for stage in BUILDING)
+    account = refs["field"].meta["account"]
+    return Cost(account["gaussians_made"], account["gaussians_kept"], seconds)
+
+
 def _report_job(made: _Made) -> Job:
     scenes = [
-        Scored(scene, answer, made.truths[scene], made.lost[scene], made.others[scene])
+        Scored(
+            scene,
+            answer,
+            made.truths[scene],
+            made.lost[scene],
+            made.others[scene],
+            made.fields[scene].meta["account"],
+        )
         for scene, answer in made.answers.items()
     ]
     failures = [asdict(failure) for failure in made.failures]

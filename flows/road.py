@@ -43,9 +43,9 @@ def score_scene(
     ids = masks(sample, base, method.proposer, method.tracker, method.replicas)
     bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed)
     built = field(sample, base, ids, bank, method)
-    benchmark(sample, known, ids, built, method.encoder, settings)
+    benchmark(sample, known, base, ids, built, method.encoder, settings)
     # What is asked without truth can be no miss.
-    attribution(sample, known, ids, built, method, replace(settings, queries=()))
+    attribution(sample, known, base, ids, built, method, replace(settings, queries=()))
 
 
 def score_baseline(
@@ -59,5 +59,5 @@ def score_baseline(
 
     ``refs`` are what the stages of :func:`score_scene` made of the scene.
     """
-    made = refs["ingest"], refs["truth"], refs["masks"], refs["field"]
+    made = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
     baselines(*made, method, settings, name, own)

@@ -8,6 +8,8 @@ from flows.settings import SceneSettings
 from slgaussian.errors import InputError
 
 DATASET = "procedural"
+THIRDS = 3
+"""Into how many parts thirds of the way are parted where views are added: enough for eight."""
 _SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 
 
@@ -26,13 +28,18 @@ def seeds(text: str, source: str) -> range:
     return range(first, last + 1)
 
 
-def room_scene(seed: int) -> SceneSettings:
-    """A room of eight objects, seen from two places, asked from two between them."""
+def room_scene(seed: int, thirds: int = 1) -> SceneSettings:
+    """A room of eight objects, seen from two places, asked from two between them.
+
+    Each third of the way between the two is parted into ``thirds``, so that there are further views
+    to choose from; the cameras of those four are the same, their noise and exposure are not.
+    """
+    first, *targets, last = (f"view_{k * thirds:02d}" for k in range(4))
     return SceneSettings(
         name=f"room_{seed}",
         dataset=DATASET,
         format="procedural",
-        options={"seed": seed, "objects": 8, "views": 4},
-        context=["view_00", "view_03"],
-        targets=["view_01", "view_02"],
+        options={"seed": seed, "objects": 8, "views": 3 * thirds + 1},
+        context=[first, last],
+        targets=targets,
     )

@@ -25,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
+from slgaussian.parts.method import KEEP
 from slgaussian.parts.method import Method as BuildMethod
 from slgaussian.parts.part import Part
 from slgaussian.parts.registry import KINDS, find_part, names_of
@@ -76,6 +77,17 @@ def _parse_count(value: Any) -> Any:
     if value == "auto" or type(value) is int:
         return value
     raise PydanticCustomError("count", "expected a whole number or 'auto'")
+
+
+def _parse_views(value: Any) -> Any:
+    """Numbers in ascending order, of a list or of text with commas between."""
+    try:
+        found = sorted(map(int, value.split(",") if isinstance(value, str) else value))
+    except (TypeError, ValueError):
+        found = []
+    if not found or found[0] < 2 or len(set(found)) < len(found):
+        raise PydanticCustomError("views", "expected different numbers from 2, as 2,3,4,6,8")
+    return tuple(found)
 
 
 RUNNERS = ("threads", "processes", "dask", "ray")
@@ -265,6 +277,12 @@ class MethodSettings(QueryRules):
     )
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     seed: int = Field(0, ge=0, description="Seed of everything random.")
+    keep: Literal["needed", "all"] = Field(
+        "needed",
+        examples=list(KEEP),
+        description="Gaussians of a field: needed, where even neighbours become larger ones, or "
+        "all that were predicted.",
+    )
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -292,13 +310,13 @@ class MethodSettings(QueryRules):
     def built_by(self) -> BuildMethod:
         """How a field is built, as the library takes it; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
-        return BuildMethod(**parts, replicas=self.replicas, seed=self.seed)
+        return BuildMethod(**parts, replicas=self.replicas, seed=self.seed, keep=self.keep)
 
     @cached_property
     def identity(self) -> dict[str, Any]:
         """What a field depends on besides the sample, as cache keys and artifacts hold it.
 
-        The chosen parts, their settings with files by content, replicas and seed.
+        The chosen parts, their settings with files by content, replicas, seed and what is kept.
         """
         return self.built_by.identity()
 
@@ -382,6 +400,10 @@ class Settings(Engine, Method):
     )
     rooms: str | None = Field(
         None, description="Made-up rooms to score as well, by their seeds: FIRST-LAST."
+    )
+    views: Annotated[tuple[int, ...], BeforeValidator(_parse_views)] | None = Field(
+        None,
+        description="Numbers of context views to compare, as 2,3,4,6,8.",
     )
     against: list[str] = Field(
         [], description="Other methods to score in the same run, by name, or all."

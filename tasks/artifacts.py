@@ -142,13 +142,13 @@ def truth_from_arrays(arrays: Arrays) -> Truth:
 def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
     """Keep a field: spec ``field``, whose parts are the other files of its folder.
 
-    ``meta`` says how many ``gaussians`` and ``objects`` it has.
+    ``meta`` says how many ``gaussians`` and ``objects`` it has, and its ``account``.
     """
     refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
     about = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
-    parts = [ref.uri for ref in refs.values()]
-    return store.put("field", {"about": np.array(about)}, {**counts, "parts": parts})
+    said = {"account": field.settings.get("account"), "parts": [ref.uri for ref in refs.values()]}
+    return store.put("field", {"about": np.array(about)}, counts | said)
 
 
 def about_field(store: ArtifactStore, ref: ArtifactRef) -> tuple[About, dict[str, ArtifactRef]]:

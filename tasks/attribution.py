@@ -7,6 +7,7 @@ import pyarrow as pa
 from slgaussian.benchmark.attribution import attribute_errors
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.gaussians import Gaussians
 from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
@@ -14,11 +15,12 @@ from tasks.artifacts import get_field, labels_from_arrays, sample_from_arrays, t
 from tasks.stage import Worksite, stage
 
 
-@stage("attribution", version=1)
+@stage("attribution", version=2)
 def attribution(
     site: Worksite,
     sample: ArtifactRef,
     truth: ArtifactRef,
+    gaussians: ArtifactRef,
     labels: ArtifactRef,
     field: ArtifactRef,
     method: Method,
@@ -26,8 +28,8 @@ def attribution(
 ) -> ArtifactRef:
     """Which stage lost each miss: spec ``attribution``.
 
-    ``method`` is what made the field; what each view showed before association is proposed once
-    more.
+    ``gaussians`` are those that were predicted, and ``method`` is what made the field; what each
+    view showed before association is proposed once more.
     """
     known = site.read(truth, truth_from_arrays)
     rows = []
@@ -35,10 +37,10 @@ def attribution(
         shown = site.read(sample, sample_from_arrays)
         found = site.read(labels, labels_from_arrays)
         asked = get_field(site.store, field, method.encoder.places())
-        pieces = found.labels
+        base, pieces = site.read(gaussians, Gaussians.from_arrays), found.labels
         if not method.tracker.implementation.final:
-            pieces = Inputs(shown, asked, found, method.proposer.load()).own_labels.labels
-        rows = attribute_errors(asked, shown, found, pieces, known, settings)
+            pieces = Inputs(shown, asked, base, found, method.proposer.load()).own_labels.labels
+        rows = attribute_errors(asked, base, shown, found, pieces, known, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
     return site.store.put("attribution", table, {"misses": misses})

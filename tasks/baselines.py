@@ -9,6 +9,7 @@ from typing import Any
 from slgaussian.benchmark.baselines import load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
+from slgaussian.gaussians import Gaussians
 from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
@@ -21,11 +22,12 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("baselines", version=3)
+@stage("baselines", version=4)
 def baselines(
     site: Worksite,
     sample: ArtifactRef,
     truth: ArtifactRef,
+    gaussians: ArtifactRef,
     labels: ArtifactRef,
     field: ArtifactRef,
     method: Method,
@@ -35,8 +37,8 @@ def baselines(
 ) -> ArtifactRef:
     """What a baseline answers, with scores and without pictures: spec ``scene_result``.
 
-    ``method`` is what made the field; ``of`` is the baseline's name in the registry, and ``own``
-    are its settings.
+    ``gaussians`` are those that were predicted, and ``method`` is what made the field; ``of`` is
+    the baseline's name in the registry, and ``own`` are its settings.
     """
     shown = site.read(sample, sample_from_arrays)
     found = site.read(labels, labels_from_arrays)
@@ -45,6 +47,7 @@ def baselines(
     inputs = Inputs(
         sample=shown,
         field=get_field(site.store, field, method.encoder.places()),
+        gaussians=site.read(gaussians, Gaussians.from_arrays),
         label_maps=found,
         proposer=method.proposer.load(),
         seed=method.seed,

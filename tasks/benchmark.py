@@ -10,6 +10,7 @@ import numpy as np
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
 from slgaussian.language.query import Rules
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
@@ -23,11 +24,12 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("benchmark", version=6)
+@stage("benchmark", version=7)
 def benchmark(
     site: Worksite,
     sample: ArtifactRef,
     truth: ArtifactRef,
+    gaussians: ArtifactRef,
     labels: ArtifactRef,
     field: ArtifactRef,
     encoder: Part,
@@ -35,7 +37,8 @@ def benchmark(
 ) -> ArtifactRef:
     """What the field of a scene answers, with scores: spec ``scene_result``.
 
-    ``encoder`` is that of the field, and says where its files are.
+    ``gaussians`` are those that were predicted, a depth for every pixel. ``encoder`` is that of the
+    field, and says where its files are.
     """
     asked = get_field(site.store, field, encoder.places())
     result = evaluate(
@@ -44,7 +47,7 @@ def benchmark(
         site.read(labels, labels_from_arrays),
         site.read(truth, truth_from_arrays),
         settings,
-        gaussians=asked.gaussians,
+        gaussians=site.read(gaussians, Gaussians.from_arrays),
         bank=asked.bank,
     )
     meta = {"times": result.times, "example": example(result, asked)}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark.report import Scene, render_report
+from slgaussian.storage.account import Account
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,
@@ -22,17 +23,18 @@ from tasks.stage import Worksite, stage
 
 @dataclass(frozen=True)
 class Scored:
-    """What was made of one scene: our answers, its truth, what lost our misses, and by method the
-    answers of baselines."""
+    """What was made of one scene: our answers, its truth, what lost our misses, by method the
+    answers of baselines, and the account of its field."""
 
     scene: str
     answer: ArtifactRef
     truth: ArtifactRef
     attribution: ArtifactRef
     others: Mapping[str, ArtifactRef]
+    account: Mapping[str, Any]
 
 
-@stage("report", version=5)
+@stage("report", version=6)
 def report(
     site: Worksite,
     scenes: Sequence[Scored],
@@ -64,6 +66,7 @@ def _scene(store: ArtifactStore, scored: Scored) -> Scene:
         dataset=own.dataset,
         rows=[row for each in (own, *others) for row in each.rows],
         metrics=own.scene_metrics,
+        account=Account(**scored.account),
         pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
         masks=masks,

@@ -11,6 +11,7 @@ import pytest
 
 from benches.common import pages, photograph_pairs
 from benches.predict import depth_error
+from benches.views import built_fields, outward, spread
 from slgaussian.predict import sweep
 
 ROOT = Path(__file__).parents[1]
@@ -104,3 +105,31 @@ def test_stages_that_the_bench_of_depth_times_are_called_where_it_looks():
     assert [
         stage for stage in depth_error.STAGES if not callable(getattr(sweep, stage, None))
     ] == []
+
+
+def test_targets_of_rooms_are_apart_from_the_context_views_of_every_number():
+    steps = list(range(spread.ARC + 1))
+    for number in spread.NUMBERS:
+        context = spread._evenly(steps, number)
+        assert len(set(context)) == number and {context[0], context[-1]} == {0, spread.ARC}
+        assert min(abs(a - b) for a in context for b in spread.TARGETS) >= 7
+
+
+def test_windows_of_a_walk_have_all_their_frames_and_one_target():
+    starts = outward.starts(31, (2, 6), 10)
+    assert list(starts) == [0, 10, 20]
+    assert starts[-1] + 2 * 6 - 1 == 31
+
+
+def test_gains_of_more_views_are_of_the_windows_that_both_numbers_can_do():
+    cost = {"gaussians": 100, "seconds": 1.0, "memory": 9.0, "ssim": 0.5}
+    rows = [
+        {"of": of, "views": views, "psnr": psnr, "best_two_psnr": 21.0, **cost}
+        for of, views, psnr in (("a", 2, 20.0), ("b", 2, 22.0), ("a", 4, 23.0), ("c", 4, 40.0))
+    ]
+    rows.append({"of": "b", "views": 4, "refused": "do not overlap"})
+    two, four = built_fields.summary(rows, (2, 4))
+    assert (two["scenes"], two["psnr"], "gain" in two) == (2, 21.0, False)
+    assert (four["scenes"], four["refused"], four["psnr"]) == (1, 1, 23.0)
+    assert (four["gain"], four["worst"], four["over_best"]) == (3.0, 3.0, 2.0)
+    assert built_fields.reasons(rows) == ["4 views, b: do not overlap"]

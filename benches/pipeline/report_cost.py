@@ -9,6 +9,8 @@ anything. Prints CPU seconds, the most memory of the process, and the bytes of t
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from benches.common.resident_memory import held
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
 from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import result_to_arrays, truth_to_arrays
@@ -45,7 +48,7 @@ def main() -> None:
 
 def make(store: ArtifactStore, scenes: int, methods: int) -> list[Scored]:
     """What the report is of."""
-    result, truth = room_result(store)
+    result, truth, account = room_result(store)
     lost = store.put("attribution", load_spec("attribution").schema.empty_table())
     made = []
     names = ["slgaussian", *(f"method {k}" for k in range(1, methods))]
@@ -55,21 +58,21 @@ def make(store: ArtifactStore, scenes: int, methods: int) -> list[Scored]:
         for name in names:
             copy = renamed(result, f"scene {k}", name, rng)
             own[name] = store.put("scene_result", result_to_arrays(copy))
-        made.append(Scored(f"scene {k}", own.pop("slgaussian"), truth, lost, own))
+        made.append(Scored(f"scene {k}", own.pop("slgaussian"), truth, lost, own, account))
     return made
 
 
-def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef]:
-    """Of a made-up room, asked in two views; and its truth."""
+def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef, Mapping[str, Any]]:
+    """Of a made-up room, asked in two views; its truth, and the account of its field."""
     scene = datasets.load("procedural", seed=0, objects=8, views=4)
     sample = scene.sample(["view_00", "view_03"], ["view_01", "view_02"])
-    field = build_field(sample)
+    field = build_field(sample, Method(keep="all"))
     truth = truth_from_instances(sample)
     labels = np.stack([view.instances for view in sample.context])
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     parts = {"gaussians": field.gaussians, "bank": field.bank}
     result = evaluate(field, sample, maps, truth, **parts)
-    return result, store.put("truth", truth_to_arrays(truth, sample))
+    return result, store.put("truth", truth_to_arrays(truth, sample)), field.settings["account"]
 
 
 def renamed(result: SceneResult, scene: str, method: str, rng: np.random.Generator) -> SceneResult:

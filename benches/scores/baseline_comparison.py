@@ -78,7 +78,7 @@ def run_alone(name: str, data: Path) -> None:
     field = lift_field(sample, gaussians, label_maps, bank, method, quality)
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
-    inputs = Inputs(sample, field, label_maps, load_proposer("regions"), classes=classes)
+    inputs = Inputs(sample, field, gaussians, label_maps, load_proposer("regions"), classes=classes)
     give_back()
     before = held("VmRSS")
     forget_peak()

@@ -97,7 +97,9 @@ def rows() -> Iterator[Row]:
         yield Row("depth candidates", f"at most {most}", own)
     for greys, between in ((1, False), (4, False), (4, True)):
         seen = "photographs and halfway" if between else "photographs"
-        yield Row(PRUNED, f"{greys} of 255, {seen}", keep=greys * GREY, between=between)
+        name = f"{greys} of 255, {seen}"
+        yield Row(PRUNED, name, {"keep": "all"}, greys * GREY, between)
+    yield Row("Gaussians", "all", {"keep": "all"})
     yield Row("replicas", "geometric, 1", {"replicas": 1})
     for copies in (1, 5):
         yield Row("replicas", f"flow, {copies}", {"tracker": "flow", "replicas": copies})

@@ -16,6 +16,7 @@ from benches.scores.tradeoff_summary import NOISE, picked, summaries
 LOOKS = {
     "size": (BLUE, "o"),
     "depth candidates": (ORANGE, "s"),
+    "Gaussians": ("#000000", "h"),
     "replicas": (PINK, "v"),
     "codes": (GREEN, "D"),
     "lifting": ("#56B4E9", "^"),

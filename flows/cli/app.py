@@ -21,7 +21,8 @@ from slgaussian.parts.registry import KINDS
 
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 METHOD = (
-    "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", *tables_of(),
+    "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", "keep",
+    *tables_of(),
 )  # fmt: skip
 PLACES = files_of("encoder")
 FILES = (*(kind for kind in KINDS if files_of(kind)), *files_of(*KINDS))
@@ -43,7 +44,17 @@ PARTS = (*LABEL, "encoder")
 ENGINE = ("store", "runner", "workers")
 COMMON = {
     "demo": ("preset", "size", *PARTS, "seed", *ENGINE),
-    "benchmark": ("data", "pairs", "labels", "rooms", "preset", "encoder", "seed", *ENGINE),
+    "benchmark": (
+        "data",
+        "pairs",
+        "labels",
+        "rooms",
+        "views",
+        "preset",
+        "encoder",
+        "seed",
+        *ENGINE,
+    ),
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS, "trust_cameras"),
@@ -175,7 +186,9 @@ def _baselines() -> list[str]:
 
 
 @app.command(rich_help_panel=SCORES)
-@with_options("data", "pairs", "labels", "format", "rooms", *RUN, common=COMMON["benchmark"])
+@with_options(
+    "data", "pairs", "labels", "format", "rooms", "views", *RUN, common=COMMON["benchmark"]
+)
 def benchmark(
     settings: dict,
     against: Annotated[
@@ -192,12 +205,13 @@ def benchmark(
     """Score the method, and others, on a labelled set.
 
     Builds a field from each scene's context views and asks it in its target views. Leaves a report,
-    scores and samples as tables, predicted masks, fields, and the scenes that could not be done in
-    failures.parquet. Of an index of RealEstate10K, it scores the clips that are there.
+    tables, masks, fields, and failures.parquet. Of an index of RealEstate10K, it scores the clips
+    that are there.
 
     \b
     slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
     slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json
+    slgaussian benchmark --rooms 0-19 --views 2,4,8 -o numbers
     slgaussian benchmark --data office --pairs office/pairs.json \\
         --labels office/labels -o scores
     """
@@ -309,6 +323,14 @@ def field(
     photos: Photos,
     cameras: Cameras = None,
     refine: Refine = False,
+    keyframes: Annotated[
+        int | None,
+        typer.Option(
+            min=2,
+            help="Of more photographs, in the order taken, use so many: evenly along the way, the "
+            "sharpest of each part.",
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
     """Build a field from two or more photographs.
@@ -320,11 +342,12 @@ def field(
     \b
     slgaussian field a.jpg b.jpg -o field/
     slgaussian field images/1.jpg images/2.jpg --cameras sparse/0 -o field/
+    slgaussian field frames/*.jpg --cameras transforms.json --keyframes 24 -o field/
     slgaussian query field/ "red basket" -o hit.png
     """
     from flows.cli.fields import build
 
-    made = build(photos, cameras, refine, out, settings)
+    made = build(photos, cameras, refine, keyframes, out, settings)
     typer.echo(made)
 
 
@@ -519,6 +542,9 @@ def render(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
+    stats: Annotated[
+        bool, typer.Option("--stats", help="Print what the field is made of, and the time taken.")
+    ] = False,
 ) -> None:
     """Draw a field, or any .ply of Gaussians, from a camera.
 
@@ -534,7 +560,7 @@ def render(
     from flows.cli.fields import picture
     from flows.cli.viewpoints import Choice
 
-    picture(source, Choice(view or (), camera, between, orbit), out)
+    picture(source, Choice(view or (), camera, between, orbit), out, stats)
     typer.echo(out)
 
 
@@ -810,8 +836,10 @@ def main() -> None:
 
 def _run(command: str, settings: Any, verbose: bool) -> None:
     finished = _performed(command, settings, verbose)
-    from flows.cli.tables import scores_tables
+    from flows.cli.tables import scores_tables, view_counts_tables
 
+    if finished.counts:
+        typer.echo(view_counts_tables(finished.counts))
     if finished.results:
         typer.echo(scores_tables(finished.results))
     if finished.report is not None:

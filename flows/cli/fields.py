@@ -25,6 +25,7 @@ from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.semantic.decode import VISIBLE
+from slgaussian.storage.account import Account
 from slgaussian.storage.field_folder import check_target
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
@@ -47,11 +48,16 @@ COMMON_THINGS = (
 
 
 def build(
-    photos: Sequence[str], cameras: Path | None, refine: bool, out: Path, options: dict[str, Any]
+    photos: Sequence[str],
+    cameras: Path | None,
+    refine: bool,
+    keyframes: int | None,
+    out: Path,
+    options: dict[str, Any],
 ) -> Path:
     """Build a field from photographs and save it to folder ``out``.
 
-    Photographs and cameras are as :func:`flows.cli.posing.posed_sample` takes them.
+    Photographs, cameras and keyframes are as :func:`flows.cli.posing.posed_sample` takes them.
 
     Raises
     ------
@@ -61,14 +67,15 @@ def build(
     method = make_settings(options, "field")
     check_target(out)
     start = time.perf_counter()
-    sample = posed_sample(photos, cameras, refine, method)
+    sample = posed_sample(photos, cameras, refine, method, keyframes)
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(method.part_names().values())
     print(
         f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
         file=sys.stderr,
     )
-    field = build_field(sample, method.built_by, method.trust_cameras)
+    seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
+    field = build_field(sample, method.built_by, method.trust_cameras, seconds.__setitem__)
     field.save(out)
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
@@ -76,20 +83,25 @@ def build(
     for warning in quality.warnings():
         print(f"warning: {warning}", file=sys.stderr)
     print(quality.summary(), file=sys.stderr)
+    spent = ", ".join(f"{step} {taken:.2f}" for step, taken in seconds.items())
+    for line in (*_account(field), f"seconds: {spent}"):
+        print(line, file=sys.stderr)
     command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
     print(f"ask it: {shlex.join(command)}", file=sys.stderr)
     return out
 
 
-def picture(source: Path, choice: Choice, out: Path) -> None:
+def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> None:
     """Draw colour and depth of a field or a ``.ply`` side by side, and the objects of a field.
 
     A field is seen from one of its own cameras, unless ``choice`` names a camera file; a ``.ply``
-    has none.
+    has none. With ``stats`` the account of the field is printed, and how long this took.
     """
+    begun = time.perf_counter()
     check_drawing(out, choice.film)
     if source.suffix.lower() != ".ply" or source.is_dir():
         field = SemanticField.load(source)
+        account = _account(field)
         viewpoints, look = choice.of_field(source, field), partial(_field_panels, field)
     else:
         if choice.file is None:
@@ -100,9 +112,10 @@ def picture(source: Path, choice: Choice, out: Path) -> None:
         gaussians, _ = load_ply(source)
         if not len(gaussians):
             raise InputError(f"{source}: holds no Gaussians, so there is nothing to draw")
+        account = [f"Gaussians: {len(gaussians):,}"]
         viewpoints = choice.of_points(gaussians.means.numpy())
         look = partial(_ply_panels, gaussians, source)
-    depths = None
+    opened, drawn, depths = time.perf_counter(), 0, None
     with drawing(out, choice.film) as draw:
         for viewpoint in viewpoints:
             rgb, depth, others = look(viewpoint)
@@ -110,6 +123,18 @@ def picture(source: Path, choice: Choice, out: Path) -> None:
             depths = depths or pictures.depth_range(depth)
             panels = [(viewpoint.caption, rgb), ("depth", pictures.paint_depth(depth, *depths))]
             draw(pictures.side_by_side([*panels, *others]))
+            drawn += 1
+    if stats:
+        spent = time.perf_counter() - opened
+        took = f"seconds: {opened - begun:.2f} to open, {spent / drawn:.2f} a picture"
+        print("\n".join([*account, took]))
+
+
+def _account(field: SemanticField) -> list[str]:
+    """What a field is made of, in lines for people."""
+    account = Account.of(field.settings)
+    held = f"{len(field.gaussians):,} Gaussians, {len(field.bank):,} objects"
+    return [held] if account is None else account.lines()
 
 
 def to_ply(folder: Path, out: Path) -> None:

@@ -12,8 +12,8 @@ from slgaussian.storage.store import ArtifactStore
 
 WORK = {
     "demo": "pipeline.run",
-    "benchmark": "pipeline.run",
-    "run": "pipeline.run",
+    "benchmark": "by_views.run",
+    "run": "by_views.run",
     "ingest": "corpus.ingest",
     "supervise": "corpus.supervise",
     "train": "training.train",

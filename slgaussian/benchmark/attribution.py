@@ -54,6 +54,7 @@ BEYOND = "nothing mends it"
 
 def attribute_errors(
     field: SemanticField,
+    gaussians: Gaussians,
     sample: Sample,
     label_maps: LabelMaps,
     pieces: np.ndarray,
@@ -66,6 +67,8 @@ def attribute_errors(
     ----------
     field : SemanticField
         A field of ``sample``.
+    gaussians : Gaussians
+        Those that were predicted for it, before the field merged any.
     sample : Sample
         True depths and instances are used where its context views have them.
     label_maps : LabelMaps
@@ -87,7 +90,7 @@ def attribute_errors(
     settings = settings or EvaluationSettings()
     rules = replace(settings.rules, protocol="slgaussian")
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
-    scene = _Scene(field, sample, label_maps, pieces)
+    scene = _Scene(field, gaussians, sample, label_maps, pieces)
     columns = load_spec("attribution").columns
     rows = []
     for target in sample.targets:
@@ -120,6 +123,7 @@ class _Scene:
     """What all frames of a scene have in common."""
 
     field: SemanticField
+    gaussians: Gaussians
     sample: Sample
     label_maps: LabelMaps
     pieces: np.ndarray
@@ -128,19 +132,19 @@ class _Scene:
     def depths(self) -> np.ndarray:
         """Predicted depth of the context views."""
         cameras = [view.camera for view in self.sample.context]
-        return source_depths(self.field.gaussians, cameras)
+        return source_depths(self.gaussians, cameras)
 
     @cached_property
     def views(self) -> list[Gaussians]:
         """The Gaussians of each context view."""
-        return oracles.each_view(self.field.gaussians, len(self.pieces), self.pieces[0].size)
+        return oracles.each_view(self.gaussians, len(self.pieces), self.pieces[0].size)
 
     @cached_property
     def moved(self) -> Gaussians | None:
         """The Gaussians where they belong; None if no true depth is known."""
         if not oracles.true_depths(self.sample).any():
             return None
-        return oracles.moved(self.field.gaussians, self.sample, self.depths)
+        return oracles.moved(self.gaussians, self.sample, self.depths)
 
 
 class _Frame:
@@ -149,7 +153,7 @@ class _Frame:
     def __init__(
         self, scene: _Scene, target: View, masks: Mapping[str, np.ndarray], rules: Rules
     ) -> None:
-        field, gaussians, camera = scene.field, scene.field.gaussians, target.camera
+        field, gaussians, camera = scene.field, scene.gaussians, target.camera
         self.masks, self.rules, self.field = masks, rules, field
         self.places = {query: column for column, query in enumerate(masks)}
         self.seen = ObjectMap(field.render(camera).ids, field.bank.ids)

@@ -1,4 +1,4 @@
-"""The index of scene pairs: which views each field is built from, and which it is asked in.
+"""The index of scenes: which views each field is built from, and which it is asked in.
 
 A small JSON file, so that two people run the same pairs::
 
@@ -14,10 +14,12 @@ A small JSON file, so that two people run the same pairs::
      "left_out": {"ramen-frame_00006": "why"}}
 
 ``format`` and ``options`` are what :func:`slgaussian.datasets.load` takes; ``labels`` is a folder
-below that of the labels, or of the data where no other is given. Older files are only the object of
-scenes, with context, target and categories. The evaluation index published with pixelSplat and
-MVSplat is read too: RealEstate10K clips by key, with frame numbers and without categories. In 575
-of its 6,474 clips a target is a context frame as well; such targets are left out.
+below that of the labels, or of the data where no other is given. There may be more than two context
+views. Without ``categories`` all that is labelled is asked, or, without labels, only the pictures
+are compared. Older files are only the object of scenes, with context, target and categories. The
+evaluation index published with pixelSplat and MVSplat is read too: RealEstate10K clips by key, with
+frame numbers and without categories. In 575 of its 6,474 clips a target is a context frame as well;
+such targets are left out.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ VERSION = 2
 
 @dataclass(frozen=True)
 class ScenePair:
-    """Two context views, the held-out views between them, and what is asked there.
+    """Two context views or more, the held-out views between them, and what is asked there.
 
     Attributes
     ----------
@@ -119,7 +121,7 @@ def read_index(path: str | Path) -> Index:
             raise InputError(
                 f"{path}: {key!r} is {_kind(content.get(key))}, expected a {kind.__name__}"
             )
-    pairs = tuple(_pair(path, name, entry) for name, entry in content["scenes"].items())
+    pairs = tuple(_pair(path, name, own, unasked=True) for name, own in content["scenes"].items())
     return Index(pairs, content["format"], content["rule"], content["left_out"])
 
 
@@ -172,13 +174,16 @@ def _published(path: Path) -> Index:
     return Index(tuple(pairs), "re10k", left_out=left_out)
 
 
-def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
+def _pair(path: Path, scene: str, entry: Any, unasked: bool = False) -> ScenePair:
+    """An entry; ``unasked`` ones may leave out their categories."""
     where = f"{path}: scene {scene!r}"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object, found {_kind(entry)}")
     context = _names(entry, "context", 2, where)
     targets = _names(entry, "target", 1, where)
-    categories = _names(entry, "categories", 1, where)
+    categories: tuple[str, ...] = ()
+    if not unasked or "categories" in entry:
+        categories = _names(entry, "categories", 1, where)
     seen = sorted(set(context) & set(targets))
     if seen:
         raise InputError(

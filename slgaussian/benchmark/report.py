@@ -31,6 +31,7 @@ from slgaussian.benchmark.showcase import Key, key_of
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.benchmark.summary import Summary, summarize
 from slgaussian.benchmark.timings import Times
+from slgaussian.storage.account import Account
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -62,6 +63,12 @@ STAND_INS = {
 }
 """Columns of the spec ``attribution``: what is true from there on, in a word and in a line."""
 
+ACCOUNT_COLUMNS = (
+    "Gaussians made", "kept", "share", "mean change", "RMS", "greatest", "depths tried",
+    "possible", "code numbers", "replicas computed", "asked", "MB of Gaussians", "MB of bank",
+)  # fmt: skip
+"""Of the table of what each field is made of."""
+
 TIMES_HERE = "<!-- how long it took -->"
 """Where :func:`with_times` puts what differs from run to run."""
 
@@ -77,6 +84,8 @@ class Scene:
         Of the spec ``samples``: of our method, then of each of the others.
     metrics : {name: float}
         The ``scene_metrics`` of our result.
+    account : Account
+        What our field is made of.
     pictures : function giving {name: uint8 [H, W, 3]}
         The pictures of our result.
     truth : function giving {frame: {query: bool [H, W]}}
@@ -88,6 +97,7 @@ class Scene:
     dataset: str
     rows: Sequence[Row]
     metrics: Mapping[str, float]
+    account: Account
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]
     masks: Callable[[str], Mapping[tuple[str, str, str], np.ndarray]]
@@ -168,6 +178,8 @@ def render_report(
         ),
         "told": [_answers(key, own, others) for key in told],
         "summaries": _summaries(scenes),
+        "accounts": [(scene.name, *_account_cells(scene.account)) for scene in scenes],
+        "account_columns": ACCOUNT_COLUMNS,
         "summary_columns": dict.fromkeys(m for *_, one in _summaries(scenes) for m in one.columns),
         "paper": paper_tables(
             [row for rows in by_method.values() for row in rows], _places(manifest), ours
@@ -394,6 +406,23 @@ def _attribution_tables(attribution: Sequence[Row]) -> list[tuple[str, Lost]]:
 def _mean_ious(rows: Sequence[Row]) -> dict[str, float | None]:
     known = {name: [row[name] for row in rows if row[name] is not None] for name in STAND_INS}
     return {name: float(np.mean(ious)) if ious else None for name, ious in known.items()}
+
+
+def _account_cells(account: Account) -> tuple[str, ...]:
+    """The line of a field under :data:`ACCOUNT_COLUMNS`."""
+    counts = account.gaussians_made, account.gaussians_kept
+    changes = account.change_mean, account.change_rms, account.change_greatest
+    told = (
+        account.depths_tried, account.depths_possible, account.code_dimensions,
+        account.replicas_computed, account.replicas_asked,
+    )  # fmt: skip
+    return (
+        *(f"{count:,}" for count in counts),
+        f"{counts[1] / max(counts[0], 1):.0%}",
+        *(f"{change:.2f}" for change in changes),
+        *("–" if number is None else f"{number:,}" for number in told),
+        *(f"{size / 1e6:.1f}" for size in (account.bytes_gaussians, account.bytes_bank)),
+    )
 
 
 def _summaries(scenes: Sequence[Scene]) -> list[tuple[str, list[str], Summary]]:

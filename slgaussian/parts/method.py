@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.parts.part import Part
 from slgaussian.parts.registry import KINDS
+
+KEEP = ("needed", "all")
+"""Which Gaussians a field keeps: those that the scene needs, or all that were predicted."""
 
 PartSettings = Mapping[str, Mapping[str, Any]]
 """Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
@@ -27,6 +30,9 @@ class Method:
     seed : int
         Of everything random: the planes that fill depth, and the ID codes. The same seed gives
         the same bytes, whatever scene and views are called.
+    keep : "needed" or "all"
+        Whether even neighbours become larger Gaussians (:mod:`slgaussian.rasterize.merging`), or
+        the field has all that were predicted, in the paper one a pixel.
     settings : mapping, optional
         Settings of the parts that are given by name, each under its name:
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
@@ -45,6 +51,7 @@ class Method:
     lifting: Part
     replicas: int
     seed: int
+    keep: str
 
     def __init__(
         self,
@@ -56,6 +63,7 @@ class Method:
         lifting: str | Part = KINDS["lifting"].default,
         replicas: int = 5,
         seed: int = 0,
+        keep: str = KEEP[0],
         settings: PartSettings | None = None,
     ) -> None:
         given = dict(
@@ -74,8 +82,11 @@ class Method:
         for kind, part in given.items():
             made = part if isinstance(part, Part) else Part.of(kind, part, own.get(part))
             object.__setattr__(self, kind, made)
-        object.__setattr__(self, "replicas", replicas)
-        object.__setattr__(self, "seed", seed)
+        if keep not in KEEP:
+            near = did_you_mean(keep, KEEP)
+            raise InputError(f"keep: found {keep!r}, expected {' or '.join(KEEP)}{near}")
+        for name, value in (("replicas", replicas), ("seed", seed), ("keep", keep)):
+            object.__setattr__(self, name, value)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -85,12 +96,13 @@ class Method:
     def identity(self) -> dict[str, Any]:
         """What a field depends on besides the sample, as cache keys and artifacts hold it.
 
-        The name of each part, replicas and seed, and under a part's name its settings, files by
-        content; of a part without settings nothing.
+        The name of each part, replicas, seed and what is kept, and under a part's name its
+        settings, files by content; of a part without settings nothing.
         """
         named = {part.kind: part.name for part in self.parts}
         tables = {part.name: part.identity() for part in self.parts if part.settings}
-        return {**named, "replicas": self.replicas, "seed": self.seed, **tables}
+        own = {"replicas": self.replicas, "seed": self.seed, "keep": self.keep}
+        return {**named, **own, **tables}
 
     def check(self) -> None:
         """Load every part once, so that what cannot work is said before the others have worked.

@@ -16,6 +16,7 @@ from slgaussian.benchmark.evaluate import (
     truth_from_instances,
 )
 from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
 from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
@@ -28,6 +29,7 @@ class Room:
     sample: Sample
     label_maps: LabelMaps
     field: SemanticField
+    gaussians: Gaussians
     truth: dict[str, dict[str, np.ndarray]]
 
     def evaluate_all(self) -> SceneResult:
@@ -41,7 +43,7 @@ class Room:
         self, truth: Mapping | None = None, boxes: Mapping | None = None, **settings: Any
     ) -> SceneResult:
         """Ask the field what its own truth knows, or another one."""
-        parts = {"gaussians": self.field.gaussians, "bank": self.field.bank}
+        parts = {"gaussians": self.gaussians, "bank": self.field.bank}
         known = Truth(self.truth if truth is None else truth, boxes or {})
         asked = EvaluationSettings(**settings)
         return evaluate(self.field, self.sample, self.label_maps, known, asked, **parts)
@@ -56,7 +58,7 @@ def room() -> Room:
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
     field = known_field(sample, gaussians, label_maps, Method(codes="grid"))
-    return Room(sample, label_maps, field, truth_from_instances(sample).masks)
+    return Room(sample, label_maps, field, gaussians, truth_from_instances(sample).masks)
 
 
 @pytest.fixture(scope="session")

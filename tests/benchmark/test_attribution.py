@@ -28,8 +28,8 @@ from tests.known import known_field
 def exact(room):
     """The room with its true geometry and names: nothing in it is lost."""
     cameras = [view.camera for view in room.sample.context]
-    depths = source_depths(room.field.gaussians, cameras)
-    gaussians = oracles.moved(room.field.gaussians, room.sample, depths)
+    depths = source_depths(room.gaussians, cameras)
+    gaussians = oracles.moved(room.gaussians, room.sample, depths)
     return build(room.sample, gaussians, room.label_maps.labels)
 
 
@@ -39,7 +39,7 @@ def build(sample, gaussians, labels):
     codes = load_codes("grid")(label_maps, np.random.default_rng(0))
     named = build_bank(sample.context, label_maps, load_encoder("lexicon"), codes, sample.phrases)
     gaussians = replace(gaussians, features=None)
-    return known_field(sample, gaussians, label_maps, Method(codes="grid"), named)
+    return known_field(sample, gaussians, label_maps, Method(codes="grid", keep="all"), named)
 
 
 def of(room, field, labels=None, pieces=None, truth=None, sample=None, **settings):
@@ -50,6 +50,7 @@ def of(room, field, labels=None, pieces=None, truth=None, sample=None, **setting
     truth = room.truth if truth is None else truth
     rows = attribute_errors(
         field,
+        room.gaussians if field is room.field else field.gaussians,
         sample or room.sample,
         label_maps,
         pieces,

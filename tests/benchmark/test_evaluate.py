@@ -137,7 +137,7 @@ def test_every_row_says_how_its_mask_was_made(room, result):
 
 
 def test_depth_is_judged_where_the_truth_is_known(room, result):
-    depths = source_depths(room.field.gaussians, [v.camera for v in room.sample.context])
+    depths = source_depths(room.gaussians, [v.camera for v in room.sample.context])
     scores = [
         metrics.depth_errors(depth, view.depth)
         for depth, view in zip(depths, room.sample.context, strict=True)
@@ -157,8 +157,8 @@ def test_a_rectified_pair_is_judged_in_pixels_of_disparity(room):
     camera = replace(a.camera, c2w=a.camera.c2w @ move)
     beside = replace(a, name="beside", camera=camera, image=255 - a.image)  # no mere copy
     pair = Sample("pair", (a, beside))
-    result = evaluate(room.field, pair, room.label_maps, Truth(), gaussians=room.field.gaussians)
-    depths = source_depths(room.field.gaussians, [view.camera for view in pair.context])
+    result = evaluate(room.field, pair, room.label_maps, Truth(), gaussians=room.gaussians)
+    depths = source_depths(room.gaussians, [view.camera for view in pair.context])
     expected = [
         metrics.depth_errors(depth, a.depth, a.camera.K[0, 0] * 0.3)["bad2"] for depth in depths
     ]

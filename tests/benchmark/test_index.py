@@ -74,6 +74,21 @@ def test_what_is_written_is_read(tmp_path):
     assert path.read_bytes() == first
 
 
+def test_an_index_of_llff_may_have_more_context_views_and_ask_nothing(tmp_path):
+    path = tmp_path / "index.json"
+    write_index(path, INDEX)
+    content = json.loads(path.read_text())
+    fern = {"context": ["1.png", "3.png", "5.png"], "target": ["0.png", "4.png"]}
+    path.write_text(json.dumps({**content, "format": "llff", "scenes": {"fern": fern}}))
+    index = read_index(path)
+    assert index.format == "llff"
+    assert index.pairs == (ScenePair("fern", ("1.png", "3.png", "5.png"), ("0.png", "4.png")),)
+    fern["target"].append("3.png")
+    path.write_text(json.dumps({**content, "format": "llff", "scenes": {"fern": fern}}))
+    with pytest.raises(InputError, match=r"'3\.png' is both context and target"):
+        read_index(path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

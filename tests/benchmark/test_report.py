@@ -11,8 +11,10 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.timings import Times
+from slgaussian.storage.account import Account
 from slgaussian.storage.specs import load_spec
 
+ACCOUNT = Account(12345, 6789, 0.25, 0.5, 9.5, 3, 5, 1_200_000, 300_000, 7, 40, 144)
 MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 
 
@@ -38,6 +40,7 @@ def scene_of(result: SceneResult, truth, *others: SceneResult, name: str = "") -
         dataset=result.dataset,
         rows=rows,
         metrics=result.scene_metrics,
+        account=ACCOUNT,
         pictures=lambda: result.pictures,
         truth=lambda: truth,
         masks=lambda method: by_method[method].predictions,
@@ -259,3 +262,12 @@ def test_of_many_scenes_the_worst_are_drawn_and_all_are_told(result, truth, monk
 def test_the_same_results_give_the_same_bytes(both, result, truth):
     scene = scene_of(result, truth)
     assert render_report([scene], MANIFEST) == render_report([scene], MANIFEST)
+
+
+def test_what_each_field_is_made_of_is_told(result, truth):
+    made = render_report([scene_of(result, truth)], MANIFEST)
+    line = "12,345 | 6,789 | 55% | 0.25 | 0.50 | 9.50 | 40 | 144 | 3 | 7 | 5 | 1.2 | 0.3 |"
+    assert line in made.markdown
+    told = next(table for table in tables_of(made.markdown) if "Gaussians made" in table[0])
+    assert told[1][1:] == line.removesuffix(" |").split(" | ")
+    assert "".join(f"<td>{cell}</td>" for cell in told[1][1:]) in made.html

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -34,6 +34,8 @@ class Inputs:
     sample : Sample
     field : SemanticField
         What :func:`slgaussian.build.build_field` made of it.
+    gaussians : Gaussians
+        As predicted, without features: the field may have merged some.
     label_maps : LabelMaps
         Of the context views, as they went into the field.
     proposer : MaskProposer
@@ -48,6 +50,7 @@ class Inputs:
 
     sample: Sample
     field: SemanticField
+    gaussians: Gaussians
     label_maps: LabelMaps
     proposer: MaskProposer
     seed: int = 0
@@ -63,11 +66,6 @@ class Inputs:
     def encoder(self) -> Encoder:
         """The encoder of regions and texts."""
         return self.field.encoder
-
-    @cached_property
-    def gaussians(self) -> Gaussians:
-        """As predicted, without features."""
-        return replace(self.field.gaussians, features=None)
 
     @cached_property
     def reader(self) -> TextReader:

@@ -12,7 +12,8 @@ from slgaussian.masks import load_proposer
 def given(room) -> Inputs:
     """Shared by tests that do not look at what is worked out only once."""
     texts = tuple(sorted(room.truth["view_01"]))
-    return Inputs(room.sample, room.field, room.label_maps, load_proposer("regions"), 0, {}, texts)
+    made = room.sample, room.field, room.gaussians, room.label_maps
+    return Inputs(*made, load_proposer("regions"), 0, {}, texts)
 
 
 @pytest.fixture

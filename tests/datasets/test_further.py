@@ -1,0 +1,138 @@
+"""Which context views are added around two: between them first, never a target, nor beside one."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from slgaussian import datasets
+from slgaussian.benchmark.index import read_index
+from slgaussian.datasets.further import APART, BEYOND, TURNED, WITHIN, context_of
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera, Scene, View
+
+K = np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]])
+
+
+def camera(x, y=0.0, turned=0.0):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("y", turned, degrees=True).as_matrix()
+    pose[:3, 3] = x, y, 0
+    return Camera(K, pose, 24, 16)
+
+
+def walk(places, unreadable=()):
+    """Views along a line, each called by its place."""
+    cameras = {f"{x:g}": camera(x) for x in places}
+
+    def read(name):
+        if name in unreadable:
+            raise InputError(f"{name}: cannot be read")
+        return View(name, cameras[name], np.zeros((16, 24, 3), np.uint8))
+
+    return Scene("walk", cameras, read)
+
+
+def test_a_third_view_is_in_the_middle_and_the_gaps_are_halved():
+    scene = walk(range(101))
+    assert context_of(scene, ["20", "60"], ["30"], 3) == ("20", "60", "40")
+    assert context_of(scene, ["20", "60"], [], 5)[3:] == ("30", "50")
+
+
+def test_a_target_and_what_lies_beside_it_is_never_taken():
+    scene = walk(range(101))
+    chosen = context_of(scene, ["20", "60"], ["40", "50"], 8)
+    assert not {"40", "50"} & set(chosen)
+    assert min(abs(float(a) - b) for a in chosen[2:] for b in (40, 50)) >= APART * 40
+    assert chosen[2] in ("36", "44")
+
+
+def test_beyond_the_two_the_nearest_come_first_and_not_too_near():
+    scene = walk([0, 2, 3, 4, 5, 6, 6.4, 7, 8, 9])
+    assert context_of(scene, ["4", "6"], ["5"], 6) == ("4", "6", "3", "7", "2", "8")
+
+
+def test_few_photographs_are_said():
+    with pytest.raises(InputError, match="found 3 context views around its targets, expected 4"):
+        context_of(walk([0, 1, 2, 4]), ["0", "2"], ["1"], 4)
+
+
+def test_what_cannot_be_read_is_passed_over():
+    scene = walk(range(101), unreadable=("40",))
+    assert context_of(scene, ["20", "60"], [], 3) in (("20", "60", "39"), ("20", "60", "41"))
+
+
+def test_views_that_look_elsewhere_are_not_taken():
+    cameras = {"a": camera(0), "b": camera(1), "away": camera(0.5, turned=TURNED + 1)}
+    cameras |= {"aside": camera(0.4, turned=TURNED - 1)}
+    blank = np.zeros((16, 24, 3), np.uint8)
+    scene = Scene("turning", cameras, lambda name: View(name, cameras[name], blank))
+    assert context_of(scene, ["a", "b"], [], 3)[2] == "aside"
+
+
+def test_fewer_than_an_index_names_are_spread_over_its_list():
+    scene = walk(range(9))
+    named = ["0", "2", "4", "6", "8"]
+    assert context_of(scene, named, ["1"], 2) == ("0", "8")
+    assert context_of(scene, named, ["1"], 3) == ("0", "4", "8")
+    assert context_of(scene, named, ["1"], 5) == tuple(named)
+    assert context_of(scene, named, ["1"], 6)[:5] == tuple(named)
+
+
+@given(
+    st.lists(st.integers(0, 60), min_size=12, max_size=30, unique=True),
+    st.integers(3, 8),
+    st.randoms(use_true_random=False),
+)
+def test_a_smaller_number_is_part_of_a_larger_one_and_all_are_apart(places, count, random):
+    first, last, target = random.sample(places, 3)
+    scene = walk(places)
+    given_views = [str(first), str(last)], [str(target)]
+    try:
+        chosen = context_of(scene, *given_views, count)
+    except InputError:
+        return
+    assert context_of(scene, *given_views, count - 1) == chosen[:-1]
+    assert len(set(chosen)) == count and str(target) not in chosen
+    unit = abs(first - last)
+    for k, name in enumerate(chosen[2:], 2):
+        gap = min(abs(int(name) - int(other)) for other in chosen[:k])
+        between = min(first, last) <= int(name) <= max(first, last)
+        assert gap / unit >= (WITHIN if between else BEYOND) - 1e-6
+        assert abs(int(name) - target) / unit >= APART - 1e-6
+
+
+def test_an_index_of_llff_with_more_context_views_and_a_target_is_read_and_added_to(
+    real_data, tmp_path
+):
+    """Every eighth photograph is held out, as is usual with LLFF."""
+    scene = datasets.load("llff", real_data / "fern")
+    names = list(scene.cameras)
+    entry = {"context": names[1:8:2], "target": names[::8], "categories": ["fern"]}
+    (tmp_path / "pairs.json").write_text(json.dumps({"fern": entry}))
+    (pair,) = read_index(tmp_path / "pairs.json").pairs
+    assert len(pair.context) == 4
+    chosen = context_of(scene, pair.context, pair.targets, 8)
+    assert chosen[:4] == pair.context and not set(chosen) & set(pair.targets)
+    two = context_of(scene, pair.context, pair.targets, 2)
+    assert two == (pair.context[0], pair.context[-1])
+
+
+def test_clips_of_realestate10k_have_more_context_views(tmp_path):
+    """In an index, and around the two of the published one: the third is in the middle."""
+    scene = walk(range(150))
+    clips = {
+        "ab": {"context": [58, 133], "target": [84, 102, 129]},
+        "cd": {"context": [10, 30, 50, 70], "target": [20, 40]},
+    }
+    (tmp_path / "index.json").write_text(json.dumps(clips))
+    two, four = read_index(tmp_path / "index.json").pairs
+    assert four.context == ("10", "30", "50", "70")
+    assert context_of(scene, four.context, four.targets, 4) == four.context
+    chosen = context_of(scene, two.context, two.targets, 8)
+    assert chosen[:3] in (("58", "133", "94"), ("58", "133", "93"))
+    between = [58 <= int(name) <= 133 for name in chosen]
+    assert between == sorted(between, reverse=True) and sum(between) >= 6
