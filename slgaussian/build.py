@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,9 +23,27 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
+from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
 from slgaussian.storage.account import Account
+
+
+class Predicted(NamedTuple):
+    """What a predictor made of the context views.
+
+    Attributes
+    ----------
+    gaussians : Gaussians
+    quality : Quality
+        How good the views were.
+    depths : Depths or None
+        How many depths were compared; None if the predictor does not count them.
+    """
+
+    gaussians: Gaussians
+    quality: Quality
+    depths: Depths | None
 
 
 def build_field(
@@ -64,20 +83,18 @@ def build_field(
     method.check()
     compiling.watch()
     with _timed("geometry", took):
-        gaussians, quality = predict(sample, method.predictor, method.seed, trust_cameras)
+        gaussians, quality, depths = predict(sample, method.predictor, method.seed, trust_cameras)
         geometry = SceneGeometry.of(sample.context, gaussians)
     with _timed("masks", took):
         label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     with _timed("supervision", took):
         bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
     with _timed("field", took):
-        return lift_field(sample, gaussians, label_maps, bank, method, quality)
+        return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
 
-def predict(
-    sample: Sample, predictor: Part, seed: int, trust_cameras: bool = False
-) -> tuple[Gaussians, Quality]:
-    """Gaussians from the context views (paper, section 3.1), and how good those views were.
+def predict(sample: Sample, predictor: Part, seed: int, trust_cameras: bool = False) -> Predicted:
+    """Gaussians from the context views (paper, section 3.1), and what there is to say of them.
 
     Raises
     ------
@@ -88,11 +105,16 @@ def predict(
     checks = check_pairs(sample)
     if not trust_cameras:
         refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
-    gaussians = predictor.load()(sample, seed)
+    loaded, depths = predictor.load(), None
+    if isinstance(loaded, CountingPredictor):
+        gaussians, depths = loaded.counted(sample, seed)
+    else:
+        gaussians = loaded(sample, seed)
     opaque = _opaque(sample.context)
     if opaque is not None:
         gaussians = gaussians[torch.from_numpy(opaque.ravel()[gaussians.source.numpy()])]
-    return gaussians, measure(SceneGeometry.of(sample.context, gaussians), checks)
+    quality = measure(SceneGeometry.of(sample.context, gaussians), checks)
+    return Predicted(gaussians, quality, depths)
 
 
 def label_views(geometry: SceneGeometry, proposer: Part, tracker: Part, replicas: int) -> LabelMaps:
@@ -130,6 +152,7 @@ def lift_field(
     bank: MemoryBank,
     method: Method,
     quality: Quality,
+    depths: Depths | None = None,
 ) -> SemanticField:
     """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
 
@@ -152,6 +175,9 @@ def lift_field(
         replicas_asked=method.replicas,
         bytes_gaussians=_size(lifted.to_arrays()),
         bytes_bank=_size(bank.to_arrays()),
+        replicas_computed=label_maps.computed,
+        depths_tried=None if depths is None else depths.tried,
+        depths_possible=None if depths is None else depths.possible,
     )
     said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
     said["account"] = account.as_json()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,10 +21,13 @@ class LabelMaps:
     margin : float32 [V, H, W]
         By how much the vote was won: (votes for the winner - votes for the runner-up) / replicas,
         in [0, 1].
+    computed : int, optional
+        Copies of one view, at most, that were segmented for the vote; None if that was not told.
     """
 
     labels: np.ndarray
     margin: np.ndarray
+    computed: int | None = field(default=None, repr=False)
 
     __repr__ = brief
 

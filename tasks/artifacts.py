@@ -108,7 +108,7 @@ def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
 
 def labels_from_arrays(arrays: Arrays) -> LabelMaps:
     """Inverse of :func:`labels_to_arrays`."""
-    return LabelMaps(**arrays)
+    return LabelMaps(arrays["labels"], arrays["margin"])
 
 
 def truth_to_arrays(truth: Truth, sample: Sample) -> Arrays:

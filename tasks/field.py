@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from slgaussian.build import lift_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
 from slgaussian.parts.method import Method
+from slgaussian.predict import Depths
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, put_field, sample_from_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("field", version=5)
+@stage("field", version=6)
 def field(
     site: Worksite,
     sample: ArtifactRef,
@@ -22,12 +25,14 @@ def field(
     method: Method,
 ) -> ArtifactRef:
     """Gaussians, label maps and bank joined: spec ``field``."""
+    depths = gaussians.meta["depths"]
     joined = lift_field(
         site.read(sample, sample_from_arrays),
         site.read(gaussians, Gaussians.from_arrays),
-        site.read(labels, labels_from_arrays),
+        replace(site.read(labels, labels_from_arrays), computed=labels.meta["computed"]),
         site.read(bank, MemoryBank.from_arrays),
         method,
         Quality(**gaussians.meta["quality"]),
+        None if depths is None else Depths(*depths),
     )
     return put_field(site.store, joined)

@@ -11,18 +11,19 @@ from tasks.artifacts import sample_from_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("geometry", version=4)
+@stage("geometry", version=5)
 def geometry(
     site: Worksite, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
 ) -> ArtifactRef:
     """What the predictor makes of the context views: spec ``gaussians``.
 
-    ``meta["quality"]`` says how good the views were.
+    ``meta["quality"]`` says how good the views were, ``meta["depths"]`` how many were compared of
+    how many, or None.
     """
     shown = site.read(sample, sample_from_arrays)
-    gaussians, quality = predict(shown, predictor, seed, trust_cameras)
+    gaussians, quality, depths = predict(shown, predictor, seed, trust_cameras)
     gaussians.check()
-    meta = {"gaussians": len(gaussians), "quality": quality.as_json()}
+    meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
     return site.store.put("gaussians", gaussians.to_arrays(), meta)
 
 

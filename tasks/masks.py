@@ -10,7 +10,7 @@ from tasks.geometry import read_geometry
 from tasks.stage import Worksite, stage
 
 
-@stage("masks", version=3)
+@stage("masks", version=4)
 def masks(
     site: Worksite,
     sample: ArtifactRef,
@@ -19,6 +19,10 @@ def masks(
     tracker: Part,
     replicas: int,
 ) -> ArtifactRef:
-    """Object ids that agree across the context views: spec ``labels``."""
+    """Object ids that agree across the context views: spec ``labels``.
+
+    ``meta["computed"]`` says how many copies of a view were segmented.
+    """
     label_maps = label_views(read_geometry(site, sample, gaussians), proposer, tracker, replicas)
-    return site.store.put("labels", labels_to_arrays(label_maps), {"objects": len(label_maps.ids)})
+    meta = {"objects": len(label_maps.ids), "computed": label_maps.computed}
+    return site.store.put("labels", labels_to_arrays(label_maps), meta)

@@ -69,6 +69,8 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
         held = sum(array.nbytes for array in field.gaussians.to_arrays().values())
         assert (account.bytes_gaussians, account.code_dimensions) == (held, 3)
+        assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * 144
+        assert (account.replicas_computed, account.replicas_asked) == (1, 1)
         assert quality["judged"] is False and 0.5 < quality["overlap"] < 1
         assert settings == {
             "scene": sample.scene,

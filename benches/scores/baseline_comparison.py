@@ -71,11 +71,11 @@ def run_alone(name: str, data: Path) -> None:
     sample = scene.sample(list(pair.context), list(pair.targets))
     truth = read_truth(data / "office" / "labels", pair.categories, sample.targets).masks
     method = Method()
-    gaussians, quality = predict(sample, method.predictor, method.seed)
+    gaussians, quality, depths = predict(sample, method.predictor, method.seed)
     geometry = SceneGeometry.of(sample.context, gaussians)
     label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
-    field = lift_field(sample, gaussians, label_maps, bank, method, quality)
+    field = lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, gaussians, label_maps, load_proposer("regions"), classes=classes)

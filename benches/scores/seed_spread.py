@@ -126,11 +126,11 @@ def score(sample: Sample, scene: SceneSettings, truth: Truth, seed: int) -> dict
     """The metrics of a field that is built from a sample of a scene."""
     settings = Settings()
     method = replace(settings.built_by, seed=seed)
-    gaussians, quality = predict(sample, method.predictor, seed, trust_cameras=True)
+    gaussians, quality, depths = predict(sample, method.predictor, seed, trust_cameras=True)
     geometry = SceneGeometry.of(sample.context, gaussians)
     labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = remember(sample, geometry, labels, method.encoder, method.codes, seed)
-    field = lift_field(sample, gaussians, labels, bank, method, quality)
+    field = lift_field(sample, gaussians, labels, bank, method, quality, depths)
     result = evaluate(
         field,
         sample,

@@ -241,7 +241,7 @@ class Stages:
         sample = self.case.read(chosen.size)
         shape = sample.context[0].image.shape
         predictor = method.predictor
-        (gaussians, quality), geometry = self.once(
+        (gaussians, quality, depths), geometry = self.once(
             ["geometry", shape, predictor],
             lambda: predict(sample, predictor, chosen.seed, trust_cameras=True),
         )
@@ -264,7 +264,7 @@ class Stages:
         bank = replace(bare, codes=codes)
 
         def lift() -> SemanticField:
-            made = lift_field(sample, gaussians, labels, bank, method, quality)
+            made = lift_field(sample, gaussians, labels, bank, method, quality, depths)
             if row.keep is not None:
                 cameras = [view.camera for view in sample.context]
                 cameras += [trajectories.between(*cameras[:2], 0.5)] * row.between

@@ -64,7 +64,7 @@ def label(
         file=sys.stderr,
     )
     start = time.perf_counter()
-    gaussians, _ = predict(sample, predictor, method.seed, trust_cameras=method.trust_cameras)
+    gaussians = predict(sample, predictor, method.seed, method.trust_cameras).gaussians
     geometry = SceneGeometry.of(sample.context, gaussians)
     maps = associate(geometry.seen, *made_by, method.replicas)
     print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)

@@ -48,11 +48,12 @@ def associate(
 
     Copies are asked of the tracker one after the other until one repeats its predecessor. From
     there on, image, memory and last answer are the same again, so every further copy would be the
-    same too; it is counted, not computed. Trackers that return remembered labels for a remembered
-    image, like ``geometric`` and ``flow``, thus cost one look-up a view and the vote is unanimous:
-    copies do nothing for them. One that segments a remembered image anew, like ``sam2-video``, is
-    asked twice, and its own answer has the majority over the detection from three copies on. One
-    with a working memory is asked up to ``replicas - 1`` times and its noise is voted down.
+    same too; it counts and is not computed: :attr:`LabelMaps.computed` says how many were. Trackers
+    that return remembered labels for a remembered image, like ``geometric`` and ``flow``, thus cost
+    one look-up a view and the vote is unanimous: copies do nothing for them. One that segments a
+    remembered image anew, like ``sam2-video``, is asked twice, and its own answer has the majority
+    over the detection from three copies on. One with a working memory is asked up to ``replicas -
+    1`` times and its noise is voted down.
 
     Parameters
     ----------
@@ -93,9 +94,9 @@ def associate(
             )
     if tracker.final:
         given = [tracker.propagate(here) for here in seen]
-        return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32))
+        return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32), 1)
     winners, margins, cuts = [], [], []
-    known = 0
+    known = computed = 0
     for index, here in enumerate(seen):
         carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
         detected = _detect(here, proposer, carried)
@@ -104,7 +105,9 @@ def associate(
         first = _without_gaps(first, known)
         known = max(known, int(first.max()))
         tracker.add(here, first)
-        labels, margin = vote(*_copies(here, tracker, first, replicas))
+        copies, times, asked = _copies(here, tracker, first, replicas)
+        computed = max(computed, asked)
+        labels, margin = vote(copies, times)
         winners.append(labels)
         margins.append(margin)
     labels = np.stack(winners)
@@ -113,7 +116,7 @@ def associate(
     labels = renumbered(labels)
     if all(here.depth is not None for here in seen):
         labels = settle(seen, labels, np.stack(cuts))
-    return LabelMaps(labels, np.stack(margins))
+    return LabelMaps(labels, np.stack(margins), computed)
 
 
 def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
@@ -224,14 +227,16 @@ def _without_gaps(labels: np.ndarray, known: int) -> np.ndarray:
 
 def _copies(
     seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int
-) -> tuple[np.ndarray, list[int]]:
-    """The different copies of a view, int32 [R, H, W], and how often each counts; see
-    :func:`associate`.
+) -> tuple[np.ndarray, list[int], int]:
+    """The different copies of a view, int32 [R, H, W], how often each counts, and how many were
+    computed; see :func:`associate`.
     """
-    copies = [first]
+    copies, computed = [first], 1
     while len(copies) < replicas:
         again = tracker.propagate(seen)
+        computed += 1
         if np.array_equal(again, copies[-1]):
             break
         copies.append(again)
-    return np.stack(copies), [1] * (len(copies) - 1) + [replicas - len(copies) + 1]
+    times = [1] * (len(copies) - 1) + [replicas - len(copies) + 1]
+    return np.stack(copies), times, computed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from slgaussian.parts.registry import find_part
 
@@ -24,6 +24,21 @@ class GaussianPredictor(Protocol):
 
         Whatever is drawn at random depends on ``seed`` and on what the context views show.
         """
+
+
+class Depths(NamedTuple):
+    """How many depth candidates were compared in all views, and how many the settings allow."""
+
+    tried: int
+    possible: int
+
+
+@runtime_checkable
+class CountingPredictor(GaussianPredictor, Protocol):
+    """One that compares depths and counts them; no predictor has to."""
+
+    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+        """What a call gives, and the depths that it took."""
 
 
 def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:

@@ -11,6 +11,7 @@ from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
+    from slgaussian.predict import Depths
     from slgaussian.scene import Sample
 
 
@@ -67,6 +68,10 @@ class PlaneSweep:
             below far, if two views see nothing in common within the range, or if matches say that
             they were taken from one place or that their poses are exchanged.
         """
+        return self.counted(sample, seed)[0]
+
+    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+        """What a call gives, and how many depths were compared; raises as a call."""
         from slgaussian.predict.sweep import predict
 
         return predict(self, sample, seed)

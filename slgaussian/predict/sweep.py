@@ -11,6 +11,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import rng_for
+from slgaussian.predict import Depths
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
     MIN_MATCHES,
@@ -57,13 +58,14 @@ shows must close the surface by itself. What lies in another view's free space i
 """
 
 
-def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
-    """Gaussians of the context views; see :meth:`slgaussian.predict.planesweep.PlaneSweep`."""
+def predict(settings: PlaneSweep, sample: Sample, seed: int) -> tuple[Gaussians, Depths]:
+    """Gaussians of the context views; see
+    :meth:`slgaussian.predict.planesweep.PlaneSweep.counted`."""
     views = sample.context
     graph = link_views(views, all(None not in _given(settings, v) for v in views))
     swept = _sweep(settings, sample, graph.links)
-    depths, answered = ([getattr(s, name) for s in swept] for name in ("inverse_depth", "answered"))
-    gains = color_gains([view.image for view in views], depths, answered, graph)
+    found, answered = ([getattr(s, name) for s in swept] for name in ("inverse_depth", "answered"))
+    gains = color_gains([view.image for view in views], found, answered, graph)
     exposed = [
         (view.image * np.float32(gain / 255)).clip(0, 1)
         for view, gain in zip(views, gains, strict=True)
@@ -80,7 +82,8 @@ def predict(settings: PlaneSweep, sample: Sample, seed: int) -> Gaussians:
         [keep.ravel() for keep in needed(graph, whole, [s.known for s in swept], steps)]
     )
     beyond = hidden(cameras, colors, whole, steps)
-    return concatenate([shown[torch.from_numpy(kept)], beyond])
+    depths = Depths(sum(len(s.steps) for s in swept), len(swept) * settings.depth_candidates)
+    return concatenate([shown[torch.from_numpy(kept)], beyond]), depths
 
 
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:

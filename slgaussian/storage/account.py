@@ -27,7 +27,8 @@ class Account:
     bytes_gaussians, bytes_bank : int
         Of the arrays of Gaussians and memory bank.
     replicas_computed : int or None
-        Copies of a view that were segmented; None where that was not told.
+        Copies of one view, at most, that were segmented or asked of the tracker; the others are
+        known to be the same. None where that was not told.
     depths_tried, depths_possible : int or None
         Depth candidates of all views, and how many the settings allow; None where the predictor
         does not tell.

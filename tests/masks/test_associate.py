@@ -112,13 +112,15 @@ def test_replicas_outvote_the_detection():
     # Copy k has lost k rows: row 0 is lost in 4 of 5 copies, row 2 in 2 of 5, row 4 in none.
     assert not maps.labels[0][:2].any() and (maps.labels[0][2:] == 1).all()
     np.testing.assert_allclose(maps.margin[0][:6, 0], [0.6, 0.2, 0.2, 0.6, 1, 1], atol=1e-6)
-    assert (associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=1).labels == 1).all()
+    assert maps.computed == 5
+    alone = associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=1)
+    assert (alone.labels == 1).all() and alone.computed == 1
 
 
 def test_copies_that_repeat_are_counted_and_not_computed():
     settled = Wandering(looks_that_differ=2)
     maps = associate([view(picture())], Drawn([WHOLE]), settled, replicas=9)
-    assert settled.looks == 3
+    assert settled.looks == 3 and maps.computed == 4
     computed = Wandering(looks_that_differ=2)
     computed.add(None, np.ones(SIZE, np.int32))
     lost = np.stack([computed.propagate(None) == 0 for _ in range(8)]).sum(0)
