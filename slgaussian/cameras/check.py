@@ -9,14 +9,14 @@ matrix, whatever cameras it stands for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from slgaussian.cameras.matches import sift_matches
-from slgaussian.cameras.neighbours import neighbours
+from slgaussian.cameras.neighbours import neighbours, successive
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Sample, View
@@ -111,13 +111,18 @@ class PairCheck:
     @property
     def judged(self) -> bool:
         """Whether enough matches agree with one another to tell anything."""
-        return self.agreeing >= max(MIN_AGREEING, MIN_AGREEMENT * self.matches)
+        return enough(self.matches, self.agreeing)
 
     @property
     def refuted(self) -> bool:
         """Whether the cameras cannot be those of the photographs."""
         few = self.coarse * self.matches < BOUND * self.agreeing
         return self.judged and (few or self.correction is not None)
+
+
+def enough(matches: int, agreeing: int) -> bool:
+    """Whether so many of the matches agree with one another that they can judge cameras."""
+    return agreeing >= max(MIN_AGREEING, MIN_AGREEMENT * matches)
 
 
 def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> None:
@@ -133,10 +138,36 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
 
 
 def check_pairs(sample: Sample) -> list[PairCheck]:
-    """What the matches say of each context view with its nearest neighbours, the pairs that depth
-    is found from."""
+    """What the matches say of the pairs of context views that show the same things.
+
+    Tried are views that stand near by, and those that follow one another: poses that are wrong may
+    have taken a view away from what it sees. See :func:`telling`.
+    """
     views = sample.context
-    return [check_pair(views[i], views[j]) for i, j in neighbours(views)]
+    pairs = sorted({*neighbours(views), *successive(views)})
+    return telling({(i, j): check_pair(views[i], views[j]) for i, j in pairs})
+
+
+def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
+    """Of the checks of pairs (i, j) those that tell of their views, in the order of the pairs.
+
+    The pair of each view whose matches agree most, and what joins views to one scene: a maximum
+    spanning tree. Most views of a walk show nothing that most others show, and their matches are
+    false; no pair that cannot be judged joins views that have better ones.
+    """
+    piece = {view: view for pair in checks for view in pair}
+    sizes = dict.fromkeys(piece, 1)
+    kept = []
+    for pair, check in sorted(
+        checks.items(), key=lambda item: (-item[1].agreeing, -item[1].matches, item[0])
+    ):
+        into, away = (piece[view] for view in pair)
+        alone = min(sizes[into], sizes[away]) == 1
+        if into != away and (check.judged or alone):
+            kept.append(pair)
+            sizes[into] += sizes[away]
+            piece = {view: into if of == away else of for view, of in piece.items()}
+    return [checks[pair] for pair in sorted(kept)]
 
 
 def check_pair(a: View, b: View) -> PairCheck:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.cameras.check import TURNED, WIDE, PairCheck
+from slgaussian.cameras.check import TURNED, WIDE, PairCheck, enough
+from slgaussian.cameras.neighbours import neighbours
 from slgaussian.geometry import SceneGeometry
 
 LITTLE_SHARED = 0.3
@@ -17,25 +18,30 @@ LITTLE_SHARED = 0.3
 
 @dataclass(frozen=True)
 class Quality:
-    """How well two photographs fit together; of several, the worst pair of neighbouring views.
+    """How well photographs fit together, each with those that show the same things.
 
     Attributes
     ----------
     overlap : float
         Fraction of the pixels of each view that show a surface, for which it falls inside the
-        other; the smaller of the two.
+        other; the smaller of the two. Of several views the median of what each shares with the one
+        that it shares most with.
     confirmed : float
         Fraction of all such pixels whose surface another view shows at the same depth.
     angle : float or None
-        Degrees between the lines of sight, median of the explained matches; None without any.
+        Degrees between the lines of sight, median of the explained matches; None without any. Of
+        several pairs the median.
     turn : float
-        Degrees between their optical axes.
+        Degrees between their optical axes. Of several pairs the median.
     matches : int
+        Of all pairs.
     explained : float
         Fraction of the matches that the cameras explain within ``pixels``.
     pixels : float
     judged : bool
         Whether the matches could tell right cameras from wrong ones.
+    apart : int
+        Views that share less than :data:`LITTLE_SHARED` with any other.
     """
 
     overlap: float
@@ -46,6 +52,7 @@ class Quality:
     explained: float
     pixels: float
     judged: bool
+    apart: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers, four decimals."""
@@ -79,34 +86,39 @@ class Quality:
                 f"the views share {self.overlap:.0%} of what they show, and the depth of the rest "
                 "is a guess; add a photograph from between"
             )
+        elif self.apart:
+            found.append(
+                f"views that share less than {LITTLE_SHARED:.0%} with any other: {self.apart}; "
+                "most of their depth is a guess; add photographs from between"
+            )
         return found
 
 
 def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> Quality:
-    """The quality of views from their predicted depths, and from the checks of pairs of them."""
-    cameras, depths = [view.camera for view in geometry.views], geometry.depths
-    names = [view.name for view in geometry.views]
-    overlaps, turns = [], []
+    """The quality of views: what they share from their predicted depths, and the rest from the
+    checks of pairs that show the same things (:func:`slgaussian.cameras.check.check_pairs`)."""
+    views, depths = geometry.views, geometry.depths
+    shared = np.zeros(len(views))
     confirmed = np.zeros(depths.shape, bool)
-    for check in checks:
-        a, b = (names.index(name) for name in check.views)
+    for a, b in neighbours(views):
         fractions = []
         for here, there in ((a, b), (b, a)):
             inside, same = geometry.seen_again(here, there)
             confirmed[here] |= same
             fractions.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
-        overlaps.append(min(fractions))
-        cosine = cameras[a].c2w[:3, 2] @ cameras[b].c2w[:3, 2]
-        turns.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
-    worst = min(checks, key=lambda check: check.coarse)
+        shared[[a, b]] = np.maximum(shared[[a, b]], min(fractions))
+    axes = {view.name: view.camera.c2w[:3, 2] for view in views}
+    cosines = [axes[check.views[0]] @ axes[check.views[1]] for check in checks]
     known = [check.angle for check in checks if np.isfinite(check.angle)]
+    matches, agreeing = (sum(getattr(c, name) for c in checks) for name in ("matches", "agreeing"))
     return Quality(
-        overlap=min(overlaps),
+        overlap=float(np.median(shared)),
         confirmed=float(confirmed.sum() / max((depths > 0).sum(), 1)),
-        angle=max(known) if known else None,
-        turn=max(turns),
-        matches=worst.matches,
-        explained=worst.coarse,
-        pixels=worst.pixels[0],
-        judged=worst.judged,
+        angle=float(np.median(known)) if known else None,
+        turn=float(np.median(np.degrees(np.arccos(np.clip(cosines, -1, 1))))),
+        matches=matches,
+        explained=sum(check.coarse * check.matches for check in checks) / max(matches, 1),
+        pixels=checks[0].pixels[0],
+        judged=enough(matches, agreeing),
+        apart=int((shared < LITTLE_SHARED).sum()),
     )

@@ -23,9 +23,6 @@ MIN_PARALLAX = 1.0
 """Motion of matches by depth, pixels (their 90th percentile), below which two views are taken for
 one: the matches themselves are a few tenths of a pixel off."""
 
-TRIED = 6
-"""Views, the nearest, that each is matched with by features."""
-
 SOURCES = 4
 """Views that depth is found from at most; on a walk and a forward-facing capture two and three are
 worse, and memory goes with their number."""
@@ -142,7 +139,7 @@ def _matched(views: Sequence[View]) -> tuple[Matches, dict[tuple[int, int], str]
     features = [sift(view.grey) for view in views]
     matches: Matches = {}
     why = {}
-    for i, j in neighbours(views, TRIED):
+    for i, j in neighbours(views):
         given = Relative.between(views[i].camera, views[j].camera)
         p, q = sift_pairs(views[i].grey, views[j].grey)
         a, b = features[i].points[p], features[j].points[q]

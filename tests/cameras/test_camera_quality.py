@@ -10,6 +10,7 @@ from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.scene import Camera, Sample, View
+from tests.cameras.walls import FAR, two_rows
 
 GOOD = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
 
@@ -51,6 +52,21 @@ def test_two_planes_are_counted_by_hand():
     found = measure(geometry, [replace(check, views=("a", "b"))])
     assert found.overlap == pytest.approx(0.75, abs=0.011)
     assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
+
+
+def test_of_many_views_those_are_judged_that_see_the_same_things():
+    """The nearest of each is one that shares nothing with it; in its row it shares half."""
+    depths = np.full((6, 80, 240), FAR, np.float32)
+    found = of(two_rows(), depths)
+    assert found.judged and found.explained > 0.9 and found.matches > 200
+    assert found.angle == pytest.approx(10.6, abs=0.5) and found.turn == 0
+    assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 0
+    assert found.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
+    assert not found.warnings()
+    depths[[0, 5]] = FAR / 3  # so near that what they show falls outside of all others
+    found = of(two_rows(), depths)
+    assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 2
+    assert "any other: 2" in found.warnings()[-1]
 
 
 def test_what_people_read():

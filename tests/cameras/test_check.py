@@ -24,6 +24,7 @@ from slgaussian.cameras.matches import sift, sift_pairs
 from slgaussian.errors import InputError
 from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Estimated, Sample, View
+from tests.cameras.walls import two_rows, views_of_wall
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -177,6 +178,31 @@ def test_matches_are_found_once_and_cannot_be_changed(room):
     assert sift(greys[0]) is sift(greys[0].copy())
     with pytest.raises(ValueError):
         a[0] = 0
+
+
+def test_views_are_checked_with_those_that_see_the_same_things():
+    """The nearest of each is one that shares nothing with it."""
+    checks = checked(two_rows())
+    assert [check.views for check in checks] == [("0", "2"), ("1", "3"), ("2", "4"), ("3", "5")]
+    assert all(check.judged and check.coarse > 0.9 for check in checks)
+
+
+def test_of_many_views_one_with_a_wrong_pose_is_refused():
+    sample = two_rows()
+    cameras = [view.camera for view in sample.context]
+    cameras[4] = turned(cameras[4], 25)
+    with pytest.raises(InputError, match="'2' and '4': the cameras explain"):
+        checked(posed(sample, *cameras))
+
+
+def test_poses_exchanged_over_a_long_way_are_refused():
+    """By their poses each stands among views that see nothing of what it sees."""
+    walk = views_of_wall([(float(k), 0.0) for k in range(20)])
+    checked(walk)
+    cameras = [view.camera for view in walk.context]
+    cameras[2], cameras[17] = cameras[17], cameras[2]
+    with pytest.raises(InputError, match="the cameras explain"):
+        checked(posed(walk, *cameras))
 
 
 number = st.floats(-1, 1)
