@@ -1,6 +1,7 @@
 """The whole method, from two photographs to a field, as a few steps that can run on their own."""
 
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,6 +25,7 @@ from slgaussian.masks.levels import group_objects
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.predict import CountingPredictor, Depths
+from slgaussian.predict.links import usable
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
 from slgaussian.storage.account import Account
@@ -54,6 +56,9 @@ def build_field(
 ) -> SemanticField:
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
+    Views that show another place, or repeat one, are left out with a warning
+    (:func:`slgaussian.predict.links.usable`).
+
     Parameters
     ----------
     sample : Sample
@@ -82,6 +87,9 @@ def build_field(
     method = method or Method()
     method.check()
     compiling.watch()
+    sample, left_out = usable(sample)
+    for name, why in left_out.items():
+        warnings.warn(f"{name} is left out: {why}", stacklevel=2)
     with _timed("geometry", took):
         gaussians, quality, depths = predict(sample, method.predictor, method.seed, trust_cameras)
         geometry = SceneGeometry.of(sample.context, gaussians)

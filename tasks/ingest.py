@@ -13,7 +13,7 @@ import numpy as np
 
 from slgaussian import datasets
 from slgaussian.errors import InputError
-from slgaussian.predict.links import without_strangers
+from slgaussian.predict.links import usable
 from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_to_arrays
@@ -92,7 +92,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=5)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=6)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
@@ -100,8 +100,8 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
     and why.
     """
-    sample, strangers = without_strangers(photographs.read())
-    left_out = {**sample.found.get("left_out", {}), **strangers}
+    sample, useless = usable(photographs.read())
+    left_out = {**sample.found.get("left_out", {}), **useless}
     meta = {"cameras": _cameras_of(sample), "left_out": left_out}
     return site.store.put("sample", sample_to_arrays(sample), meta)
 

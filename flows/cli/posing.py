@@ -13,7 +13,7 @@ from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
-from slgaussian.predict.links import without_strangers
+from slgaussian.predict.links import usable
 from slgaussian.scene import Sample, Scene
 
 
@@ -73,7 +73,7 @@ def posed_sample(
             tell(found)
             names = list(scene.cameras)
     sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
-    sample, left_out = without_strangers(sample)
+    sample, left_out = usable(sample)
     for name, why in left_out.items():
         print(f"warning: {name} is left out: {why}", file=sys.stderr)
     return sample

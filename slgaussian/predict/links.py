@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -90,7 +91,8 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
 
     Views whose matches show no parallax are not linked, nothing can be learnt from them; nor are
     those with too few matches. A view that matches no other is linked with the nearest by its pose
-    alone, if its depth range is given (``ranged``) or other views tell one.
+    alone, if its depth range is given (``ranged``) or other views tell one. Where there are more
+    than two, a warning says so.
 
     Raises
     ------
@@ -106,6 +108,8 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
         _link(found, cameras, (i, j), points[i][p], points[j][q])
     if ranged or matches:
         alone = {i for i, own in enumerate(found) if not own}
+        if alone and len(views) > 2:
+            _warn_of([views[i].name for i in sorted(alone)])
         for i, j in neighbours(views, BELIEVED):
             if (i, j) not in why and alone & {i, j}:
                 _link(found, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
@@ -114,6 +118,38 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
         cameras,
         [[link for _, link in sorted(own, key=lambda one: -one[0])[:SOURCES]] for own in found],
     )
+
+
+def usable(sample: Sample) -> tuple[Sample, dict[str, str]]:
+    """The sample without the context views that bring nothing, and why each is left out.
+
+    Those that repeat one before them (:func:`without_doubles`), and then
+    :func:`without_strangers`.
+    """
+    once, doubles = without_doubles(sample)
+    rest, strangers = without_strangers(once)
+    return rest, doubles | strangers
+
+
+def without_doubles(sample: Sample) -> tuple[Sample, dict[str, str]]:
+    """The sample without the context views that are one before them again, picture and place.
+
+    Such a view would be drawn as if two had seen what one saw.
+    """
+    kept: list[View] = []
+    left = {}
+    for view in sample.context:
+        same = next((one for one in kept if _same(one, view)), None)
+        if same is None:
+            kept.append(view)
+        else:
+            left[view.name] = f"it is the same picture as {same.name}, from the same place"
+    return (replace(sample, context=tuple(kept)) if left else sample), left
+
+
+def _same(a: View, b: View) -> bool:
+    alike = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
+    return bool(alike and np.array_equal(a.image, b.image))
 
 
 def without_strangers(sample: Sample) -> tuple[Sample, dict[str, str]]:
@@ -199,6 +235,15 @@ def _link(
     worth = float(np.exp(-0.5 * ((angle - BEST_ANGLE) / wide) ** 2).sum())
     found[i].append((worth, Link(j, forth, here[good])))
     found[j].append((worth, Link(i, back, there[good])))
+
+
+def _warn_of(names: Sequence[str]) -> None:
+    warnings.warn(
+        f"{listed([names])}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
+        "which the given poses alone must find; leave out what shows another place "
+        "(slgaussian.predict.links.usable)",
+        stacklevel=4,
+    )
 
 
 def _refuse_alone(

@@ -1,0 +1,143 @@
+"""What makes a scene of several photographs hard, and the easy scenes that it is done to.
+
+A twist is given context views, and gives others of the same scene, so that both can be asked for
+the same pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benches.predict.hard_pairs import PHOTO_WALL, camera, photograph
+from slgaussian import datasets
+from slgaussian.datasets.procedural.raycast import BOX, Solid
+from slgaussian.predict.settle import placed
+from slgaussian.scene import Camera, Sample, View
+
+ELSEWHERE = 1000
+"""So many seeds away is the room that a stranger shows."""
+
+GAIN = 0.7
+TINT = (1.3, 1.0, 0.75)
+"""Light of the photograph that has another exposure, and of the one with another white balance."""
+
+QUALITY = 85
+"""Of the JPEG that a photograph is saved as once more."""
+
+Views = tuple[View, ...]
+
+
+def arc(seed: int, number: int, size: tuple[int, int], length: float = 1.0) -> Sample:
+    """A made-up room from ``number`` places of an arc; a target is in every second gap."""
+    height, width = size
+    scene = datasets.load(
+        "procedural", seed, views=2 * number - 1, baseline=length, height=height, width=width
+    )
+    names = list(scene.cameras)
+    return scene.sample(names[::2], names[1::4])
+
+
+def changed(views: Views, place: int, view: View) -> Views:
+    """The views with another at a place."""
+    return (*views[:place], view, *views[place + 1 :])
+
+
+def exposed(view: View, gain: float | tuple[float, float, float]) -> View:
+    """The view with so many times the light; red, green and blue may differ."""
+    srgb = view.image / 255
+    light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    light = (light * gain).clip(0, 1)
+    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return replace(view, image=np.round(srgb * 255).astype(np.uint8))
+
+
+def saved_again(view: View) -> View:
+    """The view as a JPEG of it looks, by another name."""
+    coded = cv2.imencode(".jpg", view.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    image = np.ascontiguousarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1])
+    return replace(view, name="saved again", image=image)
+
+
+def stranger(seed: int, given: Sample, place: int) -> View:
+    """What a photograph of another room looks like, with a camera between two of this one's."""
+    a, b = (view.camera for view in given.context[place : place + 2])
+    size = (a.height, a.width)
+    other = arc(seed + ELSEWHERE, len(given.context), size).context[place]
+    between = placed(a, a.c2w[:3, :3], (2 * a.center + b.center) / 3)
+    return replace(other, name="stranger", camera=between, depth=None, instances=None)
+
+
+def quarter_turned(view: View) -> View:
+    """The view as a camera takes it that is held turned by 90 degrees, clockwise."""
+    seen = view.camera
+    (fx, _, cx), (_, fy, cy), _ = seen.K
+    K = np.array([[fy, 0, cy], [0, fx, seen.width - cx], [0, 0, 1]])
+    c2w = seen.c2w.copy()
+    c2w[:3, 0], c2w[:3, 1] = seen.c2w[:3, 1], -seen.c2w[:3, 0]
+
+    def turn(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else np.ascontiguousarray(np.rot90(values))
+
+    image = turn(view.image)
+    assert image is not None
+    return replace(
+        view,
+        camera=replace(seen, K=K, c2w=c2w, width=seen.height, height=seen.width),
+        image=image,
+        depth=turn(view.depth),
+        instances=turn(view.instances),
+    )
+
+
+def shuffled(views: Sequence[View], seed: int) -> Views:
+    """The views in a random order."""
+    return tuple(views[k] for k in np.random.default_rng(seed).permutation(len(views)))
+
+
+# A walk round inside a room, looking outward, that comes back to where it began.
+
+RADIUS = 0.6
+FRONT = (PHOTO_WALL, Solid(BOX, (3.5, 0.1, 1.6), (0, -5.0, 1.6)))
+"""The wall behind the cameras, which the stage of hard pairs has not."""
+
+
+def loop(number: int) -> Sample:
+    """So many views of a way round, with targets between the last and the first, and opposite."""
+    return Sample(
+        "loop",
+        tuple(photograph(f"view{k}", _round(k / number), extra=[FRONT]) for k in range(number)),
+        tuple(
+            photograph(f"target{k}", _round(k / number), extra=[FRONT])
+            for k in (number - 0.5, number / 2 - 0.5)
+        ),
+    )
+
+
+def _round(part: float) -> Camera:
+    angle = 2 * np.pi * part
+    right, forward = RADIUS * np.sin(angle), RADIUS * np.cos(angle)
+    return camera(right=right, forward=forward, yaw=float(np.degrees(angle)), focal=90)
+
+
+def drifted(given: Sample, degrees: float, move: float) -> Sample:
+    """The loop by poses that drift along the way: at its end by an angle and by a distance.
+
+    A target's pose is off as those of its neighbours are, in the mean.
+    """
+    number = len(given.context)
+
+    def off(view: View, part: float) -> View:
+        turn = Rotation.from_rotvec([0, 0, np.radians(degrees * part)]).as_matrix()
+        seen, way = view.camera, np.array([1, 0, 0.5]) * move * part
+        return replace(view, camera=placed(seen, turn @ seen.c2w[:3, :3], seen.center + way))
+
+    context = tuple(off(view, k / number) for k, view in enumerate(given.context))
+    closing, opposite = given.targets
+    last = (number - 1) / number
+    targets = off(closing, last / 2), off(opposite, 0.5 - 0.5 / number)
+    return replace(given, context=context, targets=targets)
