@@ -1,6 +1,6 @@
 """What a scene of several photographs promises where one of them is odd: a test a case.
 
-Cases are those of ``benches/views/twists.py``; ``docs/measured/hard_views.md`` has their figures.
+Cases are those of ``benches/views/twists.py``.
 A twist is held against the same room without it, in the mean over the rooms of :data:`ROOMS`.
 Behind each bound stands what eight rooms (seeds 0 to 7) measured, mean and standard deviation: what
 the order of the views alone moves, 0.1 dB and 4 % of the depth error a room, is noise.
