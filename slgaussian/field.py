@@ -230,10 +230,11 @@ class SemanticField:
         """What the field says of itself, given the digests of its contents by spec."""
         return About(self.settings, self.cameras, digests)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, beside: Mapping[str, bytes] | None = None) -> None:
         """Write the field to folder ``path``: complete, or not at all.
 
-        A field that is there already is replaced. See :mod:`slgaussian.storage.field_folder`.
+        A field that is there already is replaced. See :mod:`slgaussian.storage.field_folder`;
+        ``beside`` are further files of the folder by name, which no question needs.
 
         Raises
         ------
@@ -248,7 +249,10 @@ class SemanticField:
         }
         about = self.about({spec: digest for spec, (digest, _) in files.items()})
         field_folder.write(
-            path, about.to_json(self.places), lambda spec, file: file.write_bytes(files[spec][1])
+            path,
+            about.to_json(self.places),
+            lambda spec, file: file.write_bytes(files[spec][1]),
+            beside,
         )
 
     @staticmethod

@@ -57,7 +57,7 @@ COMMON = {
     ),
     "run": ("preset", "seed", *ENGINE),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
-    "field": ("preset", "size", *PARTS, "trust_cameras"),
+    "field": ("preset", "size", *PARTS),
     "masks": ("preset", "size", *PARTS[:3], "replicas"),
     "query": ("threshold",),
     "segment": ("threshold",),
@@ -325,15 +325,16 @@ def field(
     refine: Refine = False,
     keyframes: Annotated[
         int | None,
-        typer.Option(
-            min=2,
-            help="Of more photographs, in the order taken, use so many: evenly along the way, the "
-            "sharpest of each part.",
-        ),
+        typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
+    add: Annotated[
+        bool, typer.Option("--add", help="Add photographs to the field that is named last.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the field. [default: field]")
+    ] = None,
 ) -> None:
-    """Build a field from two or more photographs.
+    """Build a field from two or more photographs, or add some to it.
 
     A field is a folder with the scene as Gaussians and what words need to find its objects.
     `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
@@ -341,14 +342,20 @@ def field(
 
     \b
     slgaussian field a.jpg b.jpg -o field/
-    slgaussian field images/1.jpg images/2.jpg --cameras sparse/0 -o field/
-    slgaussian field frames/*.jpg --cameras transforms.json --keyframes 24 -o field/
-    slgaussian query field/ "red basket" -o hit.png
+    slgaussian field --add c.jpg field/
+    slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     """
+    if add:
+        given = "--refine" if refine else "--keyframes" if keyframes is not None else None
+        if given:
+            raise InputError(f"{given}: is for a new field, and not for --add; leave one out")
+        from flows.cli.adding import add as added
+
+        typer.echo(added(photos, cameras, out, settings))
+        return
     from flows.cli.fields import build
 
-    made = build(photos, cameras, refine, keyframes, out, settings)
-    typer.echo(made)
+    typer.echo(build(photos, cameras, refine, keyframes, out or Path("field"), settings))
 
 
 @app.command(rich_help_panel=FIELDS)

@@ -23,10 +23,14 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.gaussians import Gaussians
+from slgaussian.parts.method import Method
 from slgaussian.rasterize import harmonics, rasterize
+from slgaussian.scene import Sample
 from slgaussian.semantic.decode import VISIBLE
 from slgaussian.storage.account import Account
+from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import check_target
+from slgaussian.storage.origin import Origin
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 """A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
@@ -47,6 +51,10 @@ COMMON_THINGS = (
 """What is looked for in a new field, so that its first question has an answer."""
 
 
+READING = {"size", "near", "far", "trust_cameras"}
+"""The settings of how photographs are read, which the parts of a method do not know."""
+
+
 def build(
     photos: Sequence[str],
     cameras: Path | None,
@@ -64,19 +72,34 @@ def build(
     InputError
         If anything given cannot be used; a folder that cannot be written is found before the work.
     """
-    method = make_settings(options, "field")
+    settings = make_settings(options, "field")
     check_target(out)
-    start = time.perf_counter()
-    sample = posed_sample(photos, cameras, refine, method, keyframes)
+    derived, start = Derived(), time.perf_counter()
+    with keeping(derived):
+        sample, taken = posed_sample(photos, cameras, refine, settings, keyframes)
+        kept = settings.model_dump(mode="json", include=READING)
+        origin = Origin.of(taken.values(), cameras, refine, kept)
+        made(sample, settings.built_by, origin, derived, out, start)
+    return out
+
+
+def made(
+    sample: Sample, method: Method, origin: Origin, derived: Derived, out: Path, start: float
+) -> None:
+    """Build the field of a sample, save it to folder ``out`` with its origin, and say what it is.
+
+    ``start`` is when the work began, by ``time.perf_counter``.
+    """
     height, width = sample.context[0].image.shape[:2]
-    parts = ", ".join(method.part_names().values())
+    parts = ", ".join(part.name for part in method.parts)
     print(
         f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
         file=sys.stderr,
     )
-    seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
-    field = build_field(sample, method.built_by, method.trust_cameras, seconds.__setitem__)
-    field.save(out)
+    seconds = {"cameras" if origin.cameras is None else "reading": time.perf_counter() - start}
+    trusted = origin.settings["trust_cameras"]
+    field = build_field(sample, method, trusted, seconds.__setitem__)
+    field.save(out, origin.files(derived))
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
     quality = Quality(**field.settings["quality"])
@@ -88,7 +111,6 @@ def build(
         print(line, file=sys.stderr)
     command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
     print(f"ask it: {shlex.join(command)}", file=sys.stderr)
-    return out
 
 
 def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> None:

@@ -52,7 +52,7 @@ def label(
     """
     method = make_settings(options, "masks")
     check_target(out, ABOUT, "a folder of masks")
-    sample = posed_sample(photos, cameras, refine, method)
+    sample, _ = posed_sample(photos, cameras, refine, method)
     names = map_names([view.name for view in sample.context])
     parts = [method.part(step) for step in STEPS]
     predictor, proposer, tracker = parts

@@ -23,8 +23,11 @@ def posed_sample(
     refine: bool,
     method: Settings,
     keyframes: int | None = None,
-) -> Sample:
+) -> tuple[Sample, dict[str, str]]:
     """The photographs with their cameras, at the size that ``method`` asks for.
+
+    And which photographs these are, by their names: paths from the root or, where no file was
+    given, names of views. All that were taken, also those that could not be placed.
 
     Of more than ``keyframes``, so many are taken
     (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
@@ -56,6 +59,7 @@ def posed_sample(
         tell(found)
         scene = unposed.posed(files, found)
         names = list(scene.cameras)
+        taken = {name: str(file.absolute()) for name, file in files.items()}
     else:
         scene, folder = posed_scene(cameras, photos)
         photos = _placed(scene, photos, folder)
@@ -66,9 +70,10 @@ def posed_sample(
             kept = choose_keyframes([blur(look) for look in looks], keyframes, among)
             names, photos = [names[k] for k in kept], [photos[k] for k in kept]
             _tell_keyframes(names, len(among))
+        given = [(Path(photo), name) for photo, name in zip(photos, names, strict=True)]
+        taken = {n: str(file.absolute()) if file.is_file() else n for file, n in given}
         if refine:
-            own = zip(names, map(Path, photos), strict=True)
-            files = {name: photo for name, photo in own if photo.is_file()}
+            files = {name: photo for photo, name in given if photo.is_file()}
             scene, found = unposed.refined(scene, names, files)
             tell(found)
             names = list(scene.cameras)
@@ -76,7 +81,7 @@ def posed_sample(
     sample, left_out = usable(sample)
     for name, why in left_out.items():
         print(f"warning: {name} is left out: {why}", file=sys.stderr)
-    return sample
+    return sample, taken
 
 
 def _tell_keyframes(kept: Sequence[str], among: int) -> None:

@@ -12,6 +12,9 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from slgaussian.kernels.seeding import content_of
+from slgaussian.storage.derived import once
+
 ORIENTATIONS = 8
 TEXTURE_CODES = 27
 TONE_BINS = 20
@@ -57,6 +60,13 @@ def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray
     depth : float32 [H, W] or None
         Predicted z-depth in scene units, 0 where unknown.
     """
+    kept = once("outlines", 1, lambda: content_of(lab), lambda: {"strength": _outlines(lab)})
+    strength = kept["strength"]
+    return strength if depth is None else strength + depth_boundary(depth)
+
+
+def _outlines(lab: np.ndarray) -> np.ndarray:
+    """Border strength of a photograph without its depth."""
     height, width = lab.shape[:2]
     half_size = (max(width // 2, 1), max(height // 2, 1))
     small = cv2.resize(lab, half_size, interpolation=cv2.INTER_AREA)
@@ -71,8 +81,6 @@ def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray
     for orientation in range(ORIENTATIONS):
         fused = total[orientation] + cv2.resize(wide[orientation], (width, height))
         np.maximum(strength, cv2.GaussianBlur(fused, (0, 0), 0.8), out=strength)
-    if depth is not None:
-        strength += depth_boundary(depth)
     return strength
 
 

@@ -52,8 +52,8 @@ def associate(
     that return remembered labels for a remembered image, like ``geometric`` and ``flow``, thus cost
     one look-up a view and the vote is unanimous: copies do nothing for them. One that segments a
     remembered image anew, like ``sam2-video``, is asked twice, and its own answer has the majority
-    over the detection from three copies on. One with a working memory is asked up to ``replicas -
-    1`` times and its noise is voted down.
+    over the detection from three copies on. One with a working memory is asked up to
+    ``replicas - 1`` times and its noise is voted down.
 
     Parameters
     ----------

@@ -130,7 +130,12 @@ def _converted(camera: Mapping[str, Any]) -> dict[str, Any]:
     return known if said is None else {**known, "estimated": Estimated.of(said)}
 
 
-def write(path: Path, text: str, fill: Callable[[str, Path], object]) -> None:
+def write(
+    path: Path,
+    text: str,
+    fill: Callable[[str, Path], object],
+    beside: Mapping[str, bytes] | None = None,
+) -> None:
     """Write a folder: complete, or not at all. A field that is there already is replaced.
 
     Parameters
@@ -140,6 +145,8 @@ def write(path: Path, text: str, fill: Callable[[str, Path], object]) -> None:
         ``field.json``, of :meth:`About.to_json`.
     fill : callable
         Given a spec of :data:`FILES` and a path, makes that file.
+    beside : mapping str -> bytes, optional
+        Further files of the folder by name, as :mod:`slgaussian.storage.origin` has them.
 
     Raises
     ------
@@ -150,6 +157,8 @@ def write(path: Path, text: str, fill: Callable[[str, Path], object]) -> None:
     with replacing_folder(path) as draft:
         for spec, name in FILES.items():
             fill(spec, draft / name)
+        for name, data in (beside or {}).items():
+            (draft / name).write_bytes(data)
         (draft / ABOUT).write_text(text, "utf-8")
 
 

@@ -556,15 +556,22 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
     """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
-    with _whole(data, file, spec, repair), zipfile.ZipFile(io.BytesIO(data)) as members:
+    with _whole(data, file, spec, repair):
+        arrays = unpacked(data)
+    spec.check_arrays(arrays, file)
+    return arrays
+
+
+def unpacked(data: bytes) -> Arrays:
+    """The arrays of what :func:`encode_arrays` wrote; almost any error if it is something else."""
+    with zipfile.ZipFile(io.BytesIO(data)) as members:
         if sum(member.file_size for member in members.infolist()) > MOST_UNPACKED:
             raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
-        # Not np.load, which takes whatever is no zip file for a pickle and says so.
-        with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        if any(isinstance(array, bytes) for array in arrays.values()):
-            raise ValueError("a member is no array")
-    spec.check_arrays(arrays, file)
+    # Not np.load, which takes whatever is no zip file for a pickle and says so.
+    with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    if any(isinstance(array, bytes) for array in arrays.values()):
+        raise ValueError("a member is no array")
     return arrays
 
 
