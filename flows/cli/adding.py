@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,13 @@ from flows.cli.fields import made
 from flows.cli.posing import posed_sample
 from flows.settings import files_of, make_settings
 from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.parts.registry import KINDS
 from slgaussian.scene import Sample
+from slgaussian.semantic.same_objects import with_ids_of
 from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import About, check_target, read_about
 from slgaussian.storage.origin import Origin, read_origin
@@ -28,7 +31,7 @@ OTHER = "is not what the field was built with; give that one, or build the field
 def add(
     photos: Sequence[str], cameras: Path | None, out: Path | None, options: Mapping[str, Any]
 ) -> Path:
-    """Add photographs to a field: the same field, to the byte, as of all of them at once.
+    """Add photographs to a field: as of all of them at once, but that objects keep their ids.
 
     What was derived of single photographs and pairs is reused, the rest depends on all of them.
 
@@ -53,23 +56,26 @@ def add(
     """
     *new, last = photos
     folder = Path(last)
-    about, places, origin, before = _opened(folder, new)
+    about, places, origin, known = _opened(folder, new)
     target = folder if out is None else out
     check_target(target)
     method = _method(about, places, options)
     _check_old(origin, folder)
     _check_new(new, origin, folder)
-    old = [place for place, _ in origin.photographs]
+    old = {place: name for name, place, _ in origin.photographs}
+    before = SemanticField.load(folder)
     if cameras is None and origin.cameras is not None:
         cameras = Path(origin.cameras)
     settings = make_settings(dict(origin.settings), "field")
-    derived, start = Derived(before), time.perf_counter()
+    derived, start = Derived(known), time.perf_counter()
     with keeping(derived):
         sample, taken = posed_sample([*old, *new], cameras, origin.refine, settings)
         added = {name: place for name, place in taken.items() if place not in old}
         _check_fits(sample, added, about, folder)
-        now = Origin.of(taken.values(), cameras, origin.refine, origin.settings)
-        made(sample, method, now, derived, target, start)
+        now = Origin.of(taken, cameras, origin.refine, origin.settings)
+        again = {old[place]: name for name, place in taken.items() if place in old}
+        settled = partial(with_ids_of, before, views=again)
+        made(sample, method, now, derived, target, start, settled)
     print(f"{len(added)} added; reused {derived.summary()}", file=sys.stderr)
     return target
 
@@ -143,7 +149,7 @@ def _table(part: str) -> str:
 
 def _check_old(origin: Origin, folder: Path) -> None:
     """InputError unless the photographs of a field are where they were, and the same."""
-    for place, digest in origin.photographs:
+    for _, place, digest in origin.photographs:
         if digest is None:
             continue
         try:
@@ -161,7 +167,7 @@ def _check_old(origin: Origin, folder: Path) -> None:
 
 
 def _check_new(new: Sequence[str], origin: Origin, folder: Path) -> None:
-    known = {digest: place for place, digest in origin.photographs if digest is not None}
+    known = {digest: place for _, place, digest in origin.photographs if digest is not None}
     for photo in new:
         if Path(photo).is_file() and (place := known.get(file_digest(photo))) is not None:
             raise InputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -78,17 +78,24 @@ def build(
     with keeping(derived):
         sample, taken = posed_sample(photos, cameras, refine, settings, keyframes)
         kept = settings.model_dump(mode="json", include=READING)
-        origin = Origin.of(taken.values(), cameras, refine, kept)
+        origin = Origin.of(taken, cameras, refine, kept)
         made(sample, settings.built_by, origin, derived, out, start)
     return out
 
 
 def made(
-    sample: Sample, method: Method, origin: Origin, derived: Derived, out: Path, start: float
+    sample: Sample,
+    method: Method,
+    origin: Origin,
+    derived: Derived,
+    out: Path,
+    start: float,
+    settled: Callable[[SemanticField], SemanticField] = lambda field: field,
 ) -> None:
     """Build the field of a sample, save it to folder ``out`` with its origin, and say what it is.
 
-    ``start`` is when the work began, by ``time.perf_counter``.
+    ``start`` is when the work began, by ``time.perf_counter``. What ``settled`` makes of the field
+    is saved.
     """
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(part.name for part in method.parts)
@@ -98,7 +105,7 @@ def made(
     )
     seconds = {"cameras" if origin.cameras is None else "reading": time.perf_counter() - start}
     trusted = origin.settings["trust_cameras"]
-    field = build_field(sample, method, trusted, seconds.__setitem__)
+    field = settled(build_field(sample, method, trusted, seconds.__setitem__))
     field.save(out, origin.files(derived))
     found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
     print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)

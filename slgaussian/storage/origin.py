@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -37,9 +37,9 @@ class Origin:
 
     Attributes
     ----------
-    photographs : tuple of (place, SHA-256 or None)
-        In their order: a file by its path from the root and its content; or the name of a view that
-        ``cameras`` knows, and None.
+    photographs : tuple of (name, place, SHA-256 or None)
+        In their order, those that could not be placed among them. The place is a file by its path
+        from the root, with its content; or the name of a view that ``cameras`` knows, and None.
     cameras : str or None
         File or folder of their cameras; None if they were found.
     refine : bool
@@ -48,20 +48,23 @@ class Origin:
         Of the command, how photographs are read: size, near, far, and whether cameras are trusted.
     """
 
-    photographs: tuple[tuple[str, str | None], ...]
+    photographs: tuple[tuple[str, str, str | None], ...]
     cameras: str | None
     refine: bool
     settings: Mapping[str, Any]
 
     @staticmethod
     def of(
-        places: Iterable[str], cameras: Path | None, refine: bool, settings: Mapping[str, Any]
+        places: Mapping[str, str], cameras: Path | None, refine: bool, settings: Mapping[str, Any]
     ) -> Origin:
-        """That of photographs by their places, which are read for their digests if they are files.
+        """That of photographs by their names and places: files from the root, or names of views.
 
-        A place that is no file is the name of a view.
+        Files are read for their digests.
         """
-        known = [(place, file_digest(place) if os.path.isabs(place) else None) for place in places]
+        known = [
+            (name, place, file_digest(place) if os.path.isabs(place) else None)
+            for name, place in places.items()
+        ]
         where = None if cameras is None else str(cameras.absolute())
         return Origin(tuple(known), where, refine, settings)
 
@@ -72,7 +75,7 @@ class Origin:
             for key, own in derived.kept.items()
             for name, array in own.items()
         }
-        data = encode_arrays(arrays, compress=True)
+        data = encode_arrays(arrays, compress=False)  # float noise, which deflate hardly shrinks
         content = {"format": FORMAT, "what": WHAT, **asdict(self)}
         content["derived"] = hashlib.sha256(data).hexdigest()
         text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -96,8 +99,8 @@ def read_origin(folder: Path) -> tuple[Origin, dict[str, Arrays]] | None:
         content = strict_json.parse(file.read_bytes())
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r:.40}, expected {FORMAT}")
-        photographs = tuple((place, digest) for place, digest in content["photographs"])
-        words = [word for pair in photographs for word in pair if word is not None]
+        photographs = tuple((name, place, digest) for name, place, digest in content["photographs"])
+        words = [word for own in photographs for word in own if word is not None]
         cameras, refine, settings = (content[name] for name in ("cameras", "refine", "settings"))
         places = [*words, *([] if cameras is None else [cameras])]
         if not words or not all(isinstance(place, str) for place in places):
