@@ -3,8 +3,8 @@
     python -m benches.rasterize.kept_gaussians DATA [--rooms 10] [-o docs/measured]
 
 DATA holds ``office`` and ``places`` (pairs of photographs with a target between them),
-``office_walk`` (windows of three frames, the middle one the target) and ``fern`` (an LLFF capture,
-likewise). -o writes kept.md.
+``office_walk`` (windows of three frames, the middle one the target; and of six and of twelve
+context views) and ``fern`` (an LLFF capture, windows of three). -o writes kept.md.
 """
 
 import argparse
@@ -34,6 +34,9 @@ from slgaussian.scene import Camera, Sample
 
 EVERY = 20
 """Frames of the walk from one window to the next."""
+
+MANY = {6: (20, 60, 100), 12: (20, 60)}
+"""First frames of windows of the walk of more context views, which are every second frame."""
 
 LEAST_LIGHTS = (0.05, 0.1)
 """Weights below which the other rule drops what has no more in any pixel of the context views."""
@@ -85,6 +88,13 @@ def samples(data: Path, rooms: int) -> Iterator[tuple[str, str, Sample]]:
         for start in range(0, len(names) - 2, EVERY if name == "office_walk" else 3):
             first, target, second = names[start : start + 3]
             yield name, f"{name} {start}", scene.sample([first, second], [target], "auto")
+    scene = datasets.load("nerfstudio", data / "office_walk")
+    names = sorted(scene.cameras)
+    for count, starts in MANY.items():
+        for start in starts:
+            context = names[start : start + 2 * count : 2]
+            sample = scene.sample(context, [names[start + count + 1]], "auto")
+            yield f"office_walk, {count} views", f"{count} views {start}", sample
     for seed in range(rooms):
         scene = datasets.load("procedural", seed=seed, views=3, height=360, width=540)
         names = list(scene.cameras)

@@ -47,12 +47,22 @@ and along the line of sight it hardly shows."""
 BLOCK = 4
 """Pixels along a side of the blocks in which changes are judged."""
 
-LIMITS = (2 * GREY, GREY, GREY / 2)
-"""Mean change of a block above which what is merged there is taken back; the next one only if a
-view is still over :data:`MOST`."""
+LIMIT = 2 * GREY
+"""Mean change of a block above which what is merged there is taken back."""
 
 MOST = GREY
 """Greatest root of the mean square change of a given view."""
+
+AIM = 0.9
+"""What a view that is over :data:`MOST` is brought down to, as a share of it: where one block is
+taken back its neighbours change too."""
+
+ROUNDS = 4
+"""How often what shows is taken back, while a view is over :data:`MOST`."""
+
+BEHIND = 0.1
+"""How much farther than the surface that a view shows a thing must be, as a share of its depth, not
+to show there. Of what many views see of a wide scene, most is behind something in most of them."""
 
 LOW_PASS = PRESETS["fast"].low_pass
 
@@ -100,7 +110,8 @@ class Merged:
 def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     """Merge Gaussians of neighbouring pixels while the given views stay as they are.
 
-    No view changes by more than a grey level (:data:`MOST`); see :class:`Change`.
+    No view changes by more than a grey level (:data:`MOST`); see :class:`Change`. Where one would,
+    its blocks that change most get their own Gaussians back, and other views keep what is merged.
 
     Parameters
     ----------
@@ -117,11 +128,12 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     """
     grid = _Grid.of(gaussians, cameras)
     sizes = grid.sizes()
-    before = [_picture(gaussians, camera) for camera in cameras]
+    given = [_picture(gaussians, camera) for camera in cameras]
+    before, depths = [picture for picture, _ in given], [_farthest(depth) for _, depth in given]
     merged, into = _joined(gaussians, grid, sizes)
     changes = _changes(merged, cameras, before)
-    for limit in LIMITS:
-        _take_back(sizes, grid, changes, cameras, limit)
+    for _ in range(ROUNDS):
+        _take_back(sizes, grid, [_showing(change) for change in changes], cameras, depths)
         merged, into = _joined(gaussians, grid, sizes)
         changes = _changes(merged, cameras, before)
         change = _summary(changes)
@@ -130,12 +142,12 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     return Merged(gaussians, torch.arange(len(gaussians)), Change())
 
 
-def _picture(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """Colours float32 [H, W, 3] as a field shows them."""
+def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Colours float32 [H, W, 3] as a field shows them, and depth float32 [H, W]."""
     with torch.no_grad():
         drawn = rasterize(gaussians, None, camera)
     shown = drawn.values / drawn.alpha.clamp_min(VISIBLE)[..., None]
-    return shown.clamp(0, 1).cpu().numpy()
+    return shown.clamp(0, 1).cpu().numpy(), drawn.depth.cpu().numpy()
 
 
 def _changes(
@@ -143,9 +155,31 @@ def _changes(
 ) -> list[np.ndarray]:
     """How each view differs from what it was: float32 [H, W, 3], at least 0."""
     return [
-        np.abs(_picture(gaussians, camera) - was)
+        np.abs(_picture(gaussians, camera)[0] - was)
         for camera, was in zip(cameras, before, strict=True)
     ]
+
+
+def _showing(change: np.ndarray) -> np.ndarray:
+    """Blocks bool [h, w] whose change is too much: by itself, or for the sum of their view."""
+    means = _block_means(change.mean(2))
+    squares = _block_means(np.square(change).mean(2))
+    least_first = np.sort(squares, axis=None)
+    sums = np.cumsum(least_first, dtype=np.float64)
+    if sums[-1] <= squares.size * MOST**2:
+        return _near(means > LIMIT)
+    most = least_first[max(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2) - 1, 0)]
+    return _near(means > LIMIT) | (squares > most)
+
+
+def _farthest(depth: np.ndarray) -> np.ndarray:
+    """Depth float32 [h, w] of what is farthest in each block or one beside it; infinite where a
+    view shows nothing."""
+    known = np.where(depth > 0, depth, np.inf)
+    height, width = depth.shape
+    padded = np.pad(known, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
+    blocks = padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK).max((1, 3))
+    return ndimage.maximum_filter(blocks, 3)
 
 
 def _summary(changes: Sequence[np.ndarray]) -> Change:
@@ -218,7 +252,7 @@ class _Grid:
         """How many pixels along its side the cell of each pixel has: int64 [V, H, W]."""
         sizes = np.ones(self.rows.shape, np.int64)
         for power, level in enumerate(self.levels[1:], 1):
-            _mark(sizes, level.there, 2**power)
+            _mark(sizes, level.there, 2**power, 2**power)
         return sizes
 
 
@@ -317,35 +351,36 @@ def _flat(corners, apart, bent):
 
 
 @numba.njit(cache=True)
-def _mark(sizes, there, size):
+def _mark(sizes, there, side, size):
+    """Say of the pixels of cells of so many along a side what size they have."""
     for v, y, x in np.argwhere(there):
-        sizes[v, y * size : (y + 1) * size, x * size : (x + 1) * size] = size
+        sizes[v, y * side : (y + 1) * side, x * side : (x + 1) * side] = size
 
 
 def _take_back(
     sizes: np.ndarray,
     grid: _Grid,
-    changes: Sequence[np.ndarray],
+    over: Sequence[np.ndarray],
     cameras: Sequence[Camera],
-    limit: float,
+    depths: Sequence[np.ndarray],
 ) -> None:
-    """Have cells that reach a block that changed by more than ``limit`` be single pixels again."""
-    over = [_near(_block_means(change.mean(2)) > limit) for change in changes]
+    """Have cells that a view shows in its blocks ``over`` bool [h, w] be single pixels again.
+
+    ``depths`` float32 [h, w] are those behind which nothing shows.
+    """
     for power, level in enumerate(grid.levels[1:], 1):
         size = 2**power
+        back = np.zeros(level.there.shape, bool)
         v, y, x = np.nonzero(level.there & (sizes[:, ::size, ::size] == size)[_within(level)])
-        shown = np.zeros(len(v), bool)
-        for where, camera in zip(over, cameras, strict=True):
+        for where, behind, camera in zip(over, depths, cameras, strict=True):
             pixels, z = camera.project(level.means[v, y, x].astype(np.float64))
             # What lies just beyond the border reaches the blocks at it.
             inside = (z > 0) & (pixels >= -BLOCK).all(1)
             inside &= (pixels < (camera.width + BLOCK, camera.height + BLOCK)).all(1)
             column, row = (np.where(inside[:, None], pixels, 0) // BLOCK).astype(np.int64).T
             row, column = row.clip(0, where.shape[0] - 1), column.clip(0, where.shape[1] - 1)
-            shown |= inside & where[row, column]
-        for i in np.flatnonzero(shown):
-            rows, columns = (slice(k * size, (k + 1) * size) for k in (y[i], x[i]))
-            sizes[v[i], rows, columns] = 1
+            back[v, y, x] |= inside & where[row, column] & (z <= (1 + BEHIND) * behind[row, column])
+        _mark(sizes, back, size, 1)
 
 
 def _within(level: _Level) -> tuple[slice, ...]:

@@ -97,6 +97,36 @@ def test_what_shows_is_taken_back():
         assert len(np.unique(own)) == len(own)
 
 
+def standing(z: float) -> Camera:
+    """A view along the way to the wall, which is 3 from the others."""
+    c2w = np.eye(4)
+    c2w[:3, 3] = 0.1, 0, z
+    return replace(camera(), c2w=c2w)
+
+
+def test_what_one_view_shows_too_much_of_is_taken_back_until_it_may_be():
+    """All views change alike everywhere, by more than a grey level: most of it may stay."""
+    cameras = [*CAMERAS, standing(2.5)]
+    colours = [noise(6).astype(np.float32)] * 3
+    depths = [np.full((H, W), z, np.float32) for z in (3, 3, 0.5)]
+    light = [np.full((H, W), 0.9, np.float32)] * 3
+    merged = merge(unproject(cameras, colours, [1 / z for z in depths], light), cameras)
+    assert len(merged.gaussians) < 0.9 * 3 * H * W
+    assert 0.5 < merged.change.rms <= MOST / GREY
+
+
+def test_what_is_behind_something_does_not_show():
+    """A view from behind has an uneven screen before it, and all that others see is hidden."""
+    cameras = [*CAMERAS, standing(-5)]
+    screen, light = noise(7).astype(np.float32), np.ones((H, W), np.float32)
+    plain = np.full((H, W, 3), 0.6, np.float32)
+    depths = [np.full((H, W), z, np.float32) for z in (3, 3, 1)]
+    made = unproject(cameras, [plain, plain, screen], [1 / z for z in depths], [light] * 3)
+    merged = merge(made, cameras)
+    own = merged.gaussians.source.numpy() < 2 * H * W
+    assert own.sum() < 0.3 * 2 * H * W and (~own).sum() > 0.8 * H * W
+
+
 def test_objects_do_not_merge():
     labels = np.ones((H, W))
     labels[11:31, 13:37] = 2
@@ -196,7 +226,7 @@ def test_turning_the_world_changes_nothing():
     )
     a, b = merge(speckled, CAMERAS), merge(turned, cameras)
     assert abs(len(a.gaussians) - len(b.gaussians)) < 0.01 * len(a.gaussians)
-    assert a.change.rms == pytest.approx(b.change.rms, rel=0.02)
+    assert a.change.rms == pytest.approx(b.change.rms, rel=0.1)  # other blocks may be taken back
 
 
 def test_same_bytes_with_any_number_of_threads():
