@@ -39,13 +39,38 @@ def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
 
     The same photographs give the same cameras; their order decides only about the frame. Those
     that cannot be placed are left out, as if they had not been given, if they are fewer than the
-    others.
+    others, and so are those that are there twice, if two different ones remain.
 
     Raises
     ------
     InputError
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
+    once, again = _once(photographs)
+    if not again or len(once) < 2:
+        return _find(photographs)
+    found = _find(once)
+    said = (f"{name} is left out: {why}" for name, why in again.items())
+    warnings = (*found.warnings, *said)
+    return replace(found, warnings=warnings, left_out={**found.left_out, **again})
+
+
+def _once(photographs: Sequence[Photograph]) -> tuple[list[Photograph], dict[str, str]]:
+    """The different ones, and of the others, by name, which they are again."""
+    once: list[Photograph] = []
+    again = {}
+    for photograph in photographs:
+        same = (one for one in once if np.array_equal(one.image, photograph.image))
+        first = next(same, None)
+        if first is None:
+            once.append(photograph)
+        else:
+            again[photograph.name] = f"it is the same picture as {first.name}"
+    return once, again
+
+
+def _find(photographs: Sequence[Photograph]) -> FoundCameras:
+    """As :func:`find_cameras`, of photographs all of which may have a say."""
     described = [Described.of(photograph) for photograph in photographs]
     kept, left = described, dict[str, str]()
     solved = Solved()

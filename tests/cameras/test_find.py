@@ -53,6 +53,14 @@ def test_same_photographs_same_bytes():
         assert camera.K.tobytes() == again.cameras[name].K.tobytes()
 
 
+def test_a_photograph_given_twice_is_left_out_as_if_given_once():
+    again = find_cameras([*room(), replace(room()[0], name="again.jpg")])
+    assert again.left_out == {"again.jpg": "it is the same picture as a.jpg"}
+    assert "again.jpg is left out: it is the same picture as a.jpg" in again.warnings
+    for name, camera in found().cameras.items():
+        assert camera.c2w.tobytes() == again.cameras[name].c2w.tobytes()
+
+
 def test_what_exif_says_is_nearly_believed():
     told = [replace(p, lens="phone", focal=1.04 * 0.9 * p.width) for p in room()]
     focal = find_cameras(told).focals["a.jpg"]

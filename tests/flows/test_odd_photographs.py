@@ -1,0 +1,54 @@
+"""Photographs on the command line of which one is there twice, or shows another place."""
+
+import json
+
+import pytest
+from command import run, said
+from PIL import Image
+
+import slgaussian as slg
+from benches.views import twists
+
+SIZE = 96, 128
+NAMES = ("a.png", "b.png", "c.png")
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """The current folder: three photographs of a room, one of them again, and one of another."""
+    given = twists.arc(0, 3, SIZE)
+    views = dict(zip(NAMES, given.context, strict=True))
+    views |= {"copy.png": given.context[1], "elsewhere.png": twists.stranger(0, given, 0)}
+    frames = []
+    for name, view in views.items():
+        Image.fromarray(view.image).save(tmp_path / name)
+        seen = view.camera
+        (fx, _, cx), (_, fy, cy), _ = seen.K.tolist()
+        pose = (seen.c2w * [1, -1, -1, 1]).tolist()
+        frame = {"file_path": name, "transform_matrix": pose, "w": seen.width, "h": seen.height}
+        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_copy_and_a_stranger_are_left_out_by_name(photos, monkeypatch, capsys):
+    words = ("--cameras", "transforms.json", "-o")
+    assert run(monkeypatch, "field", *NAMES, *words, "plain") == 0
+    assert "left out" not in capsys.readouterr().err
+    assert run(monkeypatch, "field", *NAMES, "copy.png", "elsewhere.png", *words, "odd") == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    assert told == [
+        "warning: copy.png is left out: it is the same picture as b.png, from the same place",
+        "warning: elsewhere.png is left out: fewer than 12 matches with any other tell its depth",
+    ]
+    plain, odd = (slg.SemanticField.load(folder) for folder in ("plain", "odd"))
+    assert list(odd.cameras) == list(NAMES)
+    for (name, a), (_, b) in zip(plain.gaussians.items(), odd.gaussians.items(), strict=True):
+        assert (a == b).all(), name
+
+
+def test_one_name_twice_is_one_sentence(photos, monkeypatch, capsys):
+    words = ("a.png", "b.png", "a.png", "--cameras", "transforms.json", "-o", "field")
+    assert run(monkeypatch, "field", *words) == 2
+    assert "names 'a.png' twice" in said(capsys)
