@@ -1,6 +1,7 @@
 """Benches are no part of the suite; what they say of a wrong argument is."""
 
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -101,10 +102,21 @@ def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monk
         pages.page("predict/mvsplat.md.j2", rows=rows, command="a command")
 
 
-def test_stages_that_the_bench_of_depth_times_are_called_where_it_looks():
-    assert [
-        stage for stage in depth_error.STAGES if not callable(getattr(sweep, stage, None))
-    ] == []
+def test_stages_that_the_bench_of_depth_times_are_all_and_called_where_it_looks():
+    missing = [
+        stage for stage, module in depth_error.STAGES.items() if not callable(vars(module)[stage])
+    ]
+    assert missing == []
+    steps = {
+        name
+        for name, step in vars(sweep).items()
+        if callable(step) and not inspect.isclass(step)
+        if step.__module__.startswith("slgaussian.predict.") and step.__module__ != sweep.__name__
+    }
+    small = {"candidates", "inverse_depth_range", "visible_share", "concatenate"}
+    assert steps - small == {
+        stage for stage, module in depth_error.STAGES.items() if module is sweep
+    }
 
 
 def test_targets_of_rooms_are_apart_from_the_context_views_of_every_number():

@@ -25,38 +25,51 @@ from benches.common.resident_memory import held
 from slgaussian import datasets
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import sweep
+from slgaussian.predict import links, sweep
 from slgaussian.predict.links import INLIER, link_views
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View
 
-STAGES = (
-    "link_views",
-    "matching_cost",
-    "aggregate",
-    "winners",
-    "cross_check",
-    "without_speckles",
-    "fit_planes",
-    "fill",
-    "weighted_median",
-    "color_gains",
-    "blend",
-    "lend",
-    "kept_near",
-    "needed",
-    "unproject",
-    "hidden",
-)
+STAGES = {
+    "link_views": sweep,
+    "settle": links,
+    "matching_cost": sweep,
+    "combine": sweep,
+    "aggregate": sweep,
+    "winners": sweep,
+    "cross_check": sweep,
+    "without_speckles": sweep,
+    "color_gains": sweep,
+    "lend": sweep,
+    "fit_planes": sweep,
+    "fill": sweep,
+    "weighted_median": sweep,
+    "blend": sweep,
+    "kept_near": sweep,
+    "unproject": sweep,
+    "needed": sweep,
+    "hidden": sweep,
+}
+"""Functions in the order of the road, by the module that calls them."""
+
 SIZE = (416, 576)
-spent = dict.fromkeys(STAGES, 0.0)
+RUNS = 3
+spent = dict.fromkeys([*STAGES, "elsewhere"], 0.0)
+within: list[float] = []
+"""Seconds of the stages that have ended within each that is running."""
 
 
 def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+    """The call, which adds its seconds to those spent, but for those of stages that it calls."""
+
     def wrapper(*args: Any, **settings: Any) -> Any:
         start = time.process_time()
+        within.append(0.0)
         out = call(*args, **settings)
-        spent[name] += time.process_time() - start
+        seconds = time.process_time() - start
+        spent[name] += seconds - within.pop()
+        if within:
+            within[-1] += seconds
         return out
 
     return wrapper
@@ -89,9 +102,9 @@ def sparse_error(sample: Sample) -> float:
 def run(sample: Sample) -> tuple[np.ndarray, float, float]:
     """Depths, and seconds on the clock and of the processor."""
     walls, seconds = [], []
-    for _ in range(3):
+    for _ in range(RUNS):
         wall, start = time.perf_counter(), time.process_time()
-        gaussians = PlaneSweep()(sample)
+        gaussians = timed("elsewhere", PlaneSweep())(sample)
         seconds.append(time.process_time() - start)
         walls.append(time.perf_counter() - wall)
     depths = source_depths(gaussians, [v.camera for v in sample.context])
@@ -128,18 +141,25 @@ def pairs(folder: Path) -> None:
     print(f"  sparse {np.mean(floors):.4f}  {wall:.2f} s  {seconds:.2f} CPU s")
     print("worst direction  {:7.4f} {:6.4f}".format(*np.max(rows, 0)[:2]), end="")
     print(f" {np.min(rows, 0)[2]:6.4f}")
-    stages = "  ".join(f"{name} {seconds / len(times) / 3:.3f}" for name, seconds in spent.items())
-    print(f"CPU s a pair:  {stages}")
+    stages(len(times))
+
+
+def stages(count: int) -> None:
+    """CPU seconds of each stage for one of so many pairs, without those of stages within it."""
+    shares = "  ".join(f"{name} {seconds / count / RUNS:.3f}" for name, seconds in spent.items())
+    print(f"CPU s a pair:  {shares}")
 
 
 if __name__ == "__main__":
     data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
     slgaussian.kernels.threads.limit()
     PlaneSweep()(datasets.load("stereo").sample(["left", "right"]))  # Compiles.
-    for stage in STAGES:
-        setattr(sweep, stage, timed(stage, getattr(sweep, stage)))
+    for stage, module in STAGES.items():
+        setattr(module, stage, timed(stage, getattr(module, stage)))
     motorcycle()
-    spent.update(dict.fromkeys(STAGES, 0.0))
     if data:
+        spent.update(dict.fromkeys(spent, 0.0))
         pairs(data)
+    else:
+        stages(1)
     print(f"peak memory {held('VmHWM') / 2**30:.2f} GiB")

@@ -168,8 +168,8 @@ def _showing(change: np.ndarray) -> np.ndarray:
     sums = np.cumsum(least_first, dtype=np.float64)
     if sums[-1] <= squares.size * MOST**2:
         return _near(means > LIMIT)
-    most = least_first[max(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2) - 1, 0)]
-    return _near(means > LIMIT) | (squares > most)
+    within = int(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2))
+    return _near(means > LIMIT) | (squares > least_first[max(within - 1, 0)])
 
 
 def _farthest(depth: np.ndarray) -> np.ndarray:
