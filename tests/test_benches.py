@@ -12,7 +12,7 @@ import pytest
 
 from benches.common import pages, photograph_pairs
 from benches.predict import depth_error
-from benches.views import built_fields, outward, spread
+from benches.views import built_fields, hard_views, outward, spread
 from slgaussian.predict import sweep
 
 ROOT = Path(__file__).parents[1]
@@ -145,3 +145,18 @@ def test_gains_of_more_views_are_of_the_windows_that_both_numbers_can_do():
     assert (four["scenes"], four["refused"], four["psnr"]) == (1, 1, 23.0)
     assert (four["gain"], four["worst"], four["over_best"]) == (3.0, 3.0, 2.0)
     assert built_fields.reasons(rows) == ["4 views, b: do not overlap"]
+
+
+def test_a_case_is_compared_with_the_same_scenes_without_it():
+    made = {"gaussians": 110, "plain_gaussians": 100, "objects": 4, "plain_objects": 4, "said": []}
+    rows = [
+        {"of": of, "case": "dark", "psnr": psnr, "plain_psnr": 20.0, **made}
+        for of, psnr in (("a", 19.0), ("b", 20.5))
+    ]
+    rows.append({"of": "c", "case": "dark", "refused": "no overlap"})
+    rows[0]["said"] = ["x is left out: it is the same picture as y"]
+    (line,) = hard_views.summary(rows)
+    assert (line["scenes"], line["refused"], line["warned"]) == (3, 1, 1)
+    assert (line["gain"], line["worst"], line["objects"]) == (-0.25, -1.0, 1.0)
+    assert line["gaussians"] == pytest.approx(1.1)
+    assert hard_views.said(rows) == ["dark: no overlap", f"dark: {rows[0]['said'][0]}"]

@@ -94,6 +94,16 @@ def quarter_turned(view: View) -> View:
     )
 
 
+def rolling(views: Sequence[View]) -> Views:
+    """Each view turned by a quarter more than the one before it."""
+    found = []
+    for k, view in enumerate(views):
+        for _ in range(k % 4):
+            view = quarter_turned(view)
+        found.append(view)
+    return tuple(found)
+
+
 def shuffled(views: Sequence[View], seed: int) -> Views:
     """The views in a random order."""
     return tuple(views[k] for k in np.random.default_rng(seed).permutation(len(views)))
