@@ -29,10 +29,11 @@ def needed(
 ) -> list[np.ndarray]:
     """Which pixels of each view bring a surface that is not there yet: V of bool [H, W].
 
-    The views come one after the other, in the order given, and the first two bring all they show.
-    A surface is drawn at most :data:`COPIES` times. What lies where a view has matched something
-    behind it is not drawn: of what is matched itself the views before decide, of guesses all. So
-    what is drawn mostly stays when a photograph is added.
+    Two views draw all they show. Of more, one of which nothing is known draws nothing, and no guess
+    is drawn that lies where any view has matched something behind it. The first two draw the rest;
+    then the views come one after the other, in the order given, and draw what is drawn less than
+    :data:`COPIES` times and does not stand in front of what those before have matched (of a guess:
+    of what they have drawn). So what is drawn mostly stays when a photograph is added.
 
     Parameters
     ----------
@@ -48,16 +49,20 @@ def needed(
         return keep
     for i, mine in enumerate(inverse_depths):
         guessed = ~np.isfinite(known[i])
-        shown = np.zeros(mine.shape, np.uint8)
+        keep[i] &= not guessed.all()
+        relatives = [Relative.between(graph.cameras[i], camera) for camera in graph.cameras]
         for j in range(len(keep)):
-            if j == i:
-                continue
-            relative = Relative.between(graph.cameras[i], graph.cameras[j])
-            late = i > j and i > 1
-            refuted = cross_check(mine, known[j], relative, steps[i]) == IN_FRONT
-            keep[i] &= ~refuted if late else ~(refuted & guessed)
-            if late:
-                shown += cross_check(mine, inverse_depths[j], relative, steps[i]) == AGREES
+            if j != i:
+                refuted = cross_check(mine, known[j], relatives[j], steps[i]) == IN_FRONT
+                keep[i] &= ~(refuted & (guessed | (1 < i > j)))
+        if i < 2:
+            continue
+        shown = np.zeros(mine.shape, np.uint8)
+        for j in range(i):
+            drawn = np.where(keep[j], inverse_depths[j], np.float32(np.inf))
+            verdict = cross_check(mine, drawn, relatives[j], steps[i])
+            keep[i] &= ~(guessed & (verdict == IN_FRONT))
+            shown += verdict == AGREES
         keep[i] &= shown < COPIES
     return keep
 
@@ -71,7 +76,9 @@ def blend(
     """Colours of every view, mixed with those of the linked views that show the same surface.
 
     So a surface has one colour, whichever view's copy of it is in front. A view counts fully, less
-    within :data:`FEATHER` of its border, and not at all where its depth does not agree.
+    within :data:`FEATHER` of its border, and not at all where its depth does not agree. Of the
+    others the nearest counts like the view itself, the rest by the square of their distance: a
+    shining floor looks different from elsewhere.
 
     Parameters
     ----------
@@ -91,13 +98,15 @@ def blend(
         u, v = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
         weight = _say(u, v, W, H)
         total = images[i] * weight[..., None]
-        for link in sources:
+        apart = np.array([np.linalg.norm(link.relative.t) for link in sources]).clip(1e-12)
+        nearness = ((apart.min() / apart) ** 2).astype(np.float32)
+        for link, near in zip(sources, nearness, strict=True):
             other = inverse_depths[link.source]
             agrees = cross_check(inverse_depths[i], other, link.relative, steps[i]) == AGREES
             relative = link.relative
             _add(
                 total, weight, agrees, inverse_depths[i], images[link.source],
-                relative.infinity, relative.epipole, FEATHER,
+                relative.infinity, relative.epipole, FEATHER, near,
             )  # fmt: skip
         mixed.append(total / weight[..., None])
     return mixed
@@ -110,7 +119,7 @@ def _say(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 @njit(cache=True, parallel=True)
-def _add(total, weight, agrees, inverse_depth, image, A, e, feather):
+def _add(total, weight, agrees, inverse_depth, image, A, e, feather, near):
     """Add what the other view shows, bilinear and by its weight, where it agrees."""
     H, W = inverse_depth.shape
     rows, columns, _ = image.shape
@@ -123,7 +132,7 @@ def _add(total, weight, agrees, inverse_depth, image, A, e, feather):
             u = (A[0, 0] * a + A[0, 1] * b + A[0, 2] + w * e[0]) / z
             v = (A[1, 0] * a + A[1, 1] * b + A[1, 2] + w * e[1]) / z
             say = min(min(u, columns - u), min(v, rows - v)) / feather
-            say = np.float32(min(say, 1.0))
+            say = near * np.float32(min(say, 1.0))
             left, top = math.floor(u - 0.5), math.floor(v - 0.5)
             p, q = np.float32(u - 0.5 - left), np.float32(v - 0.5 - top)
             i0, i1 = max(left, 0), min(left + 1, columns - 1)

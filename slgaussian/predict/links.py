@@ -31,6 +31,13 @@ worse, and memory goes with their number."""
 BELIEVED = 2
 """Views, the nearest, that one without matches is linked with."""
 
+WELL_POSED = 0.0015
+"""Distance of matches to their epipolar lines (the median, as a share of the image diagonal; a
+pixel of 540x360) up to which given poses stay as they are. To adjust them is to fit noise, a turn
+looks much like other depths: an exact stereo rig is turned by 0.03 degrees, which makes depths 2.1
+instead of 1.7 % wrong, and on a walk and a forward-facing capture of 2 to 8 views it costs up to
+0.4 dB and gains nothing."""
+
 BEST_ANGLE = 5.0
 NARROW, BROAD = 2.0, 10.0
 """Degrees between two lines of sight at which a match tells most of depth, and how fast narrower
@@ -63,7 +70,7 @@ class ViewGraph:
     Attributes
     ----------
     cameras : V Camera
-        Settled: all matches meet under them as well as they can.
+        As given, or settled where matches do not meet under those.
     links : V sequences of Link
         The sources of each view, the best first.
     """
@@ -87,7 +94,7 @@ class ViewGraph:
 
 
 def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
-    """Match views that may see the same things, settle their cameras and choose sources of depth.
+    """Match views that may see the same things, settle cameras that are off, and choose sources.
 
     Views whose matches show no parallax are not linked, nothing can be learnt from them; nor are
     those with too few matches. A view that matches no other is linked with the nearest by its pose
@@ -101,8 +108,10 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
     """
     matches, why = _matched(views)
     points = [sift(view.grey).points for view in views]
+    cameras = [view.camera for view in views]
     moving = {pair: found for pair, found in matches.items() if len(found[0]) >= MIN_REFINE}
-    cameras = settle([view.camera for view in views], points, moving)
+    if _off(cameras, points, moving) > WELL_POSED * np.hypot(*views[0].grey.shape):
+        cameras = settle(cameras, points, moving)
     found: list[list[tuple[float, Link]]] = [[] for _ in views]
     for (i, j), (p, q) in matches.items():
         _link(found, cameras, (i, j), points[i][p], points[j][q])
@@ -193,6 +202,17 @@ def _matched(views: Sequence[View]) -> tuple[Matches, dict[tuple[int, int], str]
         else:
             why[i, j] = said
     return matches, why
+
+
+def _off(cameras: Sequence[Camera], points: Sequence[np.ndarray], matches: Matches) -> float:
+    """Median distance of the matches to their epipolar lines, pixels; 0 without any."""
+    off = [
+        np.abs(
+            Relative.between(cameras[i], cameras[j]).epipolar_distance(points[i][p], points[j][q])
+        )
+        for (i, j), (p, q) in matches.items()
+    ]
+    return float(np.median(np.concatenate(off))) if off else 0.0
 
 
 def _useless(

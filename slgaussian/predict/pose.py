@@ -28,7 +28,7 @@ def refine(given: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
 
     Robust least squares of the Sampson distance with the given pose as a prior; the length of the
     baseline is kept, and with fewer than :data:`MIN_REFINE` matches so is the pose. Serves
-    matching; :func:`slgaussian.predict.fuse.meet` then gives all views the refined poses.
+    to tell good matches; where poses are off, :mod:`slgaussian.predict.settle` moves all cameras.
     """
     if len(ref) < MIN_REFINE:
         return given

@@ -95,19 +95,26 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
     for i, view in enumerate(views):
         low, high = _range(settings, sample.scene, view, links[i], everywhere)
         size = guides[i].shape
-        steps = max(
-            (candidates(k.relative, size, low, high, settings.depth_candidates) for k in links[i]),
-            key=len,
-        )
-        shown = [k for k in links[i] if visible_share(k.relative, size, steps) >= MIN_VISIBLE]
-        if not shown:
+        tried = [
+            (k, candidates(k.relative, size, low, high, settings.depth_candidates))
+            for k in links[i]
+        ]
+        shown = [one for one in tried if visible_share(one[0].relative, size, one[1]) > MIN_VISIBLE]
+        if not shown and len(views) == 2:
             raise InputError(
                 f"scene {sample.scene!r}: {view.name!r} and {views[links[i][0].source].name!r} "
                 f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
                 "choose views that overlap, or correct near and far"
             )
+        # The poses of many views are off by a pixel or so: with steps finer than a pixel of motion
+        # in the view that moves least, noise would decide what is a plane and what agrees.
+        steps = min((steps for _, steps in shown or tried), key=len)
+        if not shown:
+            middle = np.full(size, steps.mean(), np.float32)
+            found.append((Swept(steps, middle, np.zeros(size, bool)), np.zeros(size)))
+            continue
         cost = combine(
-            [matching_cost(guides[i], guides[k.source], k.relative, steps) for k in shown]
+            [matching_cost(guides[i], guides[k.source], k.relative, steps) for k, _ in shown]
         )
         best, offset, margin = winners(aggregate(cost, guides[i]))
         index = best + offset

@@ -33,6 +33,7 @@ def plainly_blended(images, inverse_depths, steps, links):
     for i, sources in enumerate(links):
         H, W = inverse_depths[i].shape
         mixed = np.zeros((H, W, 3))
+        apart = [float(np.linalg.norm(s.relative.t)) for s in sources]
         verdicts = [
             cross_check(inverse_depths[i], inverse_depths[s.source], s.relative, steps[i])
             for s in sources
@@ -42,12 +43,12 @@ def plainly_blended(images, inverse_depths, steps, links):
                 u, v = x + 0.5, y + 0.5
                 weight = min(1, min(u, W - u, v, H - v) / FEATHER)
                 total = weight * images[i][y, x].astype(float)
-                for link, verdict in zip(sources, verdicts, strict=True):
+                for link, verdict, far in zip(sources, verdicts, apart, strict=True):
                     if verdict[y, x] != AGREES:
                         continue
                     (a, b), _ = link.relative.project(np.array([u, v]), inverse_depths[i][y, x])
                     h, w = inverse_depths[link.source].shape
-                    say = min(1, min(a, w - a, b, h - b) / FEATHER)
+                    say = min(1, min(a, w - a, b, h - b) / FEATHER) * (min(apart) / far) ** 2
                     left, top = int(np.floor(a - 0.5)), int(np.floor(b - 0.5))
                     seen = np.zeros(3)
                     for row, column in np.ndindex(2, 2):
@@ -145,6 +146,29 @@ def test_a_guess_is_not_drawn_where_a_view_after_sees_through_but_does_not_refut
     # Depth that the first view only guesses takes nothing from the others.
     depths[0][:] *= 4
     assert kept(cameras, depths, guessed=0)[2].mean() > 0.9
+
+
+def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():
+    cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
+    depths = [view.depth.copy() for view in sample(*cameras).context]
+    inverse = [1 / depth.astype(np.float32) for depth in depths]
+    # No view has matched anything in the middle; the third guesses it nearer than the others do.
+    known = [w.copy() for w in inverse]
+    for w in known:
+        w[30:90, 30:130] = np.inf
+    inverse[2][45:75, 60:100] *= 1.3
+    graph = ViewGraph(cameras, links_of(*cameras))
+    assert not needed(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].any()
+    # Matched there, it is drawn: guesses do not refute it.
+    known[2] = inverse[2]
+    assert needed(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
+
+
+def test_a_view_of_which_nothing_is_known_draws_nothing():
+    cameras = [camera(x=x) for x in (0, 0.2, 6)]
+    depths = [view.depth for view in sample(*cameras).context]
+    keep = kept(cameras, depths, guessed=2)
+    assert keep[0].all() and keep[1].all() and not keep[2].any()
 
 
 def test_a_surface_that_one_view_before_shows_gets_its_second_copy():

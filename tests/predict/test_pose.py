@@ -185,6 +185,20 @@ def test_three_views_link_to_each_other_the_best_angle_first():
     assert all(len(link.sparse) > 30 for sources in links for link in sources)
 
 
+def test_good_poses_stay_and_others_are_settled():
+    given = [view.camera for view in sample(camera(), camera(x=0.5), camera(x=0.2)).context]
+    for count in (2, 3):
+        views = sample(*given[:count]).context
+        assert list(link_views(views, ranged=False).cameras) == given[:count]
+    c2w = given[1].c2w.copy()
+    c2w[:3, :3] = cv2.Rodrigues(np.radians([1.0, 0, 0]))[0] @ c2w[:3, :3]
+    wrong = replace(given[1], c2w=c2w)
+    views = sample(*given).context
+    found = link_views([views[0], replace(views[1], camera=wrong), views[2]], ranged=False).cameras
+    there = Relative.between(found[0], found[1]).R @ Relative.between(given[0], given[1]).R.T
+    assert np.degrees(np.linalg.norm(cv2.Rodrigues(there)[0])) < 0.7
+
+
 def test_a_view_that_matches_no_other_is_linked_by_its_pose():
     near = sample(camera(), camera(x=0.3)).context
     other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
