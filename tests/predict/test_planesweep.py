@@ -144,12 +144,14 @@ def test_views_apart_within_the_range_are_refused():
 def test_one_of_three_views_that_sees_nothing_of_the_others_in_the_range_draws_nothing():
     """Two such views are refused; a walk is not, for one of its views."""
     cameras = [camera(near=2.0, far=4.0), camera(x=0.3, near=2.0, far=4.0)]
-    away = camera(x=0.5, turn=2.5, near=2.0, far=4.0)
-    three = sample(*cameras, away)
+    two = sample(*cameras)
+    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7)
+    away = other.view("away", camera(x=6.0, near=2.0, far=4.0))
+    three = replace(two, context=(*two.context, away))
     gaussians = PlaneSweep()(three)
     own = np.bincount(gaussians.source.numpy() // three.context[0].grey.size, minlength=3)
     assert (own[:2] > 0).all()
-    assert own[2] < 0.02 * three.context[0].grey.size
+    assert own[2] < 0.1 * three.context[0].grey.size
 
 
 def test_motorcycle_bad_pixels():
