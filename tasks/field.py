@@ -15,7 +15,7 @@ from tasks.artifacts import labels_from_arrays, put_field, sample_from_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("field", version=7)
+@stage("field", version=8)
 def field(
     site: Worksite,
     sample: ArtifactRef,

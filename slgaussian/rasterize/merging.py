@@ -57,12 +57,16 @@ AIM = 0.9
 """What a view that is over :data:`MOST` is brought down to, as a share of it: where one block is
 taken back its neighbours change too."""
 
-ROUNDS = 4
-"""How often what shows is taken back, while a view is over :data:`MOST`."""
+ROUNDS = 2
+"""How often what shows most is taken back, while a view is over :data:`MOST`; then it gets back all
+that it sees."""
 
 BEHIND = 0.1
 """How much farther than the surface that a view shows a thing must be, as a share of its depth, not
 to show there. Of what many views see of a wide scene, most is behind something in most of them."""
+
+REACH = 3.0
+"""Standard deviations past which a Gaussian shows no more."""
 
 LOW_PASS = PRESETS["fast"].low_pass
 
@@ -132,8 +136,13 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     before, depths = [picture for picture, _ in given], [_farthest(depth) for _, depth in given]
     merged, into = _joined(gaussians, grid, sizes)
     changes = _changes(merged, cameras, before)
-    for _ in range(ROUNDS):
-        _take_back(sizes, grid, [_showing(change) for change in changes], cameras, depths)
+    for attempt in range(ROUNDS + 1):
+        over = [_showing(change) for change in changes]
+        if attempt == ROUNDS:
+            # What a view shows through its surfaces, too, where that is still too much.
+            for v in (v for v, one in enumerate(changes) if _summary([one]).rms > MOST / GREY):
+                over[v], depths[v] = np.ones_like(over[v]), np.full_like(depths[v], np.inf)
+        _take_back(sizes, grid, over, cameras, depths)
         merged, into = _joined(gaussians, grid, sizes)
         changes = _changes(merged, cameras, before)
         change = _summary(changes)
@@ -374,9 +383,11 @@ def _take_back(
         v, y, x = np.nonzero(level.there & (sizes[:, ::size, ::size] == size)[_within(level)])
         for where, behind, camera in zip(over, depths, cameras, strict=True):
             pixels, z = camera.project(level.means[v, y, x].astype(np.float64))
-            # What lies just beyond the border reaches the blocks at it.
-            inside = (z > 0) & (pixels >= -BLOCK).all(1)
-            inside &= (pixels < (camera.width + BLOCK, camera.height + BLOCK)).all(1)
+            # What lies beyond the border reaches the blocks at it, as far as it is wide.
+            wide = REACH * float(camera.K[0, 0]) * level.widest[v, y, x] / np.where(z > 0, z, 1)
+            beyond = (BLOCK + wide)[:, None]
+            inside = (z > 0) & (pixels >= -beyond).all(1)
+            inside &= (pixels < (camera.width, camera.height) + beyond).all(1)
             column, row = (np.where(inside[:, None], pixels, 0) // BLOCK).astype(np.int64).T
             row, column = row.clip(0, where.shape[0] - 1), column.clip(0, where.shape[1] - 1)
             back[v, y, x] |= inside & where[row, column] & (z <= (1 + BEHIND) * behind[row, column])

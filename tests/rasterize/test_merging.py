@@ -115,6 +115,19 @@ def test_what_one_view_shows_too_much_of_is_taken_back_until_it_may_be():
     assert 0.5 < merged.change.rms <= MOST / GREY
 
 
+@pytest.mark.parametrize("z", [2.8, 2.9, 2.95])
+def test_a_view_close_to_the_wall_gets_its_own_back_and_no_other_does(z):
+    """What is wide there reaches into it from far beyond its border."""
+    cameras = [*CAMERAS, standing(z)]
+    grey = np.full((H, W, 3), 0.5, np.float32)
+    colours = [noise(6).astype(np.float32)] * 2 + [grey]
+    depths = [np.full((H, W), z, np.float32) for z in (3, 3, 5)]
+    light = [np.full((H, W), value, np.float32) for value in (0.9, 0.9, 0.02)]
+    merged = merge(unproject(cameras, colours, [1 / z for z in depths], light), cameras)
+    assert len(merged.gaussians) < 0.9 * 3 * H * W
+    assert 0.5 < merged.change.rms <= MOST / GREY
+
+
 def test_what_is_behind_something_does_not_show():
     """A view from behind has an uneven screen before it, and all that others see is hidden."""
     cameras = [*CAMERAS, standing(-5)]
