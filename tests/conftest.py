@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from slgaussian.kernels import threads
+from tests.browser import Browser, executable
 
 # Several test processes share the cores; threads that spin while they wait would take them away.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -29,6 +30,21 @@ def one_thread() -> Iterator[None]:
     threads.limit(threads.cores())
     yield
     threads.limit()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A Chromium without a window; tests that need one skip where there is none.
+
+    Unless SLG_NEEDS_BROWSER is set to 1, as where one was installed: then they fail.
+    """
+    if executable() is None:
+        why = "no Chromium on this machine; Debian's package is called chromium"
+        if os.environ.get("SLG_NEEDS_BROWSER") == "1":
+            pytest.fail(f"SLG_NEEDS_BROWSER=1 and {why}")
+        pytest.skip(why)
+    with Browser() as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

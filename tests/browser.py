@@ -1,0 +1,319 @@
+"""Chromium without a window, for tests of pages: driven over its DevTools protocol.
+
+It draws WebGL with software, a second or more a frame, so tests wait for a condition
+(:meth:`Tab.wait`), never for a time. ``with Browser() as browser:`` starts one and leaves no
+process behind; the fixture ``browser`` of ``tests/conftest.py`` is one a test session.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from websockets.sync.client import ClientConnection, connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 60.0
+"""Seconds that a condition is waited for; a busy machine of two cores draws slowly."""
+
+OPTIONS = (
+    "--headless=new",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-sandbox",  # tests may run as root
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+    "--disable-extensions",
+    "--disable-default-apps",
+    "--no-first-run",
+    "--no-default-browser-check",
+    "--no-proxy-server",
+    "--mute-audio",
+    "--hide-scrollbars",
+    "--remote-debugging-port=0",
+)
+
+
+def executable() -> str | None:
+    """Where a Chromium is on this machine, or None."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class PageError(Exception):
+    """A script of the page threw, or what a test waited for did not come."""
+
+
+class Browser:
+    """A Chromium with a profile of its own; a context manager that ends it.
+
+    Raises
+    ------
+    PageError
+        If it does not start; the message holds what it said.
+    """
+
+    def __init__(self, *options: str) -> None:
+        self._folder = tempfile.mkdtemp(prefix="slg-chromium-")
+        self._said = Path(self._folder, "said")
+        command = [executable(), *OPTIONS, *options, f"--user-data-dir={self._folder}/profile"]
+        with self._said.open("wb") as said:
+            # A session of its own, so that the whole group can be ended.
+            self.process = subprocess.Popen(
+                [*command, "about:blank"],
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                start_new_session=True,
+                env={**os.environ, "HOME": self._folder},
+            )
+        try:
+            self.address = self._wait_for_address()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _wait_for_address(self) -> str:
+        file, end = Path(self._folder, "profile", "DevToolsActivePort"), time.monotonic() + PATIENCE
+        while time.monotonic() < end and self.process.poll() is None:
+            lines = file.read_text().splitlines() if file.exists() else []
+            if len(lines) == 2:
+                return f"127.0.0.1:{lines[0]}{lines[1]}"
+            time.sleep(0.02)
+        raise PageError(f"Chromium did not start: {self._said.read_text(errors='replace')[-2000:]}")
+
+    @contextlib.contextmanager
+    def open(self, url: str, width: int = 1200, height: int = 800) -> Iterator[Tab]:
+        """A new tab that shows ``url``, with a view of this size in CSS pixels; closed after it."""
+        with connect(
+            f"ws://{self.address}", max_size=None, proxy=None, open_timeout=PATIENCE
+        ) as socket:
+            tab = Tab(_Protocol(socket))
+            try:
+                tab.start(url, width, height)
+                yield tab
+            finally:
+                tab.close()
+
+    def resident_bytes(self) -> int:
+        """Memory of all its processes, each page shared by k of them counted as 1/k."""
+        total = 0
+        for folder in Path("/proc").iterdir():
+            with contextlib.suppress(OSError, ValueError):
+                if os.getpgid(int(folder.name)) == self.process.pid:
+                    rollup = Path(folder, "smaps_rollup").read_text()
+                    total += 1024 * int(rollup.partition("\nPss:")[2].split()[0])
+        return total
+
+    def close(self) -> None:
+        """End all its processes, and remove its profile."""
+        for sign in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.process.pid, sign)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(5)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+class Tab:
+    """A page that is open.
+
+    Attributes
+    ----------
+    requests : list of str
+        Every URL that it asked for, its own first; ``blob:`` and ``data:`` too.
+    complaints : list of str
+        Errors and warnings of the console, exceptions that nobody caught, and failed requests.
+    """
+
+    def __init__(self, protocol: _Protocol) -> None:
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        self._protocol = protocol
+        self._session = self._target = ""
+
+    def start(self, url: str, width: int, height: int) -> None:
+        """Open ``url`` in a new target, and watch it from before its first byte on."""
+        self._protocol.watch = self._notice
+        self._context = self._protocol.call("Target.createBrowserContext", {})["browserContextId"]
+        created = {"url": "about:blank", "browserContextId": self._context}
+        self._target = self._protocol.call("Target.createTarget", created)["targetId"]
+        attached = {"targetId": self._target, "flatten": True}
+        self._session = self._protocol.call("Target.attachToTarget", attached)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+        self.resize(width, height)
+        found = self.call("Page.navigate", url=url)
+        if "errorText" in found:
+            raise PageError(f"{url}: {found['errorText']}")
+        self.wait("document.readyState === 'complete'")
+
+    def close(self) -> None:
+        """Close the page."""
+        with contextlib.suppress(Exception):
+            self._protocol.call("Target.disposeBrowserContext", {"browserContextId": self._context})
+
+    def call(self, method: str, **values: Any) -> dict[str, Any]:
+        """A call of the protocol to this page."""
+        return self._protocol.call(method, values, self._session)
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the view this size in CSS pixels, which are the pixels of a screenshot."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+
+    def evaluate(self, script: str) -> Any:
+        """The value of an expression in the page, a promise awaited; PageError if it throws."""
+        answer = self.call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
+        if "exceptionDetails" in answer:
+            details = answer["exceptionDetails"]
+            said = details.get("exception", {}).get("description") or details["text"]
+            raise PageError(f"{said} in: {script[:200]}")
+        return answer["result"].get("value")
+
+    def wait(self, condition: str, seconds: float = PATIENCE) -> Any:
+        """Wait until an expression is true in the page, and return its value; else PageError."""
+        end = time.monotonic() + seconds
+        while not (value := self.evaluate(condition)):
+            if time.monotonic() > end:
+                raise PageError(f"not true in {seconds} s: {condition}; it said {self.complaints}")
+            time.sleep(0.05)
+        return value
+
+    def settle(self, seconds: float = PATIENCE) -> np.ndarray:
+        """The picture once two in turn are equal; PageError if it never comes to rest."""
+        end, last = time.monotonic() + seconds, self.screenshot()
+        while time.monotonic() < end:
+            now = self.screenshot()
+            if np.array_equal(now, last):
+                return now
+            last = now
+        raise PageError(f"the picture still changes after {seconds} s")
+
+    def screenshot(self) -> np.ndarray:
+        """What the view shows: uint8 [H, W, 3]."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
+
+    def click(self, x: float, y: float, double: bool = False) -> None:
+        """Press and release the left button at (x, y) of the view, in CSS pixels."""
+        self.move(x, y)
+        for count in range(1, 2 + double):
+            for kind in ("mousePressed", "mouseReleased"):
+                self._mouse(kind, x, y, button="left", clickCount=count)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 4) -> None:
+        """Drag with the left button from a point of the view to another."""
+        self.move(*start)
+        self._mouse("mousePressed", *start, button="left", clickCount=1)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self._mouse("mouseMoved", x, y, button="left", buttons=1)
+        self._mouse("mouseReleased", *end, button="left", clickCount=1)
+
+    def move(self, x: float, y: float) -> None:
+        """Move the mouse to (x, y) of the view."""
+        self._mouse("mouseMoved", x, y)
+
+    def click_on(self, selector: str) -> None:
+        """Click the middle of the first element that a CSS selector finds, scrolled into view."""
+        box = self.evaluate(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            "if (!e) return null; e.scrollIntoView({block: 'nearest'});"
+            "const r = e.getBoundingClientRect();"
+            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        if box is None:
+            raise PageError(f"no element {selector}")
+        self.click(*box)
+
+    def type(self, text: str) -> None:
+        """Type text into what has the focus."""
+        self.call("Input.insertText", text=text)
+
+    def press(self, key: str) -> None:
+        """Press and release a key by its name, as ``Enter``, ``Escape``, ``ArrowLeft`` or ``w``."""
+        code = {"Enter": 13, "Escape": 27, "Tab": 9, " ": 32, "Backspace": 8}
+        arrows = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
+        values: dict[str, Any] = {"key": key, "code": f"Key{key.upper()}" if key.isalpha() else key}
+        if key in code | arrows:
+            values |= {"code": key, "windowsVirtualKeyCode": (code | arrows)[key]}
+        text = {"Enter": "\r"}.get(key, key if len(key) == 1 else "")
+        down: dict[str, Any] = {"type": "keyDown" if text else "rawKeyDown", **values}
+        self.call("Input.dispatchKeyEvent", **down, **({"text": text} if text else {}))
+        self.call("Input.dispatchKeyEvent", type="keyUp", **values)
+
+    def _mouse(self, kind: str, x: float, y: float, **values: Any) -> None:
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **values)
+
+    def _notice(self, event: dict[str, Any]) -> None:
+        if event.get("sessionId") != self._session:
+            return
+        method, values = event["method"], event["params"]
+        if method == "Network.requestWillBeSent":
+            self.requests.append(values["request"]["url"])
+        elif method == "Network.loadingFailed" and not values.get("canceled"):
+            self.complaints.append(f"failed request: {values.get('errorText')}")
+        elif method == "Runtime.exceptionThrown":
+            details = values["exceptionDetails"]
+            said = details.get("exception", {}).get("description") or details["text"]
+            self.complaints.append(f"exception: {said}")
+        elif method == "Runtime.consoleAPICalled" and values["type"] in ("error", "warning"):
+            said = " ".join(str(a.get("value", a.get("description"))) for a in values["args"])
+            self.complaints.append(f"{values['type']}: {said}")
+        elif method == "Log.entryAdded" and values["entry"]["level"] in ("error", "warning"):
+            entry = values["entry"]
+            self.complaints.append(f"{entry['level']}: {entry['text']} {entry.get('url', '')}")
+
+
+class _Protocol:
+    """Calls and their answers over one socket; what comes between goes to ``watch``."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._numbers = itertools.count(1)
+        self.watch: Any = lambda event: None
+
+    def call(self, method: str, values: dict[str, Any], session: str = "") -> dict[str, Any]:
+        number = next(self._numbers)
+        message: dict[str, Any] = {"id": number, "method": method, "params": values}
+        if session:
+            message["sessionId"] = session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=4 * PATIENCE))
+            if answer.get("id") == number:
+                if "error" in answer:
+                    raise PageError(f"{method}: {answer['error']['message']}")
+                return answer["result"]
+            if "method" in answer:
+                self.watch(answer)
