@@ -42,6 +42,9 @@ class Gaussians:
     features : float32 [N, D] or None
         Semantic features. In a field: the ID code (3 numbers in the paper) times its weight, and
         the weight; see :class:`slgaussian.semantic.Lifting`.
+    guessed : bool [N] or None
+        Whose depth no second view confirms: continued from what lies beside it. None where the
+        predictor does not tell.
 
     Raises
     ------
@@ -56,6 +59,7 @@ class Gaussians:
     sh: torch.Tensor
     source: torch.Tensor
     features: torch.Tensor | None = None
+    guessed: torch.Tensor | None = None
 
     __repr__ = brief
 
@@ -70,6 +74,10 @@ class Gaussians:
             raise InputError(f"gaussians sh: found {tuple(self.sh.shape)}, expected ({n}, K, 3)")
         if self.features is not None and self.features.shape[0] != n:
             raise InputError(f"gaussians features: {self.features.shape[0]} rows, expected {n}")
+        if self.guessed is not None and self.guessed.shape != (n,):
+            raise InputError(
+                f"gaussians guessed: found shape {tuple(self.guessed.shape)}, expected ({n},)"
+            )
 
     def __len__(self) -> int:
         return self.means.shape[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,12 +79,14 @@ def predict(settings: PlaneSweep, sample: Sample, seed: int) -> tuple[Gaussians,
     given = [view.camera for view in views]
     cameras = kept_near(given, graph.cameras, graph.closeness())
     shown = unproject(cameras, colors, whole, opacities)
-    kept = np.concatenate(
-        [keep.ravel() for keep in needed(graph, whole, [s.known for s in swept], steps)]
-    )
+    known = [s.known for s in swept]
+    kept = np.concatenate([keep.ravel() for keep in needed(graph, whole, known, steps)])
+    guessed = torch.from_numpy(~np.isfinite(np.concatenate([values.ravel() for values in known])))
+    shown = replace(shown, guessed=guessed)[torch.from_numpy(kept)]
     beyond = hidden(cameras, colors, whole, steps)
+    beyond = replace(beyond, guessed=torch.ones(len(beyond), dtype=torch.bool))
     depths = Depths(sum(len(s.steps) for s in swept), len(swept) * settings.depth_candidates)
-    return concatenate([shown[torch.from_numpy(kept)], beyond]), depths
+    return concatenate([shown, beyond]), depths
 
 
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:

@@ -415,7 +415,8 @@ def _near(blocks: np.ndarray) -> np.ndarray:
 def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gaussians, np.ndarray]:
     """One Gaussian for each cell, and for each Gaussian given the place of its own: int64 [N].
 
-    Semantic features are those of the first of each, so that they are still codes.
+    Semantic features are those of the first of each, so that they are still codes; a guess is what
+    mostly was one.
     """
     arrays = gaussians.to_arrays()
     leaders = _leaders(grid.rows, sizes, len(gaussians))
@@ -432,6 +433,9 @@ def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gauss
         made[to] = values.reshape(made[to].shape)
     shape = arrays["means"], arrays["scales"], arrays["quats"]
     left.scales[to] = torch.from_numpy(_scales(*shape, grid.rows, cells, LOW_PASS))
+    if left.guessed is not None:
+        share = _average(arrays["guessed"][:, None].astype(np.float32), grid.rows, cells)
+        left.guessed[to] = torch.from_numpy(share[:, 0] > 0.5)
     return left, places[leaders]
 
 

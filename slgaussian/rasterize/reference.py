@@ -21,7 +21,7 @@ def project(
 
     Gaussians at or behind the near plane have meaningless means and covariances.
     """
-    double = {name: v.double() for name, v in gaussians.items() if name != "source"}
+    double = {name: v.double() for name, v in gaussians.items() if v.is_floating_point()}
     gaussians = Gaussians(**double, source=gaussians.source)
     device = gaussians.means.device
     centre = torch.from_numpy(camera.center).to(device)

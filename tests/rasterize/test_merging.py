@@ -263,3 +263,13 @@ def test_nothing_and_what_cannot_be_placed():
         merge(wall(), [camera(), camera(width=W + 1)])
     with pytest.raises(InputError, match=f"expected those of 1 views of {W}x{H}"):
         merge(wall(), CAMERAS[:1])
+
+
+def test_what_mostly_was_a_guess_is_one():
+    guesses = torch.zeros(2, H, W, dtype=torch.bool)
+    guesses[:, :, 18:] = True  # three quarters of a cell of eight, half of one of four
+    merged = merge(replace(wall(), guessed=guesses.ravel()), CAMERAS)
+    into = merged.into.numpy()
+    shares = np.bincount(into, guesses.ravel().numpy()) / np.bincount(into)
+    assert ((shares > 0) & (shares < 1)).any()
+    assert np.array_equal(merged.gaussians.guessed.numpy(), shares > 0.5)
