@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -31,14 +31,21 @@ from slgaussian.language.query import (
     describe,
     segment,
 )
+from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
-from slgaussian.storage import field_folder
+from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import Arrays, packed
+from slgaussian.storage.store import Arrays, arrays_digest, packed
+
+HATCH = 5
+"""Pixels across a stripe of the pattern that stands for what is not known."""
+
+HATCHING = np.array([96, 160], np.uint8)
+"""Its two greys."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +65,8 @@ class FieldView:
         Accumulated opacity in [0, 1].
     depth : float32 [H, W]
         z-depth in scene units, 0 where nothing is.
+    field : SemanticField
+        What is seen.
     """
 
     rgb: np.ndarray
@@ -74,6 +83,15 @@ class FieldView:
         """What turns texts into scores; the encoder is loaded when it is first asked."""
         return self.field.reader
 
+    @property
+    def unknown(self) -> np.ndarray:
+        """bool [H, W]: where no context view showed anything that is still there.
+
+        Behind a thing that was removed, and beyond the edges of the photographs. Nothing is painted
+        in; ``rgb`` has the pattern of :func:`hatched` there once something was removed.
+        """
+        return self.alpha < VISIBLE
+
     @cached_property
     def _objects(self) -> ObjectMap:
         return ObjectMap(self.ids, self.field.bank.ids)
@@ -89,6 +107,19 @@ class FieldView:
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
         """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
         return ask(texts, self._objects, self.reader, Rules(**rules))
+
+    def like(self, image: np.ndarray, **rules: Any) -> QueryResult:
+        """What in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`."""
+        return self._likest(*self.field.picture_words(image), rules)
+
+    def like_object(self, object_id: int, **rules: Any) -> QueryResult:
+        """What in this view is like an object of the field, itself first; as :meth:`query`."""
+        return self._likest(*self.field.object_words(object_id), rules)
+
+    def _likest(self, text: str, words: TaughtWords, rules: Mapping[str, Any]) -> QueryResult:
+        reader = BankReader(self.field.bank, self.field.encoder, words)
+        found = ask([text], self._objects, reader, Rules(**rules))[0]
+        return replace(found, understood=replace(found.understood, kind="picture", instead_of=""))
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
         """Which text fits each pixel best: int32 [H, W], 0 = no object, k + 1 = ``texts[k]``."""
@@ -111,6 +142,12 @@ class SemanticField:
         known by content there.
     places : {setting: path or name on the hub}
         Where the files of the encoder are, such as its ``model``. They are not part of the field.
+    taught : TaughtWords
+        Words by example; asked, they win over what the encoder knows.
+    names : {id: str}
+        What the user calls objects.
+    removed : frozenset of int
+        Objects that are not drawn and not found. Their Gaussians stay, so that they can come back.
     """
 
     gaussians: Gaussians
@@ -118,6 +155,9 @@ class SemanticField:
     cameras: Mapping[str, Camera]
     settings: Mapping[str, Any]
     places: Mapping[str, str] = field(default_factory=dict)
+    taught: TaughtWords = field(default_factory=TaughtWords)
+    names: Mapping[int, str] = field(default_factory=dict)
+    removed: frozenset[int] = frozenset()
 
     def __repr__(self) -> str:
         scene, encoder = (self.settings.get(name) for name in ("scene", "encoder"))
@@ -151,7 +191,7 @@ class SemanticField:
     @cached_property
     def reader(self) -> BankReader:
         """Bank and encoder together: what turns texts into scores of objects."""
-        return BankReader(self.bank, self.encoder)
+        return BankReader(self.bank, self.encoder, self.taught)
 
     def query(
         self, texts: Sequence[str], cameras: Sequence[Camera], **rules: Any
@@ -164,30 +204,174 @@ class SemanticField:
 
     def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
         """What is in the scene: every object with the best of ``texts``, whatever the view."""
-        return describe(texts, self.reader, Rules(**rules))
+        found = describe(texts, self.reader, Rules(**rules))
+        return [one for one in found if one.id not in self.removed]
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""
-        values, rows = harmonics.colors(self.gaussians, camera), None
+        gaussians = self.drawn
+        values, rows = harmonics.colors(gaussians, camera), None
         if self.bank.dimension:
-            values = torch.cat([values, self.gaussians.require_features()], 1)
+            values = torch.cat([values, gaussians.require_features()], 1)
         else:
-            rows = self.gaussians.require_features()[:, 0].int()
-        image = rasterize(self.gaussians, values, camera, backend=backend, labels=rows)
+            rows = gaussians.require_features()[:, 0].int()
+        image = rasterize(gaussians, values, camera, backend=backend, labels=rows)
         drawn = image.values.float().numpy()
         if self.bank.dimension:
             ids, confidence = self._decoder(drawn[..., 3:])
         else:
             ids, confidence = elected_ids(image, self.bank.ids)
         alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()
-        return FieldView(shown(drawn[..., :3], alpha), ids, confidence, alpha, depth, self)
+        rgb = shown(drawn[..., :3], alpha)
+        if self.removed:
+            rgb = hatched(rgb, alpha < VISIBLE)
+        return FieldView(rgb, ids, confidence, alpha, depth, self)
 
     def changed(self, **parts: Any) -> SemanticField:
-        """The same field with other ``parts``; an encoder that is loaded is not loaded again."""
+        """The same field with other ``parts``; what is known of both is not worked out again."""
         other = replace(self, **parts)
-        if "encoder" in self.__dict__:
-            other.__dict__["encoder"] = self.encoder
+        kept = {"encoder"}
+        if other.gaussians is self.gaussians and other.bank is self.bank:
+            kept |= {"_decoder", "_labels"}
+        other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
         return other
+
+    def teach(self, word: str, object_id: int, counter: bool = False) -> SemanticField:
+        """The field with an object as an example of ``word``, or as a counter-example.
+
+        The other objects of the field become its rivals. See :mod:`slgaussian.language.taught`.
+
+        Raises
+        ------
+        InputError
+            If there is no such object, or the word is empty or too long.
+        """
+        feature, others = self._features(object_id)
+        identity = encoder_identity(self.settings)
+        return self.changed(
+            taught=self.taught.with_example(word, feature, others, identity, not counter)
+        )
+
+    def forget(self, word: str) -> SemanticField:
+        """The field without a taught word; InputError if it is none."""
+        return self.changed(taught=self.taught.without(word))
+
+    def taking(self, words: TaughtWords) -> SemanticField:
+        """The field with words that were taught elsewhere too.
+
+        InputError if they are of another encoder.
+        """
+        words.check_encoder(encoder_identity(self.settings), "these taught words")
+        return self.changed(taught=self.taught.merged(words))
+
+    def named(self, object_id: int, name: str) -> SemanticField:
+        """The field with a name of the user's for an object; an empty one takes it away.
+
+        InputError if there is no such object, or the name is longer than a word may be.
+        """
+        self._row(object_id)
+        others = {id_: own for id_, own in self.names.items() if id_ != object_id}
+        plain = " ".join(name.split())
+        if plain:
+            normal(plain)
+            others[int(object_id)] = plain
+        return self.changed(names=others)
+
+    def without(self, ids: Iterable[int]) -> SemanticField:
+        """The field with these objects no longer drawn and found; InputError if one is none."""
+        return self.changed(removed=self.removed | self._known(ids))
+
+    def restored(self, ids: Iterable[int]) -> SemanticField:
+        """The field with these objects back.
+
+        InputError if one is none, or its Gaussians are no longer in the field.
+        """
+        back = self._known(ids)
+        gone = back - set(self.labels().tolist())
+        if gone:
+            raise InputError(
+                f"object {min(gone)}: its Gaussians are not in this field; open the one that it "
+                "was removed from"
+            )
+        return self.changed(removed=self.removed - back)
+
+    def only(self, ids: Iterable[int]) -> SemanticField:
+        """The field with the Gaussians of these objects alone; InputError if one is none."""
+        chosen = np.isin(self.labels(), list(self._known(ids)))
+        return self.changed(gaussians=self.gaussians[torch.from_numpy(chosen)])
+
+    def like(self, image: np.ndarray) -> tuple[tuple[int, float], ...]:
+        """What is like a picture uint8 [H, W, 3] of a thing: (id, relevancy) of all, best first.
+
+        From whatever view; :meth:`FieldView.like` says where. Above 0.5 it rather is the thing.
+        """
+        return self._ranked(*self.picture_words(image))
+
+    def like_object(self, object_id: int) -> tuple[tuple[int, float], ...]:
+        """What is like an object: (id, relevancy) of all others, best first; as :meth:`like`."""
+        found = self._ranked(*self.object_words(object_id))
+        return tuple(one for one in found if one[0] != object_id)
+
+    def picture_words(self, image: np.ndarray) -> tuple[str, TaughtWords]:
+        """A word whose one example is a picture uint8 [H, W, 3], and these words."""
+        whole = np.ones((1, *image.shape[:2]), bool)
+        feature = self.encoder.encode_regions(image, whole)[0]
+        rivals = np.stack([self._feature(row) for row in self._held])
+        return self._asked("the picture", feature, rivals)
+
+    def object_words(self, object_id: int) -> tuple[str, TaughtWords]:
+        """A word whose one example is an object, and these words."""
+        return self._asked(f"object {object_id}", *self._features(object_id))
+
+    def _asked(self, text: str, feature: np.ndarray, rivals: np.ndarray) -> tuple[str, TaughtWords]:
+        identity = encoder_identity(self.settings)
+        return text, TaughtWords().with_example(text, feature, rivals, identity)
+
+    def _ranked(self, text: str, words: TaughtWords) -> tuple[tuple[int, float], ...]:
+        found = describe([text], BankReader(self.bank, self.encoder, words), Rules())
+        held = [one for one in found if one.id not in self.removed and one.views]
+        order = sorted(held, key=lambda one: -one.relevancy)
+        return tuple((one.id, one.relevancy) for one in order)
+
+    def _features(self, object_id: int) -> tuple[np.ndarray, np.ndarray]:
+        """Unit features of an object [C], and of all others that some view holds [R, C]."""
+        row = self._row(object_id)
+        if row not in self._held:
+            raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
+        others = [self._feature(other) for other in self._held if other != row]
+        wide = (0, self.bank.features.shape[2])
+        return self._feature(row), np.stack(others) if others else np.zeros(wide, np.float32)
+
+    def _feature(self, row: int) -> np.ndarray:
+        """Mean unit feature of an object of the bank over the views that hold it: float32 [C]."""
+        mean = self.bank.features[row, self.bank.present[row]].mean(0, dtype=np.float64)
+        unit: np.ndarray = (mean / np.linalg.norm(mean)).astype(np.float32)
+        return unit
+
+    @cached_property
+    def _held(self) -> list[int]:
+        """Rows of the bank that some view holds."""
+        return [int(row) for row in np.flatnonzero(self.bank.present.any(1))]
+
+    def _row(self, object_id: int) -> int:
+        row = int(np.searchsorted(self.bank.ids, object_id))
+        if row == len(self.bank) or self.bank.ids[row] != object_id:
+            raise InputError(
+                f"object {object_id}: is not in the field, which has {len(self.bank)} objects; "
+                "`slgaussian objects` lists them"
+            )
+        return row
+
+    def _known(self, ids: Iterable[int]) -> frozenset[int]:
+        return frozenset(int(self.bank.ids[self._row(id_)]) for id_ in ids)
+
+    @cached_property
+    def drawn(self) -> Gaussians:
+        """The Gaussians but those of removed objects."""
+        if not self.removed:
+            return self.gaussians
+        keep = ~np.isin(self.labels(), list(self.removed))
+        return self.gaussians[torch.from_numpy(keep)]
 
     @cached_property
     def _decoder(self) -> Decoder:
@@ -195,6 +379,10 @@ class SemanticField:
 
     def labels(self) -> np.ndarray:
         """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""
+        return self._labels
+
+    @cached_property
+    def _labels(self) -> np.ndarray:
         features = self.gaussians.require_features().numpy()
         if not self.bank.dimension:
             return np.append(np.int32(0), self.bank.ids)[features[:, 0].astype(np.int64)]
@@ -234,7 +422,8 @@ class SemanticField:
         """Write the field to folder ``path``: complete, or not at all.
 
         A field that is there already is replaced. See :mod:`slgaussian.storage.field_folder`;
-        ``beside`` are further files of the folder by name, which no question needs.
+        ``beside`` are further files of the folder by name, which no question needs. Of a field that
+        was only taught, named or removed in, :meth:`save_edits` writes what is new.
 
         Raises
         ------
@@ -252,8 +441,28 @@ class SemanticField:
             path,
             about.to_json(self.places),
             lambda spec, file: file.write_bytes(files[spec][1]),
-            beside,
+            {**(beside or {}), **self._edits()},
         )
+
+    def save_edits(self, path: str | Path) -> None:
+        """Write taught words, names and removed objects into the folder of this field.
+
+        All else in the folder stays.
+
+        Raises
+        ------
+        InputError
+            If the folder is none of this field, or cannot be written.
+        SpecError
+            If it is damaged.
+        """
+        about, _ = field_folder.read_about(Path(path))
+        if about.digests["bank"] != arrays_digest(self.bank.to_arrays()):
+            raise InputError(f"{path}: is the folder of another field; save this one as a whole")
+        edits.write(Path(path), self._edits())
+
+    def _edits(self) -> dict[str, bytes]:
+        return edits.files(self.taught, self.names, self.removed)
 
     @staticmethod
     def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
@@ -284,6 +493,9 @@ class SemanticField:
             loaded = SemanticField.of(about, arrays, where)
         except InputError as error:
             raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
+        identity = encoder_identity(about.settings)
+        taught, names, removed = edits.read(path, identity, loaded.bank.ids)
+        loaded = replace(loaded, taught=taught, names=names, removed=removed)
         try:
             if not Part.stored("encoder", about.settings).files:
                 loaded.encoder  # noqa: B018  (what needs no files is checked at once)
@@ -326,6 +538,17 @@ def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """
     colour = drawn / np.maximum(alpha, VISIBLE)[..., None]
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
+
+
+def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """A picture uint8 [H, W, 3] with grey diagonal stripes ``where`` bool [H, W] it is not known.
+
+    No photograph has such a surface by chance: the stripes are as wide everywhere, and keep their
+    place in the picture when the camera moves.
+    """
+    height, width = where.shape
+    stripe = (np.add.outer(np.arange(height), np.arange(width)) // HATCH) % 2
+    return np.where(where[..., None], HATCHING[stripe][..., None], rgb)
 
 
 def _check_places(encoder: Part) -> None:

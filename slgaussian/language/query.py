@@ -18,6 +18,7 @@ from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
+from slgaussian.language.taught import TaughtWords, normal
 
 NEAR_BEST = 0.7
 """An object is taken with the best one if its gap reaches this share of the best gap."""
@@ -131,12 +132,24 @@ class Understood:
         Others that do not count, though it may know them: "plant" of "plant pot".
     taken_for : {word: (other, similarity)}
         Those that it does not know and takes for others.
+    kind : str
+        ``known``: the encoder answers, and knows every word that counts. ``unknown``: it answers,
+        but there are words that it does not know and leaves out. ``taught``: the text is a word
+        that a user taught, and its examples answer. ``picture``: a picture or an object was asked
+        for, no text.
+    examples : (int, int)
+        Of a taught word, how many examples and counter-examples answer.
+    instead_of : str
+        Of a taught word that the encoder knows too: what it would have read. The examples win.
     """
 
     read_as: str
     unknown: tuple[str, ...]
     unused: Mapping[str, str]
     taken_for: Mapping[str, tuple[str, float]]
+    kind: str = "known"
+    examples: tuple[int, int] = (0, 0)
+    instead_of: str = ""
 
 
 class TextReader:
@@ -181,23 +194,29 @@ class TextReader:
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         encoder = self.encoder
         vector = encoder.encode_text([text])[0]
+        unknown = encoder.unknown_words(text)
         return vector, Understood(
             encoder.read_as(text),
-            encoder.unknown_words(text),
+            unknown,
             encoder.unused_words(text),
             encoder.taken_for(text),
+            "unknown" if unknown else "known",
         )
 
 
 class BankReader(TextReader):
     """A memory bank and the encoder that built it: what objects have to say to texts.
 
-    What the canonical phrases score is remembered too.
+    What the canonical phrases score is remembered too. A text that is one of the ``taught`` words
+    is answered by their examples.
     """
 
-    def __init__(self, bank: MemoryBank, encoder: Encoder) -> None:
+    def __init__(
+        self, bank: MemoryBank, encoder: Encoder, taught: TaughtWords | None = None
+    ) -> None:
         super().__init__(encoder)
         self.bank = bank
+        self.taught = TaughtWords() if taught is None else taught
         self._scorer = lru_cache(4)(self._make_scorer)
 
     def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
@@ -208,8 +227,33 @@ class BankReader(TextReader):
         InputError
             If there is no text, or the encoder cannot use one.
         """
-        queries = self.vectors(texts)
-        return self._scorer(self.phrases(rules), rules.absent).gaps(queries)
+        scorer = self._scorer(self.phrases(rules), rules.absent)
+        own = (
+            []
+            if isinstance(texts, str)
+            else [k for k, text in enumerate(texts) if text in self.taught]
+        )
+        if not own:
+            return scorer.gaps(self.vectors(texts))
+        gaps = np.empty((len(texts), len(self.bank)))
+        others = [k for k in range(len(texts)) if k not in own]
+        if others:
+            gaps[others] = scorer.gaps(self.vectors([texts[k] for k in others]))
+        leads = np.stack([self.taught.leads(texts[k], scorer.looks) for k in own])
+        gaps[own] = scorer.combined(leads)
+        return gaps
+
+    def understood(self, text: str) -> Understood:
+        """What counts of ``text`` and what does not; InputError if nobody can use it."""
+        if text not in self.taught:
+            return super().understood(text)
+        try:
+            also = super().understood(text)
+            instead_of = "" if also.unknown else also.read_as
+        except InputError:
+            instead_of = ""
+        word = normal(text)
+        return Understood(word, (), {}, {}, "taught", self.taught.examples(word), instead_of)
 
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
         canonical = self.vectors(phrases)
@@ -244,6 +288,11 @@ class QueryResult:
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
         return f"{type(self).__name__}({self.text!r}: score {self.score:.3f}, objects {found})"
+
+    @property
+    def kind(self) -> str:
+        """Who answered: ``known``, ``taught``, ``unknown`` or ``picture``; see Understood."""
+        return self.understood.kind
 
     @property
     def unknown(self) -> tuple[str, ...]:

@@ -59,6 +59,11 @@ class Scorer:
         Of the first N rows, the objects, the row of the group that holds each at L levels, or its
         own. Without, all rows are objects and there are no groups.
 
+    Attributes
+    ----------
+    looks : float64 [P, C]
+        The used vectors, of the present rows and views in order, with a length of exactly 1.
+
     Raises
     ------
     InputError
@@ -87,7 +92,7 @@ class Scorer:
             )
         self._width = features.shape[2]
         self._present = present
-        self._seen = _unit_vectors(features[present], "features")
+        self.looks = _unit_vectors(features[present], "features")
         self._rival = self._cosines(canonical, "canonical").max(0)
         self._unseen = -np.inf if absent == "skip" else 0.0
         self._rows = None
@@ -99,12 +104,16 @@ class Scorer:
 
         ``queries`` float [Q, C] are unit vectors of texts; errors as in the class.
         """
-        gaps = np.full((len(queries), *self._present.shape), self._unseen)
-        gaps[:, self._present] = self._cosines(queries, "queries") - self._rival
+        return self.combined(self._cosines(queries, "queries") - self._rival)
+
+    def combined(self, leads: np.ndarray) -> np.ndarray:
+        """The gaps of :meth:`gaps` of leads float64 [Q, P], one a look and text, however made."""
+        gaps = np.full((len(leads), *self._present.shape), self._unseen)
+        gaps[:, self._present] = leads
         if self._rows is None:
             return gaps.max(2, initial=-np.inf)
-        leads = gaps[:, self._rows.T].reshape(len(queries), self._rows.shape[1], -1)
-        return _soft_greatest(leads)
+        nodes = gaps[:, self._rows.T].reshape(len(leads), self._rows.shape[1], -1)
+        return _soft_greatest(nodes)
 
     def _cosines(self, texts: np.ndarray, name: str) -> np.ndarray:
         if texts.ndim != 2 or texts.shape[1] != self._width or len(texts) == 0:
@@ -113,7 +122,7 @@ class Scorer:
                 "texts and regions must come from the same encoder"
             )
         # No BLAS product: its last digit depends on threads and place, and equal objects must tie.
-        return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self._seen)
+        return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self.looks)
 
 
 def _soft_greatest(leads: np.ndarray) -> np.ndarray:

@@ -1,0 +1,95 @@
+"""What a user changed in a field, beside it in its folder: taught words, names, removed objects.
+
+Two files that a field may have or not, and that no other file knows of: ``words.npz``, which fields
+of other scenes can take too (:mod:`slgaussian.language.taught`), and ``edits.npz``. The Gaussians
+stay as they were built, so that every change can be taken back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Set
+from pathlib import Path
+
+import numpy as np
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.language.taught import TaughtWords
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import decode_arrays, packed, write_atomic
+
+WORDS = "words.npz"
+EDITS = "edits.npz"
+REPAIR = f"remove {EDITS} to have the field as it was built"
+
+
+def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> dict[str, bytes]:
+    """The files by name; none for what is not changed."""
+    made = {}
+    if len(taught.words):
+        made[WORDS] = taught.packed()
+    if names or removed:
+        ids = sorted(names)
+        arrays = {
+            "named": np.array(ids, np.int32),
+            "names": np.array([names[id_] for id_ in ids], np.str_),
+            "removed": np.array(sorted(removed), np.int32),
+        }
+        made[EDITS] = packed("edits", arrays, EDITS)[1]
+    return made
+
+
+def write(folder: Path, made: Mapping[str, bytes]) -> None:
+    """Put :func:`files` into the folder of a field, and take away those that are not among them.
+
+    InputError if the folder cannot be written.
+    """
+    try:
+        for name in (WORDS, EDITS):
+            if name in made:
+                write_atomic(folder / name, made[name])
+            else:
+                (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be written ({error.strerror}); choose a folder that you may write "
+            "to, on a disk with room"
+        ) from error
+
+
+def read(
+    folder: Path, encoder: str, ids: np.ndarray
+) -> tuple[TaughtWords, dict[int, str], frozenset[int]]:
+    """What was changed in the field of a folder; nothing if there are no such files.
+
+    Parameters
+    ----------
+    folder : path
+    encoder : str
+        Of :func:`slgaussian.language.taught.encoder_identity`.
+    ids : int32 [N]
+        Of the field's objects.
+
+    Raises
+    ------
+    SpecError
+        If a file is damaged, its words are of another encoder, or it speaks of other objects.
+    """
+    taught, names, removed = TaughtWords(), {}, frozenset[int]()
+    if (folder / WORDS).is_file():
+        try:
+            taught = TaughtWords.load(folder / WORDS, encoder)
+        except InputError as error:
+            raise SpecError(str(error)) from error
+    file = folder / EDITS
+    if file.is_file():
+        try:
+            data = file.read_bytes()
+        except OSError as error:
+            raise SpecError(f"{file}: {error.strerror}; {REPAIR}") from error
+        arrays = decode_arrays(data, load_spec("edits"), str(file), repair=REPAIR)
+        strange = np.setdiff1d(np.concatenate([arrays["named"], arrays["removed"]]), ids)
+        if len(strange):
+            raise SpecError(f"{file}: object {strange[0]} is not in this field; {REPAIR}")
+        named = zip(arrays["named"].tolist(), arrays["names"].tolist(), strict=True)
+        names, removed = dict(named), frozenset(arrays["removed"].tolist())
+    return taught, names, removed

@@ -1,0 +1,235 @@
+"""Words by example: what they hold, how they score, and their file."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.language.lexicon import Lexicon
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import BankReader, Rules, ask
+from slgaussian.language.taught import TaughtWords, encoder_identity, normal
+from tests.language.drawn import (
+    BLUE,
+    GREEN,
+    GREY,
+    RED,
+    ball,
+    bank_of,
+    box,
+    cone,
+    photograph,
+)
+
+THIS = encoder_identity({"encoder": "lexicon", "lexicon": {"synonyms": None}})
+OTHER = encoder_identity({"encoder": "clip", "clip": {"model": "1f2e"}})
+WIDTH = 12
+
+
+def unit(seed: int, count: int = 1) -> np.ndarray:
+    """Unit vectors that lie near each other, as those of regions do."""
+    drawn = np.random.default_rng(seed).normal(size=(count, WIDTH)) * 0.1 + 1
+    vectors = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+    return vectors.astype(np.float32)
+
+
+def taught(word: str = "fox", seed: int = 0, positive: bool = True) -> TaughtWords:
+    return TaughtWords().with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS, positive)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Two views of a red ball, a blue box, a green cone and a grey ball."""
+    drawn = [
+        photograph(
+            [
+                (ball(60 + x, 80, 35), RED),
+                (box(170 + x, 70, 30), BLUE, "striped"),
+                (cone(250 + x, 160, 35), GREEN),
+                (ball(90 + x, 180, 30), GREY),
+            ],
+            seed=x,
+        )
+        for x in (0, 6)
+    ]
+    encoder = Lexicon()
+    images, ids = ([one[k] for one in drawn] for k in (0, 1))
+    return ids[0], bank_of(images, ids, encoder), encoder
+
+
+def feature(bank, row: int) -> np.ndarray:
+    mean = bank.features[row].mean(0)
+    return mean / np.linalg.norm(mean)
+
+
+def reader(scene, *lessons: tuple[int, bool], word: str = "zorp") -> BankReader:
+    """A reader that was taught a word by rows of the bank."""
+    _, bank, encoder = scene
+    words = TaughtWords()
+    for row, positive in lessons:
+        others = np.stack([feature(bank, other) for other in range(len(bank)) if other != row])
+        words = words.with_example(word, feature(bank, row), others, THIS, positive)
+    return BankReader(bank, encoder, words)
+
+
+def found(scene, reader: BankReader, text: str = "zorp", **rules):
+    ids, bank, _ = scene
+    return ask([text], ObjectMap(ids, bank.ids), reader, Rules(**rules))[0]
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row):
+    hit = found(scene, reader(scene, (row, True)), "  ZORP ")
+    assert [id_ for id_, _ in hit.objects] == [row + 1]
+    assert hit.score > 0.6
+    assert hit.kind == "taught" and hit.understood.examples == (1, 0)
+    others = np.delete(hit.scores, row)
+    assert others.max() < 0.5
+
+
+def test_several_examples_are_all_found_and_a_counter_example_is_not(scene):
+    both = found(scene, reader(scene, (0, True), (2, True)))
+    assert {id_ for id_, _ in both.objects} == {1, 3}
+    one = found(scene, reader(scene, (0, True), (2, True), (2, False)))
+    assert [id_ for id_, _ in one.objects] == [1]
+    assert one.scores[2] < 0.5
+    assert one.understood.examples == (1, 1)
+
+
+def test_a_counter_example_takes_from_what_is_like_it(scene):
+    """The grey ball is pulled down by a counter-example that is halfway to it, and not above."""
+    _, bank, _ = scene
+    plain = reader(scene, (0, True))
+    half = feature(bank, 0) + feature(bank, 3)
+    half /= np.linalg.norm(half)
+    others = np.stack([feature(bank, row) for row in range(1, 4)])
+    warned = plain.taught.with_example("zorp", half, others, THIS, positive=False)
+    before = plain.taught.leads("zorp", bank.features[:, 0])
+    after = warned.leads("zorp", bank.features[:, 0])
+    assert after[0] < before[0]
+    assert (after <= before + 1e-9).all()
+
+
+def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
+    known = found(scene, reader(scene), "blue")
+    assert known.kind == "known" and known.objects[0][0] == 2
+    hit = found(scene, reader(scene, (2, True), word="blue"), "Blue")
+    assert [id_ for id_, _ in hit.objects] == [3]
+    assert (hit.kind, hit.understood.instead_of) == ("taught", "blue")
+    assert found(scene, reader(scene, (2, True))).understood.instead_of == ""
+    assert found(scene, reader(scene), "blue zorp").kind == "unknown"
+
+
+def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
+    asked = reader(scene, (3, True))
+    together = asked.gaps(["red", "zorp", "green cone"], Rules())
+    for text, gaps in zip(["red", "zorp", "green cone"], together, strict=True):
+        np.testing.assert_array_equal(asked.gaps([text], Rules())[0], gaps)
+
+
+def test_temperature_changes_the_scale_and_not_what_is_found(scene):
+    hits = [found(scene, reader(scene, (1, True)), temperature=t) for t in (1.0, 10.0, 40.0)]
+    assert len({hit.objects[0][0] for hit in hits}) == 1
+    assert hits[0].score < hits[1].score < hits[2].score
+    assert all(np.array_equal(hit.mask, hits[0].mask) for hit in hits)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=6),
+    st.integers(0, 50),
+)
+def test_leads_are_bounded_and_an_example_leads_all(lessons, seed):
+    words = TaughtWords()
+    for number, positive in [*lessons, (9, True)]:
+        words = words.with_example("fox", unit(number)[0], unit(200, 7), THIS, positive)
+    looks = np.concatenate([unit(seed + 300, 5), unit(9)]).astype(np.float64)
+    leads = words.leads("fox", looks)
+    assert leads.shape == (6,) and np.isfinite(leads).all()
+    assert leads.argmax() == 5
+    assert np.abs(leads).max() <= 1
+
+
+def test_an_example_given_again_takes_the_new_sign_and_is_no_rival():
+    rivals = unit(7, 4)
+    words = TaughtWords().with_example("fox", unit(1)[0], rivals, THIS)
+    again = words.with_example("Fox", unit(1)[0], rivals, THIS, positive=False)
+    assert again.examples("fox") == (0, 1) and "fox" not in again and not list(again)
+    second = words.with_example("fox", rivals[2], np.concatenate([rivals[:2], unit(1)]), THIS)
+    assert second.examples("fox") == (2, 0)
+    assert len(second.rivals) == 3  # neither example, and no rival twice
+
+
+def test_a_word_that_is_forgotten_leaves_nothing():
+    words = taught().merged(taught("owl", 3))
+    assert list(words) == ["fox", "owl"] and "FOX" in words and "" not in words
+    left = words.without("fox")
+    assert list(left) == ["owl"] and set(left.rival_words) == {"owl"}
+    assert left.without("owl").to_arrays()["encoder"] == ""
+    with pytest.raises(InputError, match=r"'fox': is no taught word; those there are: 'owl'"):
+        left.without("fox")
+
+
+def test_merging_keeps_the_examples_of_both():
+    both = taught(seed=1).merged(taught(seed=2, positive=False))
+    assert both.examples("fox") == (1, 1) and len(both.rivals) == 12
+    assert TaughtWords().merged(both) is both and both.merged(TaughtWords()) is both
+
+
+def test_a_file_gives_the_same_words_and_the_same_bytes(tmp_path):
+    words = taught().merged(taught("brass owl", 5, positive=False))
+    words.save(tmp_path / "a.npz")
+    again = TaughtWords.load(tmp_path / "a.npz", THIS)
+    for name, array in words.to_arrays().items():
+        np.testing.assert_array_equal(again.to_arrays()[name], array)
+    looks = unit(40, 3).astype(np.float64)
+    np.testing.assert_array_equal(again.leads("fox", looks), words.leads("fox", looks))
+    again.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_words_of_another_encoder_are_refused(tmp_path):
+    taught().save(tmp_path / "words.npz")
+    says = r"words\.npz: are of the encoder 'lexicon', but this field's is 'clip' \(model 1f2e\)"
+    with pytest.raises(InputError, match=says):
+        TaughtWords.load(tmp_path / "words.npz", OTHER)
+    with pytest.raises(InputError, match="are of the encoder 'lexicon'"):
+        taught().with_example("owl", unit(1)[0], unit(2, 2), OTHER)
+    with pytest.raises(InputError, match="12 wide, found looks"):
+        taught().leads("fox", np.ones((2, 5)))
+
+
+@pytest.mark.parametrize("damage", ["cut", "text", "length", "gone"])
+def test_a_damaged_file_is_one_sentence(tmp_path, damage):
+    file = tmp_path / "words.npz"
+    taught().save(file)
+    if damage == "cut":
+        file.write_bytes(file.read_bytes()[:-40])
+    elif damage == "text":
+        file.write_text("fox")
+    elif damage == "gone":
+        file.unlink()
+    else:
+        arrays = {**taught().to_arrays(), "rivals": np.ones((6, WIDTH), np.float16)}
+        np.savez(file, **arrays)
+    with pytest.raises(InputError if damage == "gone" else SpecError, match=r"words\.npz: "):
+        TaughtWords.load(file)
+
+
+@pytest.mark.parametrize("word", ["", "  ", "a" * 81])
+def test_no_word_is_refused(word):
+    with pytest.raises(InputError, match="expected 1 to 80 letters"):
+        taught(word)
+    with pytest.raises(InputError, match="has no example"):
+        taught("owl", positive=False).leads("owl", unit(1))
+
+
+def test_words_are_compared_without_case_and_spaces():
+    assert normal("  Brass\n OWL ") == "brass owl"
+
+
+def test_an_identity_has_the_settings_of_the_encoder_alone():
+    settings = {"encoder": "clip", "clip": {"model": "ab"}, "lexicon": {"synonyms": "x"}, "keep": 1}
+    assert json.loads(encoder_identity(settings)) == {"encoder": "clip", "model": "ab"}

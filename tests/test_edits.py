@@ -1,0 +1,220 @@
+"""What a user changes in a field: words, names, removed things. On a scene with an exact truth.
+
+A wall of three colours, and a square in front of its middle that two cameras see from the sides.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from slgaussian.errors import InputError, SpecError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.labels import LabelMaps
+from slgaussian.parts.method import Method
+from slgaussian.scene import Camera, Sample, View
+from tests.known import known_field
+
+H, W, FOCAL, WALL, NEAR = 60, 80, 70.0, 3.0, 2.0
+RED, GREEN, BLUE, YELLOW = 4, 6, 7, 11
+COLOURS = {RED: (200, 30, 30), GREEN: (40, 150, 50), BLUE: (30, 40, 190), YELLOW: (230, 210, 40)}
+HALF = 0.25
+"""Half the side of the square, scene units."""
+
+
+def camera(x: float) -> Camera:
+    K = np.array([[FOCAL, 0, W / 2], [0, FOCAL, H / 2], [0, 0, 1]])
+    c2w = np.eye(4)
+    c2w[0, 3] = x
+    return Camera(K, c2w, W, H)
+
+
+def looked(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Labels int32 [H, W] and depth of what a camera sees, with the square or without."""
+    wall, near = (cam.unproject(np.full((H, W), z)) for z in (WALL, NEAR))
+    bands = np.digitize(wall[..., 0], [-0.6, 0.6])
+    labels = np.array([RED, GREEN, BLUE], np.int32)[bands]
+    inside = (np.abs(near[..., :2]) < HALF).all(-1) & square
+    return np.where(inside, YELLOW, labels).astype(np.int32), np.where(inside, NEAR, WALL)
+
+
+@pytest.fixture(scope="module", params=["separated", "exact"])
+def field(request) -> SemanticField:
+    cameras = [camera(-0.4), camera(0.4)]
+    seen = [looked(cam) for cam in cameras]
+    images = [np.array([COLOURS[i] for i in labels.ravel()], np.uint8) for labels, _ in seen]
+    views = [
+        View(name, cam, image.reshape(H, W, 3))
+        for name, cam, image in zip("ab", cameras, images, strict=True)
+    ]
+    labels = np.stack([labels for labels, _ in seen])
+    points = [
+        c.unproject(depth).reshape(-1, 3) for c, (_, depth) in zip(cameras, seen, strict=True)
+    ]
+    depths = np.concatenate([depth.ravel() for _, depth in seen])
+    n = len(depths)
+    gaussians = Gaussians(
+        means=torch.tensor(np.concatenate(points), dtype=torch.float32),
+        scales=torch.tensor(0.6 * depths / FOCAL, dtype=torch.float32)[:, None].repeat(1, 3),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+        opacities=torch.full((n,), 0.95),
+        sh=rgb_to_sh(torch.tensor(np.concatenate(images) / 255, dtype=torch.float32)),
+        source=torch.arange(n, dtype=torch.int32),
+    )
+    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    method = Method(codes=request.param, keep="all")
+    return known_field(Sample("wall", tuple(views)), gaussians, maps, method)
+
+
+def inner(mask: np.ndarray, by: int = 3) -> np.ndarray:
+    """A mask without what is within so many pixels of its border, in rows and columns."""
+    padded = np.pad(mask, by)
+    shifts = [np.roll(padded, (dy, dx), (0, 1)) for dy in (-by, 0, by) for dx in (-by, 0, by)]
+    return np.logical_and.reduce(shifts)[by:-by, by:-by]
+
+
+def test_a_click_in_one_view_teaches_a_word_for_another(field):
+    x, y = 54, H // 2  # in view a the square is to the right of the middle
+    id_ = int(field.render(field.cameras["a"]).ids[y, x])
+    assert id_ == YELLOW
+    hit = field.teach("zorp", id_).render(field.cameras["b"]).query("ZORP")
+    truth = looked(field.cameras["b"])[0] == YELLOW
+    assert hit.kind == "taught" and [one for one, _ in hit.objects] == [YELLOW]
+    assert (hit.mask & truth).sum() / (hit.mask | truth).sum() > 0.8
+    with pytest.raises(InputError, match="zorp"):
+        field.render(field.cameras["b"]).query("zorp")
+
+
+def test_every_change_leaves_the_field_as_it_was(field):
+    changed = field.teach("zorp", RED).named(BLUE, "Sea").without([YELLOW])
+    assert not len(field.taught) and not field.names and not field.removed
+    assert changed.names == {BLUE: "Sea"} and changed.removed == {YELLOW}
+    back = changed.forget("zorp").named(BLUE, " ").restored([YELLOW])
+    a, b = (one.render(field.cameras["a"]) for one in (field, back))
+    for name in ("rgb", "ids", "alpha", "depth"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert not len(back.taught.words) and back.names == {}
+
+
+def test_what_was_behind_is_shown_where_a_view_saw_it_and_open_elsewhere(field):
+    open_field = field.without([YELLOW])
+    cam = camera(0.0)
+    behind, _ = looked(cam, square=False)
+    points = cam.unproject(np.full((H, W), WALL))
+    seen = np.zeros((H, W), bool)
+    for context in field.cameras.values():
+        pixels, _ = context.project(points)
+        u, v = np.floor(pixels).astype(int).transpose(2, 0, 1)
+        within = (u >= 0) & (u < W) & (v >= 0) & (v < H)
+        labels, _ = looked(context)
+        seen |= within & (labels[v.clip(0, H - 1), u.clip(0, W - 1)] != YELLOW)
+    view = open_field.render(cam)
+    known, hidden = inner(seen), inner(~seen)
+    assert hidden.any() and (known & (looked(cam)[0] == YELLOW)).any()
+    assert view.unknown[hidden].all() and not view.unknown[known].any()
+    for id_ in (RED, GREEN, BLUE):
+        assert (view.ids[inner(seen & (behind == id_))] == id_).all()
+    assert not view.ids[hidden].any()
+    shades = view.rgb[hidden]
+    assert (shades == shades[:, :1]).all() and len(np.unique(shades)) == 2  # stripes of two greys
+    assert not field.render(cam).unknown[looked(cam)[0] == YELLOW].any()
+
+
+def test_what_is_removed_is_not_an_answer(field):
+    open_field = field.teach("zorp", YELLOW).without([YELLOW])
+    view = open_field.render(field.cameras["a"])
+    assert YELLOW not in view.ids
+    for text in ("yellow", "zorp"):
+        assert YELLOW not in [id_ for id_, _ in view.query(text).objects]
+    assert [one.id for one in open_field.describe(["red"])] == [RED, GREEN, BLUE]
+    assert YELLOW not in [id_ for id_, _ in open_field.like_object(RED)]
+    assert open_field.drawn is open_field.drawn and len(open_field.drawn) < len(field.gaussians)
+
+
+def test_only_some_objects(field):
+    alone = field.only([YELLOW])
+    assert set(alone.labels().tolist()) == {YELLOW}
+    assert len(alone.gaussians) == (field.labels() == YELLOW).sum()
+    assert set(np.unique(alone.render(field.cameras["a"]).ids)) == {0, YELLOW}
+
+
+def test_ask_by_object_and_by_picture(field):
+    ranked = field.like_object(GREEN)
+    assert {id_ for id_, _ in ranked} == {RED, BLUE, YELLOW}
+    assert [score for _, score in ranked] == sorted((s for _, s in ranked), reverse=True)
+    view = field.render(field.cameras["b"])
+    assert view.like_object(GREEN).objects[0][0] == GREEN
+    crop = np.full((20, 20, 3), COLOURS[BLUE], np.uint8)
+    assert field.like(crop)[0][0] == BLUE
+    hit = view.like(crop)
+    assert hit.kind == "picture" and hit.point is not None
+    assert view.ids[hit.point[1], hit.point[0]] == BLUE
+
+
+def test_edits_are_saved_beside_the_field_and_taken_away_again(field, tmp_path):
+    folder = tmp_path / "field"
+    field.save(folder, {"photographs.json": b"{}"})
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    changed = field.teach("zorp", RED).teach("zorp", BLUE, counter=True)
+    changed = changed.named(GREEN, "Die Wiese").without([YELLOW])
+    changed.save_edits(folder)
+    again = SemanticField.load(folder)
+    assert again.names == {GREEN: "Die Wiese"} and again.removed == {YELLOW}
+    assert again.taught.examples("zorp") == (1, 1)
+    one, other = (f.render(f.cameras["a"]).query("zorp") for f in (changed, again))
+    np.testing.assert_array_equal(one.scores, other.scores)
+    for name, data in before.items():
+        assert (folder / name).read_bytes() == data
+    changed.save(tmp_path / "whole")
+    for name in ("words.npz", "edits.npz"):
+        assert (tmp_path / "whole" / name).read_bytes() == (folder / name).read_bytes()
+    field.save_edits(folder)
+    assert {file.name for file in folder.iterdir()} == set(before)
+
+
+def test_words_pass_to_another_field_of_the_encoder(field, tmp_path):
+    field.teach("zorp", BLUE).save(tmp_path / "field")
+    words = field.taught.load(tmp_path / "field/words.npz")
+    there = field.taking(words).render(field.cameras["b"])
+    assert there.query("zorp").objects[0][0] == BLUE
+    other = dataclasses.replace(field, settings={**field.settings, "encoder": "clip"})
+    with pytest.raises(InputError, match="these taught words: are of the encoder 'lexicon'"):
+        other.taking(words)
+
+
+@pytest.mark.parametrize("name", ["words.npz", "edits.npz"])
+def test_damaged_edits_are_one_sentence(field, tmp_path, name):
+    field.teach("zorp", RED).without([BLUE]).save(tmp_path / "field")
+    file = tmp_path / "field" / name
+    file.write_bytes(file.read_bytes()[:-30])
+    with pytest.raises(SpecError, match=name):
+        SemanticField.load(tmp_path / "field")
+
+
+def test_edits_of_other_fields_are_refused(field, tmp_path):
+    few = dataclasses.replace(field, removed=frozenset([99]))
+    few.save(tmp_path / "field")
+    with pytest.raises(SpecError, match=r"edits\.npz: object 99 is not in this field"):
+        SemanticField.load(tmp_path / "field")
+    bank = dataclasses.replace(field.bank, ids=field.bank.ids + 1)
+    with pytest.raises(InputError, match="is the folder of another field"):
+        field.changed(bank=bank).save_edits(tmp_path / "field")
+
+
+@pytest.mark.parametrize("method", ["without", "restored", "only"])
+def test_objects_that_are_not_there_are_refused(field, method):
+    with pytest.raises(InputError, match="object 5: is not in the field, which has 4 objects"):
+        getattr(field, method)([RED, 5])
+    for call in (lambda: field.teach("zorp", 5), lambda: field.named(5, "x")):
+        with pytest.raises(InputError, match="object 5"):
+            call()
+
+
+def test_what_was_dropped_cannot_come_back(field):
+    dropped = field.without([YELLOW])
+    dropped = dropped.changed(gaussians=dropped.drawn)
+    assert dropped.render(field.cameras["a"]).unknown.any()
+    with pytest.raises(InputError, match="object 11: its Gaussians are not in this field"):
+        dropped.restored([YELLOW])
