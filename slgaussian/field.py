@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -40,6 +40,9 @@ from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import Arrays, arrays_digest, packed
+
+if TYPE_CHECKING:
+    from slgaussian.things import Thing
 
 HATCH = 5
 """Pixels across a stripe of the pattern that stands for what is not known."""
@@ -206,6 +209,24 @@ class SemanticField:
         """What is in the scene: every object with the best of ``texts``, whatever the view."""
         found = describe(texts, self.reader, Rules(**rules))
         return [one for one in found if one.id not in self.removed]
+
+    def inventory(self, texts: Sequence[str] | None = None) -> list[Thing]:
+        """What there is: every object with its best words, place and size, by id.
+
+        Parameters
+        ----------
+        texts : sequence of str, optional
+            What to tell objects by, and the words that were taught. Without, the colours and nouns
+            of the encoder ``lexicon``; some common things for others.
+
+        Raises
+        ------
+        InputError
+            If a text cannot be used.
+        """
+        from slgaussian.things import things_of
+
+        return things_of(self, texts)
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""

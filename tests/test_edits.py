@@ -218,3 +218,19 @@ def test_what_was_dropped_cannot_come_back(field):
     assert dropped.render(field.cameras["a"]).unknown.any()
     with pytest.raises(InputError, match="object 11: its Gaussians are not in this field"):
         dropped.restored([YELLOW])
+
+
+def test_the_inventory_says_what_there_is(field):
+    changed = field.teach("zorp", RED).named(BLUE, "Sea").without([GREEN])
+    things = {one.id: one for one in changed.inventory()}
+    assert list(things) == [RED, BLUE, YELLOW]
+    assert things[RED].words[0][0] == "zorp" and things[BLUE].name == "Sea"
+    assert "blue" in [text for text, _ in things[BLUE].words]
+    square = things[YELLOW]
+    assert square.gaussians == (field.labels() == YELLOW).sum() and square.views == ("a", "b")
+    np.testing.assert_allclose(square.box.centre, [0, 0, NEAR], atol=0.04)
+    np.testing.assert_allclose(np.sort(square.box.half_sizes), [0, HALF, HALF], atol=0.03)
+    assert square.confidence > 0.8 and square.metres is None
+    told = field.inventory(["yellow", "blue"])[-1]
+    assert [text for text, _ in told.words] == ["yellow", "blue"]
+    assert told.words[0][1] > 0.5 > told.words[1][1]

@@ -31,24 +31,10 @@ from slgaussian.storage.account import Account
 from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.origin import Origin
+from slgaussian.things import COMMON_THINGS
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 """A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
-
-
-COMMON_THINGS = (
-    "floor",
-    "wall",
-    "table",
-    "chair",
-    "sofa",
-    "door",
-    "window",
-    "plant",
-    "box",
-    "book",
-)
-"""What is looked for in a new field, so that its first question has an answer."""
 
 
 READING = {"size", "near", "far", "trust_cameras"}

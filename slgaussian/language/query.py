@@ -243,6 +243,11 @@ class BankReader(TextReader):
         gaps[own] = scorer.combined(leads)
         return gaps
 
+    def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
+        """Relevancies float64 [Q, N] in [0, 1] of texts to the objects; errors as :meth:`gaps`."""
+        relevancies: np.ndarray = expit(rules.temperature * self.gaps(texts, rules))
+        return relevancies
+
     def understood(self, text: str) -> Understood:
         """What counts of ``text`` and what does not; InputError if nobody can use it."""
         if text not in self.taught:

@@ -1,0 +1,135 @@
+"""The things of a field: what each is called, how large it is, where, and how sure all that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slgaussian.formats.brief import brief
+from slgaussian.geometry.boxes import Box, upright_box
+from slgaussian.geometry.room import find_room
+from slgaussian.language.lexicon import Lexicon
+from slgaussian.language.query import Rules
+from slgaussian.language.vocabulary import NOUNS, load_vocabulary
+from slgaussian.scene import Camera
+
+if TYPE_CHECKING:
+    from slgaussian.field import SemanticField
+
+COMMON_THINGS = (
+    "floor",
+    "wall",
+    "table",
+    "chair",
+    "sofa",
+    "door",
+    "window",
+    "plant",
+    "box",
+    "book",
+)
+"""What is looked for where an encoder has no list of words of its own."""
+
+BEST = 3
+"""Words that are said of a thing."""
+
+LOOK = 320
+"""Longest side, in pixels, of the pictures in which confidence and the room are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """One object of a field.
+
+    Attributes
+    ----------
+    id : int
+    name : str or None
+        What the user calls it.
+    words : tuple of (str, float)
+        The texts that fit it best, with their relevancies, best first; up to 0.5 a text fits no
+        better than the canonical phrases do.
+    confidence : float
+        How clearly its pixels in the context views are its own, the mean of
+        :attr:`slgaussian.field.FieldView.confidence`; 0 where none shows it.
+    gaussians : int
+        How many carry it most of all.
+    box : Box or None
+        Where it is and how large, in scene units; upright as the room is. None without Gaussians.
+    metres : bool or None
+        Whether scene units are metres. False where cameras were found from photographs, which know
+        no scale. None where cameras were given: the unit is theirs, and no file says it.
+    views : tuple of str
+        The context views that hold it.
+    """
+
+    id: int
+    name: str | None
+    words: tuple[tuple[str, float], ...]
+    confidence: float
+    gaussians: int
+    box: Box | None
+    metres: bool | None
+    views: tuple[str, ...]
+
+    __repr__ = brief
+
+
+def things_of(field: SemanticField, texts: Sequence[str] | None = None) -> list[Thing]:
+    """Every thing of a field that is not removed, by id; see SemanticField.inventory."""
+    reader, bank = field.reader, field.bank
+    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field))]))
+    relevancies = reader.relevancies(asked, Rules())
+    looks = [field.render(small(camera)) for camera in field.cameras.values()]
+    sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
+    for look in looks:
+        rows = np.searchsorted(bank.ids, look.ids[look.ids > 0])
+        areas += np.bincount(rows, minlength=len(bank))
+        sums += np.bincount(rows, look.confidence[look.ids > 0], minlength=len(bank))
+    up = find_room([small(c) for c in field.cameras.values()], [look.depth for look in looks]).up
+    labels, means = field.labels(), field.gaussians.means.numpy()
+    order = np.argsort(labels, kind="stable")
+    found = any(camera.estimated for camera in field.cameras.values())
+    names = list(field.cameras)
+    things = []
+    for row, id_ in enumerate(bank.ids.tolist()):
+        if id_ in field.removed:
+            continue
+        own = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
+        best = np.argsort(-relevancies[:, row], kind="stable")[:BEST]
+        words = tuple((asked[k], float(relevancies[k, row])) for k in best)
+        things.append(
+            Thing(
+                id=id_,
+                name=field.names.get(id_),
+                words=words,
+                confidence=float(sums[row] / max(areas[row], 1)),
+                gaussians=len(own),
+                box=upright_box(means[own], up) if len(own) else None,
+                metres=False if found else None,
+                views=tuple(names[view] for view in np.flatnonzero(bank.present[row])),
+            )
+        )
+    return things
+
+
+def words_for(field: SemanticField) -> tuple[str, ...]:
+    """The words that things are told by: colours and nouns that the field's lexicon knows.
+
+    For another encoder, which knows any word, some common things.
+    """
+    if not isinstance(field.encoder, Lexicon):
+        return COMMON_THINGS
+    known = load_vocabulary()
+    words = [*known.words.values(), *known.phrases.values()]
+    telling = {word.name for word in words if word.weights and word.family in NOUNS | {"colour"}}
+    return tuple(sorted(telling))
+
+
+def small(camera: Camera) -> Camera:
+    """The camera with an image of :data:`LOOK` pixels at most."""
+    shrink = min(1.0, LOOK / max(camera.width, camera.height))
+    return camera.resized(round(camera.width * shrink), round(camera.height * shrink))

@@ -1,0 +1,61 @@
+"""The upright box around scattered points, against boxes that are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.geometry.boxes import upright_box
+
+
+def turned(angle: float, up: np.ndarray) -> np.ndarray:
+    """Axes of a box in rows, turned about ``up``."""
+    side = np.cross(up, [0.3, 0.5, -0.8])
+    side /= np.linalg.norm(side)
+    first = np.cos(angle) * side + np.sin(angle) * np.cross(up, side)
+    return np.stack([first, np.cross(up, first), up])
+
+
+def inside(axes: np.ndarray, halves: np.ndarray, seed: int, count: int = 4000) -> np.ndarray:
+    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    return np.array([2.0, -1.0, 5.0]) + (drawn * halves) @ axes
+
+
+@given(
+    st.floats(0, 3.1), st.integers(0, 20), st.sampled_from([(0, -1, 0), (0, 0, 1), (0.6, 0.8, 0)])
+)
+def test_a_box_that_is_known_is_found_however_it_is_turned(angle, seed, up):
+    up = np.array(up, float)
+    axes, halves = turned(angle, up), np.array([0.9, 0.4, 0.25])
+    box = upright_box(inside(axes, halves, seed), up)
+    np.testing.assert_allclose(box.half_sizes, 0.94 * halves, rtol=0.06)
+    np.testing.assert_allclose(box.centre, [2, -1, 5], atol=0.04)
+    assert abs(box.axes[0] @ axes[0]) > np.cos(np.radians(2.5))
+    np.testing.assert_array_equal(box.axes[2], up)
+    np.testing.assert_allclose(box.axes @ box.axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(box.axes) == pytest.approx(1)
+
+
+def test_points_far_off_do_not_stretch_it():
+    up, halves = np.array([0.0, 0, 1]), np.array([0.5, 0.3, 0.2])
+    good = inside(np.eye(3), halves, 1)
+    wild = np.random.default_rng(2).normal(0, 1, (300, 3)) * [30, 30, 30]
+    box = upright_box(np.concatenate([good, wild]), up)
+    np.testing.assert_allclose(box.half_sizes, halves, rtol=0.1)
+
+
+def test_one_point_and_points_in_a_line_have_boxes():
+    up = np.array([0.0, -1, 0])
+    one = upright_box(np.array([[1.0, 2, 3]]), up)
+    np.testing.assert_allclose(one.half_sizes, 0, atol=1e-12)
+    np.testing.assert_allclose(one.centre, [1, 2, 3])
+    line = upright_box(np.outer(np.linspace(0, 1, 500), [3.0, 0, 4]), up)
+    np.testing.assert_allclose(line.half_sizes, [0.94 * 2.5, 0, 0], atol=0.05)
+
+
+def test_the_corners_are_those_of_the_box():
+    box = upright_box(inside(np.eye(3), np.array([0.6, 0.3, 0.2]), 3), np.array([0.0, 0, 1]))
+    corners = (box.corners() - box.centre) @ box.axes.T
+    assert len(np.unique(corners.round(6), axis=0)) == 8
+    np.testing.assert_allclose(np.abs(corners), np.tile(box.half_sizes, (8, 1)))
+    assert (corners[:4, 2] < 0).all()
