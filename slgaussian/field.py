@@ -29,6 +29,7 @@ from slgaussian.language.query import (
     Rules,
     ask,
     describe,
+    find,
     segment,
 )
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
@@ -210,7 +211,15 @@ class SemanticField:
         found = describe(texts, self.reader, Rules(**rules))
         return [one for one in found if one.id not in self.removed]
 
-    def inventory(self, texts: Sequence[str] | None = None) -> list[Thing]:
+    def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
+        """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
+
+        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part.
+        """
+        there = ~np.isin(self.bank.ids, list(self.removed))
+        return find(text, self.reader, Rules(**rules), there)
+
+    def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[Thing]:
         """What there is: every object with its best words, place and size, by id.
 
         Parameters
@@ -218,6 +227,8 @@ class SemanticField:
         texts : sequence of str, optional
             What to tell objects by, and the words that were taught. Without, the colours and nouns
             of the encoder ``lexicon``; some common things for others.
+        rules
+            As in :meth:`FieldView.query`; only the relevancies depend on them.
 
         Raises
         ------
@@ -226,7 +237,7 @@ class SemanticField:
         """
         from slgaussian.things import things_of
 
-        return things_of(self, texts)
+        return things_of(self, texts, Rules(**rules))
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass."""
@@ -301,6 +312,10 @@ class SemanticField:
     def without(self, ids: Iterable[int]) -> SemanticField:
         """The field with these objects no longer drawn and found; InputError if one is none."""
         return self.changed(removed=self.removed | self._known(ids))
+
+    def dropped(self) -> SemanticField:
+        """The field without the Gaussians of what is removed, which cannot come back any more."""
+        return self.changed(gaussians=self.drawn)
 
     def restored(self, ids: Iterable[int]) -> SemanticField:
         """The field with these objects back.

@@ -78,11 +78,11 @@ class Thing:
     __repr__ = brief
 
 
-def things_of(field: SemanticField, texts: Sequence[str] | None = None) -> list[Thing]:
+def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -> list[Thing]:
     """Every thing of a field that is not removed, by id; see SemanticField.inventory."""
     reader, bank = field.reader, field.bank
     asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field))]))
-    relevancies = reader.relevancies(asked, Rules())
+    relevancies = reader.relevancies(asked, rules)
     looks = [field.render(small(camera)) for camera in field.cameras.values()]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
     for look in looks:
@@ -92,7 +92,7 @@ def things_of(field: SemanticField, texts: Sequence[str] | None = None) -> list[
     up = find_room([small(c) for c in field.cameras.values()], [look.depth for look in looks]).up
     labels, means = field.labels(), field.gaussians.means.numpy()
     order = np.argsort(labels, kind="stable")
-    found = any(camera.estimated for camera in field.cameras.values())
+    estimated = any(camera.estimated for camera in field.cameras.values())
     names = list(field.cameras)
     things = []
     for row, id_ in enumerate(bank.ids.tolist()):
@@ -109,7 +109,7 @@ def things_of(field: SemanticField, texts: Sequence[str] | None = None) -> list[
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(own),
                 box=upright_box(means[own], up) if len(own) else None,
-                metres=False if found else None,
+                metres=False if estimated else None,
                 views=tuple(names[view] for view in np.flatnonzero(bank.present[row])),
             )
         )

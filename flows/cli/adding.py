@@ -43,6 +43,7 @@ def add(
         Where the cameras of all photographs are, if not where they were.
     out : path, optional
         Folder for the field; that of the field itself if left out, which stays if anything fails.
+        Taught words, names and hidden objects go along.
     options : mapping
         Where files of its parts are: such places are not kept with a field.
 
@@ -74,10 +75,24 @@ def add(
         _check_fits(sample, added, about, folder)
         now = Origin.of(taken, cameras, origin.refine, origin.settings)
         again = {old[place]: name for name, place in taken.items() if place in old}
-        settled = partial(with_ids_of, before, views=again)
+        settled = partial(_settled, before, views=again)
         made(sample, method, now, derived, target, start, settled)
     print(f"{len(added)} added; reused {derived.summary()}", file=sys.stderr)
     return target
+
+
+def _settled(
+    before: SemanticField, after: SemanticField, views: Mapping[str, str]
+) -> SemanticField:
+    """The field ``after`` with the ids of ``before``, and what the user changed there."""
+    whole = before.changed(removed=frozenset())  # what is hidden has ids too
+    settled = with_ids_of(whole, after, views)
+    ids = set(settled.bank.ids.tolist())
+    return settled.changed(
+        taught=before.taught,
+        names={id_: name for id_, name in before.names.items() if id_ in ids},
+        removed=before.removed & ids,
+    )
 
 
 def _opened(

@@ -61,6 +61,9 @@ COMMON = {
     "masks": ("preset", "size", *PARTS[:3], "replicas"),
     "query": ("threshold",),
     "segment": ("threshold",),
+    "objects": (),
+    "extract": ("threshold",),
+    "remove": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "train": ("steps", "rate", "codes", "seed", "store"),
@@ -99,6 +102,17 @@ Refine = Annotated[
 ]
 Texts = Annotated[
     list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+]
+MaybeTexts = Annotated[
+    list[str] | None, typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+]
+What = Annotated[
+    str,
+    typer.Argument(metavar="WHAT", help="A text, a name that you gave, or the id of an object."),
+]
+Words = Annotated[
+    Path | None,
+    typer.Option(metavar="<path>", help="Words taught elsewhere: words.npz of another field."),
 ]
 Views = Annotated[
     list[str] | None,
@@ -427,18 +441,20 @@ def masks(
 def query(
     settings: dict,
     field: Folder,
-    texts: Texts,
+    texts: MaybeTexts = None,
+    like: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="<path>", help="Look for what a picture shows; may be repeated."),
+    ] = None,
     view: Views = None,
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
-    listing: Annotated[
-        bool, typer.Option("--list", help="List all objects, each with the text that fits it best.")
-    ] = False,
+    words: Words = None,
     out: Picture = None,
     as_json: AsJson = False,
 ) -> None:
-    """Ask a field where something is, in words.
+    """Ask a field where something is, in words or by a picture.
 
     Takes the objects that fit the text about as well as the best one does, and none if no object
     fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
@@ -449,33 +465,24 @@ def query(
     slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
     slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
     slgaussian query field/ "red basket" --orbit 60 -o turn.mp4
-    slgaussian query field/ --list wall floor "red basket" "plant" -o objects.png
+    slgaussian query field/ fox --words other_field/words.npz
+    slgaussian query field/ --like crop.png -o hit.png
     """
     import json
 
     from flows.cli import questions
     from flows.cli.viewpoints import Choice
 
-    if listing:
-        looks = {"view": view, "between": between, "camera": camera, "orbit": orbit}
-        idle = [f"--{name}" for name in ("protocol", "threshold", "share") if name in settings]
-        idle += [f"--{name}" for name, said in looks.items() if said]
-        if idle:
-            raise InputError(
-                f"{idle[0]}: a list has every object of the scene and selects none; leave it out, "
-                "or leave out --list"
-            )
-        answers = questions.inventory(field, texts, out, settings)
-        said = questions.listed(answers)
-    else:
-        choice = Choice(view or (), camera, between, orbit)
-        answers = questions.ask(field, texts, choice, out, settings)
-        said = questions.spoken_film(answers) if choice.film else questions.spoken(answers)
+    if not texts and not like:
+        raise InputError("nothing is asked: give a TEXT, or a picture with --like")
+    choice = Choice(view or (), camera, between, orbit)
+    answers = questions.ask(field, texts or [], choice, out, settings, words, like or ())
+    said = questions.spoken_film(answers) if choice.film else questions.spoken(answers)
     typer.echo("\n".join(map(json.dumps, answers)) if as_json else said)
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
-    nothing = not listing and not any(answer["found"] for answer in answers)
-    if nothing or any(answer.get("refused") for answer in answers):
+    nothing = not any(answer["found"] for answer in answers)
+    if nothing or any(answer["refused"] for answer in answers):
         raise typer.Exit(1)
 
 
@@ -489,6 +496,7 @@ def segment(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
+    words: Words = None,
     out: Picture = None,
     as_json: AsJson = False,
 ) -> None:
@@ -512,7 +520,7 @@ def segment(
     from flows.cli.viewpoints import Choice
 
     choice = Choice(view or (), camera, between, orbit)
-    rows = questions.segmented(field, texts, choice, out, settings)
+    rows = questions.segmented(field, texts, choice, out, settings, words)
     typer.echo("\n".join(map(json.dumps, rows)) if as_json else questions.tabled(rows))
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
@@ -590,6 +598,155 @@ def export(
 
     to_ply(field, out)
     typer.echo(out)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options("temperature", "canonical", "absent", *PLACES, common=COMMON["objects"])
+def objects(
+    settings: dict,
+    field: Folder,
+    texts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
+    ] = None,
+    words: Words = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Table (.parquet), or picture of all (.png).")
+    ] = None,
+    crops: Annotated[
+        Path | None, typer.Option(metavar="<path>", help="Folder for a picture of each: ID.png.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the objects of a field: words, size, place and views.
+
+    Each has the words that fit it best, of all that the field knows or of the texts given; how
+    clearly its pixels are its own (from 0 to 1); the size of the upright box around it, longer
+    side, shorter side and height; and the views that hold it. The table and --json have its centre
+    and axes too. The exit status is 1 if a text is refused.
+
+    \b
+    slgaussian objects field/
+    slgaussian objects field/ wall "red sofa" plant -o objects.png
+    slgaussian objects field/ -o objects.parquet --crops things/
+    """
+    import json
+
+    from flows.cli import things
+
+    rows = things.inventory(field, texts or [], out, crops, settings, words)
+    typer.echo("\n".join(map(json.dumps, rows)) if as_json else things.listed(rows))
+    if any(row.get("refused") for row in rows):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RULES, *PLACES, common=COMMON["extract"])
+def extract(
+    settings: dict,
+    field: Folder,
+    what: What,
+    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
+    words: Words = None,
+) -> None:
+    """Take a thing out of a field, alone.
+
+    A text takes the objects that a query would take, in whatever view. The exit status is 1 if
+    nothing is found; then nothing is written.
+
+    \b
+    slgaussian extract field/ "red chair" -o chair.ply
+    slgaussian extract field/ 17 -o chair/
+    """
+    from flows.cli import things
+
+    made = things.extract(field, what, out, settings, words)
+    if not made["found"]:
+        typer.echo(f"nothing found for {what!r}, so nothing is written")
+        raise typer.Exit(1)
+    typer.echo(f"objects  {things.told(made['found'])}")
+    typer.echo(f"{made['gaussians']:,} Gaussians  {out}")
+
+
+@app.command(rich_help_panel=FIELDS)
+@with_options(*RULES, *PLACES, common=COMMON["remove"])
+def remove(
+    settings: dict,
+    field: Folder,
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="WHAT", help="Texts, names that you gave, or ids of objects."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
+    words: Words = None,
+) -> None:
+    """Write a field again without some of its things.
+
+    What was behind is shown where another view saw it. Where none did, nothing is painted: pictures
+    have grey stripes there. The exit status is 1 if nothing is found for any text; what is found of
+    the others is removed.
+
+    \b
+    slgaussian remove field/ "red chair" -o without/
+    slgaussian render without/ -o picture.png
+    """
+    from flows.cli import things
+
+    *rows, last = things.remove(field, what, out, settings, words)
+    rows = rows if "open" in last else [*rows, last]
+    for row in rows:
+        found = f"objects {things.told(row['found'])}" if row["found"] else "nothing found"
+        typer.echo(f"{row['text']!r}: {found}, {row['gaussians']:,} Gaussians")
+    if "open" in last:
+        typer.echo(f"open in the context views: {100 * last['open']:.1f} % of the pixels")
+        typer.echo(out)
+    if not all(row["found"] for row in rows):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel=FIELDS)
+def teach(
+    field: Folder,
+    word: Annotated[str, typer.Argument(metavar="WORD", help='What you call it, as "fox".')],
+    at: Annotated[
+        tuple[int, int] | None,
+        typer.Option(metavar="X Y", help="Pixel of the thing: column and row from the top left."),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="<name>", help="View of that pixel, by name or number. [default: 0]"),
+    ] = None,
+    counter: Annotated[
+        bool, typer.Option("--not", help="The thing is not what the word means.")
+    ] = False,
+    forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
+) -> None:
+    """Teach a field a word of your own by pointing at a thing.
+
+    The word is kept in the field, and asked like any other. Point again, at other things or in
+    other views, for more examples; with --not at what is taken by mistake. Other fields of the same
+    place take the words with --words field/words.npz.
+
+    \b
+    slgaussian teach field/ fox --at 312 140
+    slgaussian teach field/ fox --at 80 210 --view 1 --not
+    slgaussian query field/ fox -o hit.png
+    slgaussian teach field/ fox --forget
+    """
+    from flows.cli import things
+
+    if forget == (at is not None):
+        raise InputError("say either where it is, with --at X Y, or --forget")
+    if forget:
+        things.forget(field, word)
+        typer.echo(f"{word!r} is forgotten")
+        return
+    assert at is not None
+    said = things.teach(field, word, at, view, counter)
+    yes, no = said["examples"]
+    typer.echo(f"{word!r} is {'not ' if counter else ''}object {said['object']}")
+    typer.echo(f"examples  {yes}, counter-examples  {no}")
+    typer.echo(f"it means  {things.told(said['found']) or 'nothing yet'}")
 
 
 @app.command(rich_help_panel=CORPORA)

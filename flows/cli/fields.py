@@ -154,7 +154,7 @@ def _account(field: SemanticField) -> list[str]:
 
 def to_ply(folder: Path, out: Path) -> None:
     """Write a field as a standard ``.ply``: its Gaussians, their codes and their objects."""
-    field = SemanticField.load(folder)
+    field = SemanticField.load(folder).dropped()
     save_ply(field.gaussians, out, field.labels())
 
 

@@ -1,4 +1,4 @@
-"""What the commands that ask a field do: query, list, segment; and how they say what they found."""
+"""What the commands that ask a field do: query, segment; and how they say what they found."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import ImageOps
 
-from flows.cli.drawings import check_drawing, drawing, write_ids, write_picture
+from flows.cli.drawings import check_drawing, drawing, write_ids
 from flows.cli.viewpoints import Choice, Viewpoint
 from flows.settings import TABLES
 from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
+from slgaussian.formats import images
 from slgaussian.language.query import QueryResult, Rules
+from slgaussian.language.taught import TaughtWords, encoder_identity
 
 EVEN = 0.5
 """Relevancy of what fits a text as well as it fits the canonical phrases."""
@@ -30,11 +33,14 @@ def ask(
     choice: Choice,
     out: Path | None,
     settings: Mapping[str, Any],
+    words: Path | None = None,
+    like: Sequence[Path] = (),
 ) -> list[dict[str, Any]]:
     """Ask the field in ``folder`` and draw the answers to ``out``, if given.
 
     ``settings`` are those of :class:`slgaussian.language.query.Rules`, and by the name of the
-    field's encoder a table that says where its files are now.
+    field's encoder a table that says where its files are now. ``words`` is a file of taught words
+    that the field takes for this, and ``like`` are pictures of things that are asked for too.
 
     Returns
     -------
@@ -42,7 +48,9 @@ def ask(
         One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``score``, ``point`` [x, y],
         None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels`` in the mask, what
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
-        others (word: [other, similarity]), why it was ``refused`` or None, ``picture`` path or
+        others (word: [other, similarity]), who answered (``kind``: ``known``, ``taught``,
+        ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a taught word
+        would mean otherwise (``instead_of``), why it was ``refused`` or None, ``picture`` path or
         None.
 
     Raises
@@ -52,62 +60,27 @@ def ask(
     """
     if out is not None:
         check_drawing(out, choice.film)
-    rules, field = _opened(folder, settings)
-    asked, refused = _sorted_out(field, texts)
+    rules, field = opened(folder, settings, words)
+    crops = [_read_picture(file) for file in like]
+    asked, refused = sorted_out(field, texts) if texts else ([], {})
     answers = []
     with drawing(out, choice.film) as draw:
         for viewpoint in choice.of_field(folder, field):
             seen = field.render(viewpoint.camera)
-            hits = dict(zip(asked, seen.query_all(asked, **rules), strict=True))
-            for text in texts:
+            found = seen.query_all(asked, **rules) if asked else []
+            hits = dict(zip(asked, found, strict=True))
+            hits |= {
+                str(file): replace(seen.like(crop, **rules), text=str(file))
+                for file, crop in zip(like, crops, strict=True)
+            }
+            for text in [*texts, *map(str, like)]:
                 answer = _refusal(text, refused[text]) if text in refused else _answer(hits[text])
                 picture = None if out is None else str(out)
                 answers.append({"view": viewpoint.name, **answer, "picture": picture})
             if out is not None:
-                rows = [_hit_panels(viewpoint, seen, hits[text]) for text in asked]
+                rows = [_hit_panels(viewpoint, seen, hit) for hit in hits.values()]
                 draw(np.concatenate([pictures.side_by_side(row) for row in rows]))
     return answers
-
-
-def inventory(
-    folder: Path, texts: Sequence[str], out: Path | None, settings: Mapping[str, Any]
-) -> list[dict[str, Any]]:
-    """Every object of a field with the best of the texts; what they look like in ``out``, if given.
-
-    ``settings`` as in :func:`ask`.
-
-    Returns
-    -------
-    list of dict
-        One an object: ``id``, ``text``, ``relevancy``, ``views`` that hold it by name. And one a
-        text that was refused: ``text``, ``refused``.
-    """
-    if out is not None:
-        check_drawing(out, film=False)
-    rules, field = _opened(folder, settings)
-    asked, refused = _sorted_out(field, texts)
-    found = field.describe(asked, **rules)
-    names = list(field.cameras)
-    if out is not None:
-        if field.bank.boxes is None:
-            raise InputError(
-                f"{folder}: its memory bank does not know where the objects are, so they cannot be "
-                "drawn; leave out -o, or build the field again"
-            )
-        seen = [field.render(camera) for camera in field.cameras.values()]
-        cuts = pictures.cut_out(
-            [view.rgb for view in seen],
-            [view.ids for view in seen],
-            field.bank.ids,
-            field.bank.boxes,
-        )
-        captions = [
-            f"{one.id} {one.text}" if one.relevancy > EVEN else str(one.id) for one in found
-        ]
-        tiles = list(zip(captions, cuts, strict=True))
-        write_picture(out, pictures.contact_sheet(tiles, side=112, columns=8))
-    listed = [{**vars(one), "views": [names[view] for view in one.views]} for one in found]
-    return listed + [{"text": text, "refused": why} for text, why in refused.items()]
 
 
 def segmented(
@@ -116,13 +89,14 @@ def segmented(
     choice: Choice,
     out: Path | None,
     settings: Mapping[str, Any],
+    words: Path | None = None,
 ) -> list[dict[str, Any]]:
     """Give every object that a viewpoint shows the text that fits it best, and draw that.
 
     A text gets the label of its place among ``texts``, from 1. Objects whose best relevancy is not
     above ``threshold``, 0.5 if it is left out, get 0, as do pixels that show none. With ``out``
     ``labels.png`` the labels of one viewpoint also go to ``labels.ids.png``, a grey PNG with 16
-    bits. ``settings`` as in :func:`ask`.
+    bits. ``settings`` and ``words`` as in :func:`ask`.
 
     Returns
     -------
@@ -139,9 +113,9 @@ def segmented(
     if out is not None:
         check_drawing(out, choice.film)
     least = settings.get("threshold", EVEN)
-    rules, field = _opened(folder, settings)
+    rules, field = opened(folder, settings, words)
     rules.pop("threshold", None)
-    asked, refused = _sorted_out(field, texts)
+    asked, refused = sorted_out(field, texts)
     numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
     pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
     objects: list[set[int]] = [set() for _ in pixels]
@@ -216,21 +190,6 @@ def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def listed(rows: Sequence[Mapping[str, Any]]) -> str:
-    """What :func:`inventory` found, as a table."""
-    objects = [row for row in rows if "id" in row]
-    # What is in brackets fits no better than "object" does.
-    best = [o["text"] if o["relevancy"] > EVEN else f"({o['text']})" for o in objects]
-    wide = max(map(len, ["best text", *best]))
-    lines = [f"object  {'best text':<{wide}}  relevancy  seen in"]
-    for o, text in zip(objects, best, strict=True):
-        seen = ", ".join(o["views"])
-        lines.append(f"{o['id']:>6}  {text:<{wide}}  {o['relevancy']:>9.3f}  {seen}")
-    if any(o["relevancy"] <= EVEN for o in objects):
-        lines.append("(in brackets: no text fits better than the canonical phrases do)")
-    return "\n".join(lines + _refusals(rows))
-
-
 def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
     """What :func:`segmented` found, as a table."""
     shown = [row for row in rows if "label" in row]
@@ -242,7 +201,7 @@ def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
         ids = ", ".join(map(str, row["objects"]))
         share = f"{100 * row['share']:.1f} %"
         lines.append(f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {ids}".rstrip())
-    return "\n".join(lines + _refusals(rows))
+    return "\n".join(lines + refusals(rows))
 
 
 def _answer(hit: QueryResult) -> dict[str, Any]:
@@ -257,6 +216,9 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "unknown": list(hit.unknown),
         "unused": dict(hit.understood.unused),
         "taken_for": {word: list(other) for word, other in hit.taken_for.items()},
+        "kind": hit.kind,
+        "examples": list(hit.understood.examples),
+        "instead_of": hit.understood.instead_of or None,
         "refused": None,
     }
 
@@ -264,11 +226,19 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
 def _refusal(text: str, why: str) -> dict[str, Any]:
     answer: dict[str, Any] = {"text": text, "found": False, "score": None, "point": None}
     answer |= {"objects": [], "pixels": 0, "read_as": None}
-    return answer | {"unknown": [], "unused": {}, "taken_for": {}, "refused": why}
+    answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
+    return answer | {"examples": [0, 0], "instead_of": None, "refused": why}
 
 
 def _of_words(answer: Mapping[str, Any]) -> list[str]:
     """Which words of a text count for its answer, if not all."""
+    if answer["kind"] == "picture":
+        return ["asked by picture"]
+    if answer["kind"] == "taught":
+        yes, no = answer["examples"]
+        lines = [f"a taught word: {_counted(yes, 'example')}, {_counted(no, 'counter-example')}"]
+        known = answer["instead_of"]
+        return [*lines, f"not as the encoder knows it: {known}"] if known else lines
     lines = []
     if answer["unknown"]:
         lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
@@ -280,7 +250,21 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
 
 
-def _refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _read_picture(file: Path) -> np.ndarray:
+    """The photograph in a file, upright, uint8 [H, W, 3]."""
+    try:
+        with images.opened(file) as image:
+            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except (OSError, ValueError) as bad:
+        raise images.unreadable(file, bad) from None
+
+
+def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A line a text that was refused."""
     return [f"{row['text']!r} is refused: {row['refused']}" for row in rows if row.get("refused")]
 
 
@@ -317,8 +301,13 @@ def _labels_picture(
     return pictures.with_legend(row, legend)
 
 
-def _opened(folder: Path, settings: Mapping[str, Any]) -> tuple[dict[str, Any], SemanticField]:
-    """The rules among the settings, and the field, with its encoder ready to be asked."""
+def opened(
+    folder: Path, settings: Mapping[str, Any], words: Path | None = None
+) -> tuple[dict[str, Any], SemanticField]:
+    """The rules among the settings, and the field, with its encoder ready to be asked.
+
+    With ``words``, a file of taught ones, it knows those too.
+    """
     rules = {name: value for name, value in settings.items() if name not in TABLES}
     Rules(**rules)
     field = SemanticField.load(folder)
@@ -332,10 +321,12 @@ def _opened(folder: Path, settings: Mapping[str, Any]) -> tuple[dict[str, Any], 
             )
     field = replace(field, places={**field.places, **where.get(used, {})})
     field.encoder  # noqa: B018  (what is missing is said before anything is drawn)
+    if words is not None:
+        field = field.taking(TaughtWords.load(words, encoder_identity(field.settings)))
     return rules, field
 
 
-def _sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+def sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """The texts that can be asked, each once, and why each of the others cannot be.
 
     InputError if none can.

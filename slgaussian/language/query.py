@@ -413,14 +413,33 @@ def ask(
         ranked = ranked[gaps[ranked] > -np.inf]
         best = gaps[ranked[0]] if len(ranked) else np.inf
         as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
-        if rules.threshold is not None:
-            chosen = gaps > logit(rules.threshold) / rules.temperature
-        else:
-            chosen = (gaps > 0) & (gaps >= rules.share * best)
+        chosen = _chosen(gaps, best, rules)
         scores = expit(rules.temperature * gaps)
         found = ranked, as_good, chosen
         results.append(kind(text, scores, reader.understood(text), reader.bank.ids, seen, *found))
     return results
+
+
+def _chosen(gaps: np.ndarray, best: float, rules: Rules) -> np.ndarray:
+    """Which objects the rules select, bool [N], by their gaps [N] and that of the best visible."""
+    if rules.threshold is not None:
+        chosen: np.ndarray = gaps > logit(rules.threshold) / rules.temperature
+        return chosen
+    return (gaps > 0) & (gaps >= rules.share * best)
+
+
+def find(
+    text: str, reader: BankReader, rules: Rules, among: np.ndarray
+) -> tuple[tuple[int, float], ...]:
+    """The objects that a text describes, whatever the view: (id, relevancy), best first.
+
+    ``among`` bool [N] are the objects of the bank that may be found. InputError as :func:`ask`.
+    """
+    gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
+    taken = np.flatnonzero(_chosen(gaps, gaps.max(initial=-np.inf), rules))
+    scores = expit(rules.temperature * gaps)
+    ranked = taken[np.argsort(-gaps[taken], kind="stable")]
+    return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)
 
 
 def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules) -> np.ndarray:

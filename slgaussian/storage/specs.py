@@ -24,6 +24,7 @@ COLUMN_TYPES = {
     "float64": pa.float64(),
     "bool": pa.bool_(),
     "float64 list": pa.list_(pa.float64()),
+    "string list": pa.list_(pa.string()),
 }
 
 

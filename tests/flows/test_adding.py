@@ -117,6 +117,22 @@ def test_photographs_are_added_one_after_the_other_or_together(place, built, mon
     assert (field.settings["replicas"], field.settings["seed"]) == (3, 4)
 
 
+def test_what_a_user_changed_goes_along(place, built, monkeypatch):
+    before = SemanticField.load("field")
+    first, *_, last = before.bank.ids.tolist()
+    changed = before.teach("zorp", first).named(last, "Mine").without([first])
+    changed.save_edits("field")
+    assert run(monkeypatch, "field", "--add", built / "d.png", "field") == 0
+    after = SemanticField.load("field")
+    assert "zorp" in after.taught and after.removed == {first}
+    assert after.names == {last: "Mine"}
+    # The hidden object is the one that it was.
+    camera = after.cameras["a.png"]
+    seen = after.restored([first]).render(camera).ids == first
+    was = before.render(camera).ids == first
+    assert (seen & was).sum() > 0.7 * was.sum()
+
+
 def test_what_cannot_be_added_is_one_sentence_and_changes_nothing(
     place, built, monkeypatch, capsys
 ):

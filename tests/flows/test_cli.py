@@ -67,32 +67,6 @@ def test_several_texts_and_views_are_answered_in_turn(field, tmp_path, monkeypat
     assert "'blue' in images/002.png" in capsys.readouterr().out
 
 
-def test_what_is_in_a_field_is_listed(field, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "query", field, "--list", "blue", "red wall") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["object", "1", "2"]
-    assert lines[1].split()[1:3] == ["red", "wall"] and lines[2].split()[1] == "blue"
-    assert lines[1].endswith("images/001.png, images/002.png")
-    assert run(monkeypatch, "query", field, "--list", "yellow", "--json") == 0
-    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [one["id"] for one in found] == [1, 2]
-    assert all(one["relevancy"] < 0.5 for one in found)
-    assert run(monkeypatch, "query", field, "--list", "yellow") == 0
-    assert capsys.readouterr().out.count("(yellow)") == 2
-    # This field's bank was made by hand and knows no boxes.
-    assert run(monkeypatch, "query", field, "--list", "red", "-o", tmp_path / "a.png") == 2
-    assert "leave out -o" in capsys.readouterr().err
-    loaded = SemanticField.load(field)
-    boxes = np.array([[[0, 0, 24, 32]] * 2, [[24, 0, 48, 32]] * 2], np.int32)
-    bank = replace(loaded.bank, boxes=boxes)
-    replace(loaded, bank=bank).save(tmp_path / "field")
-    words = ["query", tmp_path / "field", "--list", "red", "-o", tmp_path / "a.png"]
-    assert run(monkeypatch, *words) == 0
-    sheet = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
-    tile = sheet[30:90, 30:70]
-    assert (tile[..., 0] > 120).all() and (tile[..., 2] < 80).all()
-
-
 def test_a_query_follows_its_rules(field, monkeypatch, capsys):
     def objects(*words):
         status = run(monkeypatch, "query", field, "red", "--json", *words)
@@ -122,9 +96,10 @@ def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
         (["red", "--threshold", "2"], "threshold"),
         (["red", "--protocol", "lerf"], "expected one of slgaussian, langsplat"),
         (["red", "--canonical", "qwxyz"], "qwxyz"),
-        (["red", "--list", "--share", "0.5"], "--share: a list has every object"),
-        (["red", "--list", "--view", "1"], "--view: a list has every object"),
-        (["red", "--list", "--absent", "0"], "expected one of skip, zero"),
+        (["red", "--absent", "0"], "expected one of skip, zero"),
+        ([], "nothing is asked: give a TEXT, or a picture with --like"),
+        (["--like", "nowhere.png"], "nowhere.png"),
+        (["red", "--words", "nowhere.npz"], "nowhere.npz: cannot be read"),
     ],
 )
 def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, words, sentence):

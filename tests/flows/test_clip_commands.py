@@ -115,7 +115,7 @@ def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, t
     assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --clip-model" in sentence
     assert run(monkeypatch, "query", field, "red basket", "--json", "--clip-model", moved) == 0
     assert json.loads(capsys.readouterr().out) == answer
-    assert run(monkeypatch, "query", field, "--list", "red", "box", "--clip-model", moved) == 0
+    assert run(monkeypatch, "objects", field, "red", "box", "--clip-model", moved) == 0
 
 
 def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):

@@ -47,18 +47,18 @@ def test_a_text_that_is_refused_does_not_take_the_others_along(field, ask, monke
     assert "zeppelin" in error and "not blue" in error
 
 
-def test_a_refused_text_is_named_by_list_and_segment(field, ask, monkeypatch, capsys):
-    status, rows = ask("query", field, "--list", "red", "zeppelin", "blue")
+def test_a_refused_text_is_named_by_objects_and_segment(field, ask, monkeypatch, capsys):
+    status, rows = ask("objects", field, "red", "zeppelin", "blue")
     assert status == 1
-    assert [row["text"] for row in rows if "id" in row] == ["red", "blue"]
+    assert [row["words"] for row in rows if "id" in row] == [["red", "blue"], ["blue", "red"]]
     assert "zeppelin" in rows[-1]["refused"]
     status, rows = ask("segment", field, "zeppelin", "red", "blue")
     assert status == 1
     assert [(row["text"], row.get("label")) for row in rows] == [
         ("red", 2), ("blue", 3), (None, 0), ("zeppelin", None),
     ]  # fmt: skip
-    for command in (["query", "--list"], ["segment"]):
-        assert run(monkeypatch, command[0], field, *command[1:], "red", "zeppelin") == 1
+    for command in ("objects", "segment"):
+        assert run(monkeypatch, command, field, "red", "zeppelin") == 1
         assert "'zeppelin' is refused: " in capsys.readouterr().out
 
 

@@ -1,0 +1,208 @@
+"""The commands about things: objects, extract, remove, teach, and asking by picture."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from command import run, said, two_walls
+from PIL import Image
+from plyfile import PlyData
+
+from slgaussian.field import SemanticField
+from slgaussian.storage.specs import load_spec
+
+RED, BLUE = 1, 2
+
+
+@pytest.fixture
+def field(tmp_path):
+    """Two walls whose bank knows where they are."""
+    folder = two_walls(tmp_path / "field")
+    loaded = SemanticField.load(folder)
+    boxes = np.array([[[0, 0, 24, 32]] * 2, [[24, 0, 48, 32]] * 2], np.int32)
+    replace(loaded, bank=replace(loaded.bank, boxes=boxes)).save(folder)
+    return folder
+
+
+def labels_of(ply) -> np.ndarray:
+    """The object of each Gaussian of a file."""
+    return np.asarray(PlyData.read(ply)["vertex"]["label"])
+
+
+@pytest.fixture
+def ask(monkeypatch, capsys):
+    """The exit status of a command, and each line that it prints, read as JSON."""
+
+    def call(*words):
+        capsys.readouterr()
+        status = run(monkeypatch, *words, "--json")
+        return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    return call
+
+
+def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
+    assert run(monkeypatch, "objects", field) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[:3]] == ["object", "1", "2"]
+    assert "red" in lines[1] and "blue" in lines[2]
+    assert lines[1].endswith("images/001.png, images/002.png")
+    assert lines[-1] == "Sizes are in scene units, those of the given cameras."
+    status, things = ask("objects", field, "blue", "red wall")
+    assert status == 0 and [one["id"] for one in things] == [RED, BLUE]
+    assert [one["words"][0] for one in things] == ["red wall", "blue"]
+    assert run(monkeypatch, "objects", field, "yellow") == 0
+    assert capsys.readouterr().out.count("(yellow") == 2
+
+
+def test_the_list_as_a_table_a_picture_and_pictures(field, tmp_path, ask, monkeypatch, capsys):
+    assert run(monkeypatch, "objects", field, "-o", tmp_path / "t.parquet") == 0
+    table = pq.read_table(tmp_path / "t.parquet")
+    load_spec("things").check_table(table, "t.parquet")
+    _, rows = ask("objects", field)
+    assert table.to_pylist() == rows
+    made = tmp_path / "crops"
+    assert run(monkeypatch, "objects", field, "--crops", made, "-o", tmp_path / "a.png") == 0
+    assert sorted(file.name for file in made.iterdir()) == ["1.png", "2.png"]
+    red, blue = (np.asarray(Image.open(made / f"{k}.png")).astype(int) for k in (RED, BLUE))
+    assert red.shape == (32, 24, 3) and (red[4:-4, 4:-4, 0] > 120).all()
+    assert (blue[4:-4, 4:-4, 2] > 120).all()
+    assert (np.asarray(Image.open(tmp_path / "a.png"))[30:90, 30:70, 0] > 120).all()
+    # A bank that was made by hand knows no boxes.
+    plain = two_walls(tmp_path / "plain")
+    assert run(monkeypatch, "objects", plain, "-o", tmp_path / "b.png") == 2
+    assert "leave out --crops" in said(capsys)
+    assert run(monkeypatch, "objects", field, "-o", tmp_path / "b.txt") == 2
+    assert "expected the name of a table to end in .parquet" in said(capsys)
+
+
+def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
+    labels = SemanticField.load(field).labels()
+    for what in ("red wall", RED):
+        assert run(monkeypatch, "extract", field, what, "-o", tmp_path / "red.ply") == 0
+        own = labels_of(tmp_path / "red.ply")
+        assert len(own) == (labels == RED).sum() and (own == RED).all()
+    assert run(monkeypatch, "extract", field, "red", "-o", tmp_path / "red") == 0
+    assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
+    capsys.readouterr()
+    assert run(monkeypatch, "extract", field, "yellow", "-o", tmp_path / "x.ply") == 1
+    assert "nothing found for 'yellow'" in capsys.readouterr().out
+    assert not (tmp_path / "x.ply").exists()
+    assert run(monkeypatch, "extract", field, 7, "-o", tmp_path / "x.ply") == 2
+    assert "'7': is no object of the field" in said(capsys)
+
+
+def test_a_name_that_the_user_gave_means_its_object(field, tmp_path, monkeypatch):
+    SemanticField.load(field).named(BLUE, "Sea  wall").save_edits(field)
+    assert run(monkeypatch, "extract", field, "sea WALL", "-o", tmp_path / "a.ply") == 0
+    assert (labels_of(tmp_path / "a.ply") == BLUE).all()
+
+
+def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
+    field, tmp_path, ask, monkeypatch, capsys
+):
+    out = tmp_path / "without"
+    assert run(monkeypatch, "remove", field, "red wall", "-o", out) == 0
+    assert "open in the context views: " in capsys.readouterr().out
+    left = SemanticField.load(out)
+    assert left.removed == {RED} and RED not in left.labels()
+    assert SemanticField.load(field).removed == frozenset()
+    status, (answer,) = ask("query", out, "red")
+    assert status == 1 and not answer["found"]
+    assert [one["id"] for one in ask("objects", out)[1]] == [BLUE]
+    assert run(monkeypatch, "render", out, "-o", tmp_path / "a.png") == 0
+    opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[12:44, 12:60][4:-4, 4:18]
+    assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
+    assert run(monkeypatch, "export", out, "-o", tmp_path / "a.ply") == 0
+    assert RED not in labels_of(tmp_path / "a.ply")
+
+
+def test_what_cannot_be_removed_is_said_and_nothing_is_written(
+    field, tmp_path, monkeypatch, capsys
+):
+    assert run(monkeypatch, "remove", field, "yellow", "-o", tmp_path / "no") == 1
+    assert "'yellow': nothing found" in capsys.readouterr().out
+    assert run(monkeypatch, "remove", field, "red", "-o", field) == 2
+    assert "is the field itself" in said(capsys)
+    assert run(monkeypatch, "remove", field, 9, "-o", tmp_path / "no") == 2
+    assert "'9': is no object" in said(capsys)
+    assert not (tmp_path / "no").exists()
+    # What is found of the others is removed all the same.
+    assert run(monkeypatch, "remove", field, "yellow", "blue", "-o", tmp_path / "some") == 1
+    assert SemanticField.load(tmp_path / "some").removed == {BLUE}
+
+
+def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch, capsys):
+    assert run(monkeypatch, "query", field, "fox") == 2
+    assert run(monkeypatch, "teach", field, "Fox", "--at", 8, 16) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["'Fox' is object 1", "examples  1, counter-examples  0"]
+    status, (answer, known) = ask("query", field, "fox", "blue", "--view", 1)
+    assert status == 0 and [one["id"] for one in answer["objects"]] == [RED]
+    assert (answer["kind"], answer["examples"]) == ("taught", [1, 0])
+    assert known["kind"] == "known" and known["examples"] == [0, 0]
+    assert run(monkeypatch, "query", field, "fox") == 0
+    assert "a taught word: 1 example, 0 counter-examples" in capsys.readouterr().out
+    assert run(monkeypatch, "teach", field, "blue", "--at", 8, 16, "--view", 1) == 0
+    assert run(monkeypatch, "query", field, "blue") == 0
+    assert "not as the encoder knows it: blue" in capsys.readouterr().out
+    assert run(monkeypatch, "teach", field, "fox", "--at", 8, 16, "--not") == 0
+    assert "'fox' is not object 1" in capsys.readouterr().out
+    assert run(monkeypatch, "query", field, "fox") == 2
+    assert run(monkeypatch, "teach", field, "blue", "--forget") == 0
+    assert ask("query", field, "blue")[1][0]["kind"] == "known"
+
+
+def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch, capsys):
+    assert run(monkeypatch, "teach", field, "fox", "--at", 40, 16) == 0
+    other = two_walls(tmp_path / "other")
+    words = field / "words.npz"
+    status, (answer,) = ask("query", other, "fox", "--words", words)
+    assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
+    _, rows = ask("segment", other, "fox", "red", "--words", words)
+    assert [(row["text"], row["objects"]) for row in rows[:2]] == [("fox", [BLUE]), ("red", [RED])]
+    assert ask("objects", other, "--words", words)[1][1]["words"][0] == "fox"
+    assert (
+        run(monkeypatch, "extract", other, "fox", "--words", words, "-o", tmp_path / "f.ply") == 0
+    )
+    assert not (other / "words.npz").exists()
+    words.write_bytes(words.read_bytes()[:-9])
+    assert run(monkeypatch, "query", other, "fox", "--words", words) == 2
+    assert "words.npz: file: found" in said(capsys)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["fox", "--at", "48", "3"], "--at 48 3: is outside view 'images/001.png', which is 48"),
+        (["fox", "--at", "8", "16", "--view", "7"], "no view '7'"),
+        (["  ", "--at", "8", "16"], "expected 1 to 80 letters"),
+        (["fox"], "say either where it is, with --at X Y, or --forget"),
+        (["fox", "--forget", "--at", "8", "16"], "say either where it is"),
+        (["fox", "--forget"], "'fox': is no taught word; those there are: none"),
+    ],
+)
+def test_a_bad_lesson_is_one_sentence(field, monkeypatch, capsys, words, sentence):
+    assert run(monkeypatch, "teach", field, *words) == 2
+    assert sentence in said(capsys)
+    assert not (field / "words.npz").exists()
+
+
+def test_where_there_is_nothing_nothing_can_be_taught(field, tmp_path, monkeypatch, capsys):
+    assert run(monkeypatch, "remove", field, "red", "-o", tmp_path / "without") == 0
+    capsys.readouterr()
+    assert run(monkeypatch, "teach", tmp_path / "without", "fox", "--at", 8, 16) == 2
+    assert "--at 8 16: view 'images/001.png' shows no object there" in said(capsys)
+
+
+def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):
+    Image.new("RGB", (20, 16), (10, 25, 205)).save(tmp_path / "crop.png")
+    status, (answer, red) = ask("query", field, "--like", tmp_path / "crop.png", "red")
+    red, answer = sorted([answer, red], key=lambda one: one["kind"])
+    assert answer["kind"] == "picture" and red["kind"] == "known"
+    assert [one["id"] for one in answer["objects"]] == [BLUE] and status == 0
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    assert run(monkeypatch, "query", field, "--like", tmp_path / "broken.png") == 2
+    assert "broken.png" in said(capsys)
