@@ -62,6 +62,7 @@ COMMON = {
     "query": ("threshold",),
     "segment": ("threshold",),
     "objects": (),
+    "export": (),
     "extract": ("threshold",),
     "remove": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
@@ -580,23 +581,42 @@ def render(
 
 
 @app.command(rich_help_panel=FIELDS)
+@with_options(*PLACES, common=COMMON["export"])
 def export(
-    field: Folder,
-    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file.")],
+    settings: dict,
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File: .html, .ply, .splat, .spz or .glb.")
+    ],
+    what: Annotated[
+        str | None,
+        typer.Option("--object", help="Write this alone: a text, a name you gave, or an id."),
+    ] = None,
+    texts: Annotated[
+        list[str] | None,
+        typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="Title of a page.")] = None,
 ) -> None:
-    """Write a field as a 3DGS .ply that other viewers open.
+    """Write a field as one file: a page to send, or for other viewers.
 
-    Viewers read colour and shape. Each Gaussian also carries its ID code and weight (f_sem_0 and
-    on; without codes the number of its object), the pixel that it came from (source), and its
-    object (label, 0 for none).
+    A page (.html) opens from disk in any browser, without a network: look around, ask words, click
+    things. It holds small copies of the photographs. A .ply keeps everything: each Gaussian also
+    carries its ID code and weight (f_sem_0 and on; without codes the number of its object), the
+    pixel that it came from (source), and its object (label, 0 for none). A .splat and .spz keep
+    Gaussians in fewer bytes, a .glb their centres as points.
 
     \b
-    slgaussian export field/ -o scene.ply
-    slgaussian render scene.ply --camera transforms.json -o picture.png
+    slgaussian export field/ -o scene.html
+    slgaussian export field/ -o scene.spz
+    slgaussian export field/ --object "red chair" -o chair.glb
     """
-    from flows.cli.fields import to_ply
+    from flows.cli.exporting import export as write
 
-    to_ply(field, out)
+    write(source, out, what, texts or [], title, settings)
     typer.echo(out)
 
 

@@ -21,7 +21,7 @@ from slgaussian.build import build_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.formats.ply import load_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.parts.method import Method
 from slgaussian.rasterize import harmonics, rasterize
@@ -150,12 +150,6 @@ def _account(field: SemanticField) -> list[str]:
     account = Account.of(field.settings)
     held = f"{len(field.gaussians):,} Gaussians, {len(field.bank):,} objects"
     return [held] if account is None else account.lines()
-
-
-def to_ply(folder: Path, out: Path) -> None:
-    """Write a field as a standard ``.ply``: its Gaussians, their codes and their objects."""
-    field = SemanticField.load(folder).dropped()
-    save_ply(field.gaussians, out, field.labels())
 
 
 def _field_panels(field: SemanticField, viewpoint: Viewpoint) -> Panels:

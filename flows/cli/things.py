@@ -109,7 +109,7 @@ def extract(
     if not ply:
         check_target(out)
     rules, field = opened(folder, settings, words)
-    found = _meant(field, what, rules)
+    found = meant(field, what, rules)
     alone = field.dropped().only(id_ for id_, _ in found)
     if not len(alone.gaussians):
         return {"found": [], "gaussians": 0}
@@ -146,7 +146,7 @@ def remove(
     labels, gone = field.labels(), set[int]()
     rows: list[dict[str, Any]] = []
     for text in what:
-        found = _meant(field, text, rules)
+        found = meant(field, text, rules)
         ids = {id_ for id_, _ in found} - gone
         gone |= ids
         count = int(np.isin(labels, list(ids)).sum())
@@ -204,7 +204,7 @@ def told(found: Sequence[tuple[int, float]]) -> str:
     return ", ".join(f"{id_} ({score:.3f})" for id_, score in found)
 
 
-def _meant(
+def meant(
     field: SemanticField, what: str, rules: Mapping[str, Any]
 ) -> tuple[tuple[int, float], ...]:
     """The objects that a text means: the one of that id, those of that name, or those it fits."""

@@ -22,8 +22,8 @@ from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError
+from slgaussian.formats.written import write_file
 from slgaussian.gaussians import Gaussians
-from slgaussian.storage.store import write_atomic
 
 LOWEST = -104.0
 """Stands for the logit and the logarithm of 0: the greatest whole number whose sigmoid and
@@ -104,13 +104,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             table[name][block] = values[block]
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
-    try:
-        write_atomic(path, buffer.getbuffer())
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists "
-            "and that you may write to"
-        ) from error
+    write_file(path, buffer.getbuffer())
 
 
 def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:

@@ -113,10 +113,10 @@ def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, wo
 
 
 def test_an_export_that_cannot_be_put_in_place_leaves_nothing(field, tmp_path, monkeypatch, capsys):
-    (tmp_path / "folder").mkdir()
-    assert run(monkeypatch, "export", field, "-o", tmp_path / "folder") == 2
-    assert "folder: cannot be written" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+    (tmp_path / "folder.ply").mkdir()
+    assert run(monkeypatch, "export", field, "-o", tmp_path / "folder.ply") == 2
+    assert "folder.ply: cannot be written" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.ply"]
 
 
 def test_an_unknown_part_is_named_before_the_work(tmp_path, monkeypatch, capsys):
@@ -371,3 +371,47 @@ def test_near_and_far_reach_the_cameras():
     assert {(v.camera.near, v.camera.far) for v in sample.context} == {(1.5, 9.0)}
     with pytest.raises(InputError, match="far"):
         room.sample(["view_00", "view_03"], near=3.0, far=2.0)
+
+
+@pytest.mark.parametrize("suffix", [".html", ".splat", ".spz", ".glb"])
+def test_export_writes_by_suffix(field, tmp_path, monkeypatch, capsys, suffix):
+    out = tmp_path / f"scene{suffix}"
+    assert run(monkeypatch, "export", field, "-o", out) == 0
+    assert capsys.readouterr().out == f"{out}\n"
+    whole = out.stat().st_size
+    assert run(monkeypatch, "export", field, "--object", "red", "-o", out) == 0
+    assert 0 < out.stat().st_size < whole
+    assert [p.name for p in tmp_path.iterdir()] == [out.name]
+
+
+def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeypatch, capsys):
+    ply = tmp_path / "scene.ply"
+    assert run(monkeypatch, "export", field, "-o", ply) == 0
+    for suffix in (".html", ".splat", ".spz", ".glb"):
+        assert run(monkeypatch, "export", ply, "-o", tmp_path / f"out{suffix}") == 0
+    capsys.readouterr()
+    assert run(monkeypatch, "export", ply, "--object", "1", "-o", tmp_path / "a.glb") == 2
+    assert "scene.ply: a .ply has no objects" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (
+            ("-o", "scene.splt"),
+            "scene.splt: found '.splt', expected the name of the file to end in",
+        ),
+        (("-o", "scene"), "found no suffix"),
+        (("-o", "a.spz", "--text", "red"), "--text and --title are for pages"),
+        (("-o", "a.glb", "--object", "99"), "'99': is no object of the field"),
+        (("-o", "a.html", "--text", "unicorn"), "none of its words can be used"),
+    ],
+)
+def test_an_export_that_cannot_be_is_one_sentence(
+    field, tmp_path, monkeypatch, capsys, words, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "export", field, *words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and sentence in said and said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

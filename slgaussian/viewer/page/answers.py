@@ -1,0 +1,88 @@
+"""What a page can be asked: texts, with what every thing answers worked out beforehand.
+
+A page holds no encoder. Of the lexicon it knows every word, and every describing word with every
+thing ("red chair"); of another encoder some common things. What a user taught it knows too. The
+answers are relevancy gaps (:mod:`slgaussian.language.relevancy`), of which the page takes what
+:class:`slgaussian.language.query.Rules` take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.field import SemanticField
+from slgaussian.language.lexicon import Lexicon
+from slgaussian.language.query import Rules
+from slgaussian.language.vocabulary import NOUNS, load_vocabulary
+from slgaussian.things import words_for
+
+MOST = 2**20
+"""Numbers that answers to pairs of words may take; without room for all pairs there are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What a page knows of words.
+
+    Attributes
+    ----------
+    texts : tuple of str
+        What was asked, in lower case.
+    gaps : float32 [texts, things]
+        -inf for a thing that no view holds.
+    kinds : {word: kind}
+        Of the texts that are single words or whole phrases: ``thing``, ``describing``, ``taught``
+        or ``text``.
+    spellings : {spelling: word}
+        Other ways to write words.
+    skipped : tuple of str
+        Words that carry no meaning.
+    pairs : bool
+        Whether a describing word and a thing are answered together.
+    """
+
+    texts: tuple[str, ...]
+    gaps: np.ndarray
+    kinds: Mapping[str, str]
+    spellings: Mapping[str, str]
+    skipped: tuple[str, ...]
+    pairs: bool
+
+
+def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = ()) -> Answers:
+    """What the things of ``ids`` answer to all that a page can be asked, ``more`` texts among it.
+
+    InputError if the encoder cannot use one of these, or is not there.
+    """
+    kinds: dict[str, str] = {}
+    spellings: dict[str, str] = {}
+    skipped: tuple[str, ...] = ()
+    pairs: list[str] = []
+    if isinstance(field.encoder, Lexicon):
+        known = load_vocabulary()
+        skipped = tuple(sorted(known.stop))
+        every = {**known.words, **{" ".join(p): word for p, word in known.phrases.items()}}
+        for spelling, word in sorted(every.items()):
+            if word.weights:
+                kinds[word.name] = "thing" if word.family in NOUNS else "describing"
+                spellings[spelling] = word.name
+        spellings |= {name: name for name in kinds}
+        things = sorted(word for word, kind in kinds.items() if kind == "thing")
+        describing = sorted(word for word, kind in kinds.items() if kind == "describing")
+        if len(things) * len(describing) * len(ids) <= MOST:
+            pairs = [f"{one} {other}" for one in describing for other in things]
+    else:
+        kinds |= dict.fromkeys(words_for(field), "text")
+    kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}
+    kinds |= {_plain(word): "taught" for word in field.taught}
+    texts = tuple(dict.fromkeys([*kinds, *pairs]))
+    rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
+    gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
+    return Answers(texts, gaps.astype(np.float32), kinds, spellings, skipped, bool(pairs))
+
+
+def _plain(text: str) -> str:
+    return " ".join(text.lower().split())

@@ -1,0 +1,45 @@
+// What the file holds: about (JSON), and packed arrays, gzipped and in base64.
+
+const about = JSON.parse(document.getElementById("about").textContent);
+
+/** The bytes of a packed element of the page, which is removed. */
+async function unpacked(id) {
+  const element = document.getElementById(id);
+  const coded = atob(element.textContent.trim());
+  element.remove();
+  const bytes = new Uint8Array(coded.length);
+  for (let i = 0; i < coded.length; i++) bytes[i] = coded.charCodeAt(i);
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
+}
+
+const KINDS = { u1: Uint8Array, u4: Uint32Array, f4: Float32Array };
+
+/** Arrays of `buffer` by name, as `layout` {name: [kind, offset, count]} tells. */
+function arraysOf(buffer, layout) {
+  return Object.fromEntries(Object.entries(layout).map(([name, [kind, offset, count]]) =>
+    [name, new KINDS[kind](buffer, offset, count)]));
+}
+
+/** Centres Float32 [3 N], and what the GPU reads of each Gaussian: Uint32 [8 N]. */
+function gaussiansOf(arrays) {
+  const n = arrays.opacity.length, block = about.block;
+  const centres = new Float32Array(3 * n);
+  const store = new Uint32Array(8 * n), floats = new Float32Array(store.buffer);
+  const { low, step, high_byte: high, low_byte: less, red, green, blue, opacity } = arrays;
+  const { rotation, scales, things } = { ...arrays, things: arrays.thing };
+  for (let i = 0; i < n; i++) {
+    const b = 3 * Math.floor(i / block);
+    for (let k = 0; k < 3; k++) {
+      const at = k * n + i;
+      centres[3 * i + k] = floats[8 * i + k] =
+        low[b + k] + step[b + k] * (256 * high[at] + less[at]);
+    }
+    store[8 * i + 3] = red[i] | green[i] << 8 | blue[i] << 16 | opacity[i] << 24;
+    store[8 * i + 4] = rotation[i];
+    store[8 * i + 5] = scales[i];
+    store[8 * i + 6] = things[i] | things[n + i] << 8;
+    store[8 * i + 7] = arrays.guessed[i];
+  }
+  return { n, centres, store };
+}

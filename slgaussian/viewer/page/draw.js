@@ -1,0 +1,306 @@
+// Draws Gaussians with WebGL 2 as slgaussian/rasterize/project.py does: the affine approximation of
+// perspective, held to 0.3 of half a picture outside it, and a low-pass filter of 0.3 px^2.
+
+const NEAR = 0.01, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
+const WIDE = 1024; // Gaussians in a row of the texture, two texels each
+
+const SPLAT_VERTEX = `#version 300 es
+precision highp float; precision highp int;
+uniform highp usampler2D store;
+uniform highp sampler2D palette;
+uniform mat3 R; uniform vec3 centre; uniform vec4 lens; uniform vec2 size; uniform vec4 edges;
+uniform vec2 logs; uniform int mode;
+in uint which;
+flat out vec4 colour; flat out vec4 mark; out vec2 local;
+
+vec4 unpacked(uint code) {
+  uint largest = code >> 30;
+  vec4 q = vec4(0.0);
+  float left = 1.0;
+  uint rest = code;
+  for (int i = 3; i >= 0; i--) {
+    if (uint(i) == largest) continue;
+    float size = float(rest & 511u) / (511.0 * 1.4142135623730951);
+    q[i] = (rest & 512u) != 0u ? -size : size;
+    left -= size * size;
+    rest >>= 10;
+  }
+  q[largest] = sqrt(max(left, 0.0));
+  return q;
+}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
+  ivec2 at = ivec2(int(which % ${WIDE}u) * 2, int(which / ${WIDE}u));
+  uvec4 a = texelFetch(store, at, 0), b = texelFetch(store, at + ivec2(1, 0), 0);
+  vec3 p = R * (uintBitsToFloat(a.xyz) - centre);
+  ivec2 own = ivec2(int(b.z % ${WIDE}u) * 2, int(b.z / ${WIDE}u));
+  vec4 paint = texelFetch(palette, own, 0), state = texelFetch(palette, own + ivec2(1, 0), 0);
+  if (p.z <= ${NEAR}) return;
+  vec4 rgba = vec4(uvec4(a.w, a.w >> 8, a.w >> 16, a.w >> 24) & 255u) / 255.0;
+  float inverse = 1.0 / p.z;
+  vec2 flat_ = p.xy * inverse, held = clamp(flat_, edges.xz, edges.yw);
+  // Rows: how image x and y change with the position in the camera.
+  vec3 ax = vec3(lens.x, 0.0, -lens.x * held.x) * inverse;
+  vec3 ay = vec3(0.0, lens.y, -lens.y * held.y) * inverse;
+  vec4 q = unpacked(b.x);
+  float x = q.x, y = q.y, z = q.z, w = q.w;
+  mat3 turn = mat3(
+    1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+    2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+    2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+  vec3 s = exp(logs.x + logs.y * vec3(uvec3(b.y, b.y >> 10, b.y >> 20) & 1023u));
+  mat3 M = R * turn;
+  vec3 px = vec3(dot(ax, M[0]), dot(ax, M[1]), dot(ax, M[2])) * s;
+  vec3 py = vec3(dot(ay, M[0]), dot(ay, M[1]), dot(ay, M[2])) * s;
+  float xx = dot(px, px) + ${LOW_PASS}, xy = dot(px, py), yy = dot(py, py) + ${LOW_PASS};
+  float middle = 0.5 * (xx + yy), off = length(vec2(0.5 * (xx - yy), xy));
+  float first = middle + off, second = max(middle - off, 0.5 * ${LOW_PASS});
+  vec2 axis = abs(xy) > 1e-6 * middle ? normalize(vec2(xy, first - xx))
+    : (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
+  if (rgba.a <= ${CUT}) return;
+  float reach = sqrt(2.0 * log(rgba.a / ${CUT}));
+  vec2 corner = vec2((gl_VertexID & 1) == 0 ? -1.0 : 1.0, (gl_VertexID & 2) == 0 ? -1.0 : 1.0);
+  local = reach * corner;
+  vec2 pixel = lens.xy * flat_ + lens.zw + local.x * sqrt(first) * axis
+    + local.y * sqrt(second) * vec2(-axis.y, axis.x);
+  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+  float grey = dot(rgba.rgb, vec3(0.299, 0.587, 0.114));
+  vec3 shown = rgba.rgb;
+  if (mode == 2) shown = mix(vec3(grey), paint.rgb, paint.a);
+  if (mode == 4) shown = mix(vec3(0.6 * grey), vec3(0.95, 0.45, 0.1), b.w != 0u ? 0.75 : 0.0);
+  colour = vec4(shown, rgba.a);
+  mark = vec4(mode == 1 ? p.z : state.r, state.g, state.b, 0.0);
+}`;
+
+const SPLAT_FRAGMENT = `#version 300 es
+precision highp float;
+flat in vec4 colour; flat in vec4 mark; in vec2 local;
+layout(location = 0) out vec4 drawn; layout(location = 1) out vec4 marked;
+void main() {
+  float alpha = colour.a * exp(-0.5 * dot(local, local));
+  if (alpha < ${CUT}) discard;
+  drawn = vec4(colour.rgb * alpha, alpha);
+  marked = vec4(mark.xyz * alpha, alpha);
+}`;
+
+const PAGE_VERTEX = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}`;
+
+const PAGE_FRAGMENT = `#version 300 es
+precision highp float;
+uniform sampler2D drawn; uniform sampler2D marked; uniform sampler2D maps;
+uniform int mode; uniform vec2 depths; uniform float stripes; uniform float outline;
+out vec4 shown;
+
+vec2 marks(ivec2 at) {
+  ivec2 inside = clamp(at, ivec2(0), textureSize(marked, 0) - 1);
+  vec4 m = texelFetch(marked, inside, 0);
+  return m.yz / max(m.a, ${VISIBLE});
+}
+
+vec3 painted(float x, int row) {
+  return texelFetch(maps, ivec2(int(255.0 * clamp(x, 0.0, 1.0) + 0.5), row), 0).rgb;
+}
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 c = texelFetch(drawn, at, 0), m = texelFetch(marked, at, 0);
+  vec3 rgb = clamp(c.rgb / max(c.a, ${VISIBLE}), 0.0, 1.0);
+  float grey = dot(rgb, vec3(0.299, 0.587, 0.114));
+  if (mode == 1) {
+    float z = m.x / max(m.a, 1e-4), inverse = 1.0 / max(z, 1e-4);
+    float share = (inverse - 1.0 / depths.y) / max(1.0 / depths.x - 1.0 / depths.y, 1e-6);
+    rgb = m.a < ${VISIBLE} ? vec3(0.11) : painted(share, 0);
+  } else if (mode == 3) {
+    rgb = clamp(0.72 * painted(m.x / max(m.a, ${VISIBLE}), 1) + 0.34 * grey, 0.0, 1.0);
+  }
+  if (stripes > 0.0 && c.a < ${VISIBLE} && mode != 1) {
+    int row = textureSize(drawn, 0).y - 1 - at.y;
+    rgb = vec3(((row + at.x) / 5) % 2 == 0 ? 96.0 / 255.0 : 160.0 / 255.0);
+  }
+  if (outline > 0.0) {
+    int d = int(outline);
+    vec2 here = step(0.5, marks(at)), edge = vec2(0.0);
+    for (int k = 0; k < 4; k++) {
+      ivec2 to = ivec2((k & 1) * 2 - 1, (k >> 1) * 2 - 1) * d;
+      edge = max(edge, abs(here - step(0.5, marks(at + to))));
+    }
+    if (edge.x > 0.5) rgb = vec3(0.95, 0.72, 0.29);
+    if (edge.y > 0.5) rgb = vec3(1.0);
+  }
+  shown = vec4(rgb, 1.0);
+}`;
+
+/** Throws with a sentence if this browser cannot draw. */
+class Drawing {
+  constructor(canvas, gaussians, things, colourMaps) {
+    const gl = canvas.getContext("webgl2", {
+      antialias: false, alpha: false, depth: false, powerPreference: "high-performance",
+    });
+    if (!gl) throw new Error("This browser has no WebGL 2, so it cannot draw the scene.");
+    Object.assign(this, { gl, canvas, gaussians, things });
+    const fine = gl.getExtension("EXT_color_buffer_float")
+      || gl.getExtension("EXT_color_buffer_half_float");
+    this.kind = fine ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
+    this.order = new Order(gaussians.centres);
+    this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
+    this.page = this.program(PAGE_VERTEX, PAGE_FRAGMENT);
+    const rows = Math.max(1, Math.ceil(gaussians.n / WIDE));
+    if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
+      throw new Error("There are more Gaussians than this graphics processor holds.");
+    }
+    const padded = new Uint32Array(8 * WIDE * rows);
+    padded.set(gaussians.store);
+    this.store = this.texture(gl.RGBA32UI, 2 * WIDE, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT,
+      padded);
+    this.paletteRows = Math.ceil((things + 1) / WIDE);
+    this.state = new Uint8Array(8 * WIDE * this.paletteRows);
+    this.palette = this.texture(gl.RGBA8, 2 * WIDE, this.paletteRows, gl.RGBA, gl.UNSIGNED_BYTE,
+      this.state);
+    this.maps = this.texture(gl.RGBA8, 256, 2, gl.RGBA, gl.UNSIGNED_BYTE, colourMaps);
+    this.vertices = gl.createVertexArray();
+    gl.bindVertexArray(this.vertices);
+    this.which = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.which);
+    const place = gl.getAttribLocation(this.splats.program, "which");
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(place, 1);
+    this.empty = gl.createVertexArray();
+    this.seen = "";
+  }
+
+  program(vertex, fragment) {
+    const { gl } = this, program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
+        throw new Error(`The graphics processor refuses a program: ${gl.getShaderInfoLog(shader)}`);
+      }
+    }
+    gl.linkProgram(program);
+    const places = {};
+    const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+    for (let i = 0; i < count; i++) {
+      const { name } = gl.getActiveUniform(program, i);
+      places[name] = gl.getUniformLocation(program, name);
+    }
+    return { program, places };
+  }
+
+  texture(internal, width, height, format, kind, data) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, format, kind, data);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    }
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) {
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+    }
+    return texture;
+  }
+
+  /** What is known of each thing, from 1: {paint: [r, g, b, share], relevancy, taken, picked}. */
+  paint(known) {
+    const { gl, state } = this;
+    known.forEach(({ paint, relevancy, taken, picked }, k) => {
+      state.set([...paint, 255 * relevancy, 255 * taken, 255 * picked, 255], 8 * (k + 1));
+    });
+    gl.bindTexture(gl.TEXTURE_2D, this.palette);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 2 * WIDE, this.paletteRows, gl.RGBA,
+      gl.UNSIGNED_BYTE, state);
+  }
+
+  /** Give the canvas and what is drawn on before it this size in pixels. */
+  resize(width, height) {
+    const { gl, canvas } = this;
+    if (this.frame && canvas.width === width && canvas.height === height) return;
+    canvas.width = width;
+    canvas.height = height;
+    if (this.frame) {
+      gl.deleteFramebuffer(this.frame);
+      this.targets.forEach((target) => gl.deleteTexture(target));
+    }
+    this.targets = [0, 1].map(() => this.texture(this.kind[0], width, height, gl.RGBA,
+      this.kind[1], null));
+    this.frame = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
+    this.targets.forEach((target, k) => gl.framebufferTexture2D(gl.FRAMEBUFFER,
+      gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, target, 0));
+  }
+
+  /** Draw as `eye` sees it. `look`: {mode, depths, stripes, outline}. */
+  draw(eye, look) {
+    const { gl, splats, page } = this, { width, height, fx, fy, cx, cy } = eye;
+    this.resize(width, height);
+    const seen = [...eye.R, ...eye.centre, fx, fy, cx, cy, width, height].join();
+    if (seen !== this.seen) {
+      this.sorted = this.order.of(eye, NEAR);
+      this.seen = seen;
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.which);
+      gl.bufferData(gl.ARRAY_BUFFER, this.sorted, gl.DYNAMIC_DRAW);
+    }
+    gl.viewport(0, 0, width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    // Marks cost as much as colours do; without anything marked they are left out.
+    const marked = look.outline > 0 || look.mode === 1 || look.mode === 3;
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, marked ? gl.COLOR_ATTACHMENT1 : gl.NONE]);
+    gl.useProgram(splats.program);
+    this.bind(splats, { store: this.store, palette: this.palette });
+    gl.uniformMatrix3fv(splats.places.R, true, eye.R);
+    gl.uniform3fv(splats.places.centre, eye.centre);
+    gl.uniform4f(splats.places.lens, fx, fy, cx, cy);
+    gl.uniform2f(splats.places.size, width, height);
+    const mx = MARGIN * width / (2 * fx), my = MARGIN * height / (2 * fy);
+    gl.uniform4f(splats.places.edges, -cx / fx - mx, (width - cx) / fx + mx,
+      -cy / fy - my, (height - cy) / fy + my);
+    gl.uniform2fv(splats.places.logs, about.scale_logs);
+    gl.uniform1i(splats.places.mode, look.mode);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.bindVertexArray(this.vertices);
+    if (this.sorted.length) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.sorted.length);
+    gl.disable(gl.BLEND);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.useProgram(page.program);
+    this.bind(page, { drawn: this.targets[0], marked: this.targets[1], maps: this.maps });
+    gl.uniform1i(page.places.mode, look.mode);
+    gl.uniform2fv(page.places.depths, look.depths);
+    gl.uniform1f(page.places.stripes, look.stripes ? 1 : 0);
+    gl.uniform1f(page.places.outline, look.outline);
+    gl.bindVertexArray(this.empty);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  bind({ places }, textures) {
+    const { gl } = this;
+    Object.entries(textures).forEach(([name, texture], k) => {
+      gl.activeTexture(gl.TEXTURE0 + k);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.uniform1i(places[name], k);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+  }
+
+  /** Whether the graphics processor has drawn what it was told. */
+  async finished() {
+    const { gl } = this, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    while (fence && !gl.isContextLost()) {
+      const status = gl.clientWaitSync(fence, 0, 0);
+      if (status !== gl.TIMEOUT_EXPIRED) break;
+      await new Promise((done) => setTimeout(done, 4));
+    }
+    gl.deleteSync(fence);
+  }
+}

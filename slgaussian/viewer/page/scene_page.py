@@ -1,0 +1,308 @@
+"""A field, or Gaussians alone, as one HTML file that opens from disk without a network.
+
+The page (``scene.html`` and the scripts beside it) draws as :mod:`slgaussian.rasterize.project`
+does. It may load nothing: its content security policy names the one script and the one style by
+their digests. All that comes from a field is text to it, never markup or code.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+
+from slgaussian import __version__
+from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField, shown
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry.room import find_room
+from slgaussian.language.query import Rules
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Camera
+from slgaussian.semantic.decode import VISIBLE
+from slgaussian.things import Thing
+from slgaussian.viewer.page.answers import Answers, answers_of
+from slgaussian.viewer.page.packed import BLOCK, packed
+
+SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
+"""In the order in which they become one script."""
+
+THUMB = 360
+"""Width of the pictures of views, in pixels."""
+
+
+def scene_page(
+    field: SemanticField,
+    photographs: Mapping[str, np.ndarray] | None = None,
+    texts: Sequence[str] = (),
+    title: str | None = None,
+) -> str:
+    """The page of a field, without what was removed from it.
+
+    Parameters
+    ----------
+    field : SemanticField
+    photographs : {view: uint8 [H, W, 3]}, optional
+        What is shown of views; of others the field as it is drawn there.
+    texts : sequence of str
+        What the page shall answer beside the words that it knows anyway.
+    title : str, optional
+        The name of the scene if left out.
+
+    Raises
+    ------
+    InputError
+        If there are no Gaussians or no cameras, or the encoder is not there or cannot use one of
+        the texts.
+    """
+    looks = {name: field.render(camera) for name, camera in field.cameras.items()}
+    if not looks:
+        raise InputError("the field has no cameras, expected at least one to look from")
+    pictures = dict(photographs or {})
+    drawn_views = [name for name in looks if name not in pictures]
+    pictures |= {name: looks[name].rgb for name in drawn_views}
+    things = [thing for thing in field.inventory() if thing.gaussians]
+    ids = [thing.id for thing in things]
+    field = field.dropped()
+    labels = field.labels()
+    numbers = np.zeros(len(labels), np.int64)
+    if ids:
+        place = np.searchsorted(ids, labels).clip(0, len(ids) - 1)
+        numbers = np.where(np.array(ids)[place] == labels, place + 1, 0)
+    gaussians = field.gaussians
+    guesses = 0.0
+    if gaussians.guessed is not None:
+        guesses = float(gaussians.guessed.float().mean())
+    depths = [look.depth for look in looks.values()]
+    up = find_room(list(field.cameras.values()), depths).up
+    views = [
+        _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
+        for (name, camera), look in zip(field.cameras.items(), looks.values(), strict=True)
+    ]
+    return _page(
+        gaussians,
+        numbers,
+        views=views,
+        up=up,
+        depths=depth_range(*depths),
+        things=[_thing(thing, field, labels, list(looks)) for thing in things],
+        answers=answers_of(field, ids, texts),
+        title=title or str(field.settings.get("scene") or "scene"),
+        honest=_honest(field, gaussians, guesses),
+        stripes=bool(field.removed),
+    )
+
+
+def gaussians_page(gaussians: Gaussians, title: str) -> str:
+    """The page of Gaussians alone, such as those of a stranger's ``.ply``: to look at, not to ask.
+
+    The first look is from outside, along z, at most of them; y points down, as such files have it.
+    """
+    if not len(gaussians):
+        raise InputError("there are no Gaussians to show, expected at least one")
+    camera = _before(gaussians.means.numpy())
+    image = rasterize(gaussians, None, camera)
+    rgb = shown(image.values.numpy(), image.alpha.numpy())
+    depth = np.where(image.alpha.numpy() >= VISIBLE, image.depth.numpy(), 0)
+    return _page(
+        gaussians,
+        np.zeros(len(gaussians), np.int64),
+        views=[_view("start", camera, depth, rgb, "rendered")],
+        up=np.array([0.0, -1.0, 0.0]),
+        depths=depth_range(depth),
+        things=[],
+        answers=Answers((), np.zeros((0, 0), np.float32), {}, {}, (), False),
+        title=title,
+        honest=f"{len(gaussians):,} Gaussians of a .ply, without objects or words, colours of "
+        f"degree 0 only. Made with slgaussian {__version__}.",
+        stripes=False,
+    )
+
+
+def _page(
+    gaussians: Gaussians,
+    numbers: np.ndarray,
+    *,
+    views: list[dict[str, Any]],
+    up: np.ndarray,
+    depths: tuple[float, float],
+    things: list[dict[str, Any]],
+    answers: Answers,
+    title: str,
+    honest: str,
+    stripes: bool,
+) -> str:
+    content = packed(gaussians, numbers)
+    rules = Rules()
+    about = {
+        "format": 1,
+        "made_by": f"slgaussian {__version__}",
+        "title": title,
+        "views": views,
+        "up": np.asarray(up, np.float64).tolist(),
+        "depths": list(depths),
+        "stripes": stripes,
+        "things": things,
+        "guesses": gaussians.guessed is not None and bool(gaussians.guessed.any()),
+        "texts": list(answers.texts),
+        "words": dict(answers.kinds),
+        "spellings": dict(answers.spellings),
+        "skipped": list(answers.skipped),
+        "pairs": answers.pairs,
+        "said_words": _said_words(answers),
+        "share": rules.share,
+        "temperature": rules.temperature,
+        "block": BLOCK,
+        "layout": content.layout,
+        "scale_logs": list(content.scale_logs),
+        "maps": _base64(_colour_maps()),
+        "honest": honest,
+    }
+    script, style = _script(), _read("scene.css")
+    policy = (
+        f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    return _template().render(
+        title=title,
+        gaussians=f"{len(gaussians):,}",
+        example="red chair" if answers.pairs else "a word of the list below",
+        policy=policy,
+        style=style,
+        script=script,
+        about=_harmless(json.dumps(about, ensure_ascii=False, allow_nan=False)),
+        packed_gaussians=_base64(content.data),
+        packed_answers=_base64(gzip.compress(answers.gaps.astype("<f4").tobytes(), 9, mtime=0)),
+    )
+
+
+def _before(means: np.ndarray) -> Camera:
+    """A camera that looks along z at most of the points [N, 3], from before them."""
+    middle = np.median(means, axis=0)
+    reach = np.percentile(np.linalg.norm(means - middle, axis=1), 80)
+    c2w = np.eye(4)
+    c2w[:3, 3] = middle - (0, 0, 2.5 * max(reach, 1e-6))
+    return Camera(np.array([[800.0, 0, 400], [0, 800, 300], [0, 0, 1]]), c2w, 800, 600)
+
+
+def _view(
+    name: str, camera: Camera, depth: np.ndarray, picture: np.ndarray, made: str
+) -> dict[str, Any]:
+    middle = depth[depth.shape[0] // 4 : -depth.shape[0] // 4 or None]
+    seen = middle[middle > 0]
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    return {
+        "name": name,
+        "caption": f"{name} ({made})" if made else name,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+        "c2w": camera.c2w.tolist(),
+        "distance": float(np.median(seen)) if seen.size else 1.0,
+        "picture": "data:image/jpeg;base64," + _base64(encode_jpeg(picture, THUMB)),
+    }
+
+
+def _thing(
+    thing: Thing, field: SemanticField, labels: np.ndarray, views: list[str]
+) -> dict[str, Any]:
+    guessed = 0.0
+    if field.gaussians.guessed is not None:
+        guessed = float(field.gaussians.guessed.numpy()[labels == thing.id].mean())
+    return {
+        "id": thing.id,
+        "name": thing.name or "",
+        "words": [[text, round(score, 4)] for text, score in thing.words],
+        "confidence": round(thing.confidence, 4),
+        "colour": label_colors(np.array(thing.id)).tolist(),
+        "gaussians": thing.gaussians,
+        "views": [views.index(view) for view in thing.views],
+        "guessed": round(guessed, 4),
+    }
+
+
+def _honest(field: SemanticField, gaussians: Gaussians, guesses: float) -> str:
+    said = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
+    if guesses:
+        said.append(f"Of {100 * guesses:.0f}% the depth is a guess, which no second one confirms.")
+    said.append("What no photograph shows is left open.")
+    if field.removed:
+        said.append("Stripes are open too, such as what stood behind what was removed.")
+    if any(camera.estimated for camera in field.cameras.values()):
+        said.append("The cameras were found from the photographs, so there is no scale in metres.")
+    if gaussians.sh.shape[1] > 1:
+        said.append("Colours do not change with the viewpoint here, as those of the field do.")
+    said.append(
+        "Words are answered for whole objects, as worked out when this file was made with "
+        f"slgaussian {__version__}."
+    )
+    return " ".join(said)
+
+
+def _said_words(answers: Answers) -> str:
+    kinds: dict[str, list[str]] = {}
+    for word, kind in answers.kinds.items():
+        kinds.setdefault(kind, []).append(word)
+    titles = {"taught": "Taught", "text": "Texts", "thing": "Things", "describing": "Describing"}
+    said = [
+        f"{name}: {', '.join(sorted(kinds[kind]))}."
+        for kind, name in titles.items()
+        if kind in kinds
+    ]
+    if answers.pairs:
+        said.append("And one describing word with one thing, as in “red chair”.")
+    said.append("Several, with commas between them, share the scene out among them.")
+    return " ".join(said)
+
+
+def _harmless(text: str) -> str:
+    """JSON that ends no element of the page and begins no comment, whatever is in it."""
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _colour_maps() -> bytes:
+    """Turbo, then inferno: 256 colours RGBA each."""
+    ramp = np.arange(256, dtype=np.uint8)[None]
+    maps = [cv2.applyColorMap(ramp, name) for name in (cv2.COLORMAP_TURBO, cv2.COLORMAP_INFERNO)]
+    return np.concatenate(
+        [np.dstack([colours[..., ::-1], np.full_like(ramp, 255)]) for colours in maps]
+    ).tobytes()
+
+
+@cache
+def _script() -> str:
+    return "\n".join(_read(name) for name in SCRIPTS)
+
+
+@cache
+def _read(name: str) -> str:
+    return files(__package__).joinpath(name).read_text("utf-8")
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    return environment.from_string(_read("scene.html"))

@@ -1,0 +1,329 @@
+"""The one-file page in a real browser, from disk: it draws, answers and names as the field does."""
+
+import base64
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from slgaussian import datasets
+from slgaussian.benchmark.pictures import paint_relevancy
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.labels import LabelMaps
+from slgaussian.language.query import Rules
+from slgaussian.parts.method import Method
+from slgaussian.scene import Sample
+from slgaussian.viewer.page.answers import answers_of
+from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
+from tests.browser import Browser, Tab
+from tests.known import known_field
+
+H, W = 84, 112
+NASTY = """</script><img src=x onerror="alert(1)">' & "quoted" \u2028 <!--"""
+
+
+def room(keep: int | None = None) -> SemanticField:
+    """A made-up room of which all is known: a Gaussian a pixel; of ``keep`` objects, if given."""
+    scene = datasets.load("procedural", seed=0, views=2, height=H, width=W)
+    sample: Sample = scene.sample(list(scene.cameras))
+    labels = np.stack([view.instances for view in sample.context]).astype(np.int32)
+    if keep is not None:
+        largest = np.argsort(-np.bincount(labels[labels > 0]))[:keep]
+        labels = np.where(np.isin(labels, largest), labels, 0)
+    points = [view.camera.unproject(view.depth).reshape(-1, 3) for view in sample.context]
+    sizes = [(0.6 * view.depth / view.camera.K[0, 0]).ravel() for view in sample.context]
+    colours = [view.image.reshape(-1, 3) / 255 for view in sample.context]
+    n = sum(map(len, points))
+    rng = np.random.default_rng(0)
+    quats = rng.normal(size=(n, 4))
+    scales = np.concatenate(sizes)[:, None] * rng.uniform(0.4, 1.4, (n, 3))
+    gaussians = Gaussians(
+        means=torch.tensor(np.concatenate(points), dtype=torch.float32),
+        scales=torch.tensor(scales, dtype=torch.float32),
+        quats=torch.tensor(quats / np.linalg.norm(quats, axis=1)[:, None], dtype=torch.float32),
+        opacities=torch.tensor(rng.uniform(0.6, 1, n), dtype=torch.float32),
+        sh=rgb_to_sh(torch.tensor(np.concatenate(colours), dtype=torch.float32)),
+        source=torch.arange(n, dtype=torch.int32),
+        guessed=torch.tensor(rng.uniform(size=n) < 0.2),
+    )
+    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    return known_field(sample, gaussians, maps, Method(codes="exact", keep="all"))
+
+
+@pytest.fixture(scope="module")
+def field() -> SemanticField:
+    return room()
+
+
+@pytest.fixture(scope="module")
+def file(field, tmp_path_factory) -> Path:
+    made = tmp_path_factory.mktemp("page") / "scene.html"
+    made.write_text(scene_page(field, texts=["dark red crate"]), "utf-8")
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(browser, file):
+    with shown(browser, file) as tab:
+        yield tab
+
+
+@contextmanager
+def shown(browser: Browser, file: Path, width: int = 900, height: int = 600) -> Iterator[Tab]:
+    """The page once it has drawn."""
+    with browser.open(file.as_uri(), width, height) as tab:
+        tab.wait("globalThis.slgaussian !== undefined", 120)
+        yield tab
+
+
+def snapshot(tab: Tab, view: int = 0) -> np.ndarray:
+    """The picture at a view's camera, as the page draws it."""
+    url = tab.evaluate(f"slgaussian.snapshot({view})")
+    return np.array(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGB"))
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / max(((a.astype(float) - b) ** 2).mean(), 1e-9)))
+
+
+def ask(tab: Tab, text: str) -> str:
+    """Type a text as a user does; what the page says."""
+    tab.evaluate("slgaussian.clear()")
+    tab.click_on("#words")
+    tab.type(text)
+    tab.press("Enter")
+    return tab.wait("!slgaussian.busy && document.getElementById('answer').textContent")
+
+
+def taken(tab: Tab) -> set[int]:
+    return set(
+        tab.evaluate(
+            "slgaussian.asked[0].taken.flatMap((t, k) =>"
+            "t ? [JSON.parse(document.getElementById('about').textContent).things[k].id] : [])"
+        )
+    )
+
+
+def test_it_draws_what_the_rasteriser_draws(page, field):
+    page.evaluate("slgaussian.clear()")
+    for view, camera in enumerate(field.cameras.values()):
+        # 25 dB is what a page must reach; it has 8 bits a colour, and 16 a mean within a block.
+        assert psnr(snapshot(page, view), field.render(camera).rgb) > 40
+    assert psnr(snapshot(page, 0), field.render(camera).rgb) < 30  # another view is another picture
+
+
+def test_a_word_lights_up_the_pixels_that_a_query_takes(page, field):
+    seen = field.render(field.cameras[next(iter(field.cameras))])
+    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_INFERNO)[0, :, ::-1]
+    for text in ("floor", "wall", "ball"):
+        said = ask(page, text)
+        hit = seen.query(text)
+        assert f"score {hit.score:.3f}" in said
+        picture = snapshot(page).astype(float)
+        assert psnr(picture, paint_relevancy(hit.relevancy, seen.rgb)) > 25
+        heat = (picture - 0.34 * cv2.cvtColor(seen.rgb, cv2.COLOR_RGB2GRAY)[..., None]) / 0.72
+        apart = np.abs(heat[:, :, None] - ramp.astype(float)).sum(3)
+        relevancy = apart.argmin(2) / 255
+        others = [score for score in hit.scores if score < hit.objects[-1][1]]
+        lit = relevancy > (hit.objects[-1][1] + max(others)) / 2
+        assert (lit & hit.mask).sum() / (lit | hit.mask).sum() > 0.85
+        assert taken(page) == {id_ for id_, _ in hit.objects}
+
+
+def test_every_text_takes_what_a_query_takes(field):
+    """By the rule as the page has it, of numbers as the page has them."""
+    ids = [thing.id for thing in field.inventory()]
+    answers = answers_of(field, ids)
+    assert answers.pairs and len(answers.texts) > 1000
+    seen = field.render(next(iter(field.cameras.values())))
+    assert set(ids) == set(np.unique(seen.ids)) - {0}, "every object is in view, so both are asked"
+    share = Rules().share
+    for row in range(0, len(answers.texts), 37):
+        gaps = answers.gaps[row].astype(float)
+        chosen = {
+            i for i, gap in zip(ids, gaps, strict=True) if gap > 0 and gap >= share * max(gaps)
+        }
+        assert chosen == {id_ for id_, _ in seen.query(answers.texts[row]).objects}
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("  The RED crate ", "red crate"),
+        ("crates", "crate"),
+        ("carpets, please", "carpet"),
+        ("crate red", "red crate"),
+        ("Dark  red crate", "dark red crate"),
+        ("crimson unicorn", None),
+        ("red green crate", None),
+        ("", None),
+    ],
+)
+def test_texts_are_read_as_the_lexicon_reads_them(page, field, typed, read):
+    found = page.evaluate(f"slgaussian.words.read({json.dumps(typed)})")
+    assert found.get("text") == read
+    if read:
+        field.reader.understood(typed)
+        a, b = field.reader.gaps([typed.split(",")[0], read], Rules())
+        np.testing.assert_allclose(a, b, atol=1e-12)
+    else:
+        assert found["why"]
+
+
+def test_what_is_not_known_is_said(page):
+    assert "unicorn" in ask(page, "unicorn") and "not among the words" in ask(page, "unicorn")
+    assert "slgaussian query" in ask(page, "red green crate")
+
+
+def test_several_words_share_the_scene_out(page, field):
+    ask(page, "floor, wall")
+    assert page.evaluate("document.querySelectorAll('#legend li').length") == 2
+    camera = field.cameras[next(iter(field.cameras))]
+    labels = field.render(camera).segment(["floor", "wall"])
+    picture = snapshot(page).astype(float)
+    for word, hue in ((1, (242, 184, 75)), (2, (86, 180, 233))):
+        ours = picture[labels == word].mean(0)
+        ours, wanted = ours / np.linalg.norm(ours), np.array(hue) / np.linalg.norm(hue)
+        assert ours @ wanted > 0.985
+    page.evaluate("slgaussian.clear()")
+
+
+def test_a_click_names_what_is_under_it(page, field):
+    page.evaluate("slgaussian.clear()")
+    page.click_on("#views button")
+    page.wait("!slgaussian.busy")
+    seen = field.render(next(iter(field.cameras.values())))
+    things = {thing.id: thing for thing in field.inventory()}
+    for text in ("floor", "table", "cone"):
+        x, y = seen.query(text).point
+        eye = page.evaluate("(({fx, cx, cy}) => ({fx, cx, cy}))(slgaussian.eye)")
+        K = next(iter(field.cameras.values())).K
+        zoom = eye["fx"] / K[0, 0]
+        page.click(eye["cx"] + (x + 0.5 - K[0, 2]) * zoom, eye["cy"] + (y + 0.5 - K[1, 2]) * zoom)
+        page.wait("!slgaussian.busy && !document.getElementById('card').hidden")
+        said = page.evaluate("document.getElementById('card').textContent")
+        thing = things[int(seen.ids[y, x])]
+        assert f"Object {thing.id}" in said
+        assert all(word in said for word, _ in thing.words)
+        assert f"{thing.gaussians:,} Gaussians" in said
+        picked = "document.querySelector('#objects [aria-pressed=true]').textContent"
+        assert page.evaluate(picked).startswith(str(thing.id))
+
+
+def test_it_is_driven_by_keys_and_mouse(page):
+    page.evaluate("slgaussian.clear(); slgaussian.goTo(0)")
+    page.wait("!slgaussian.busy")
+    before = page.evaluate("slgaussian.eye.centre.join()")
+    for act in (
+        lambda: page.drag((700, 300), (760, 330)),
+        lambda: page.press("w"),
+        lambda: page.press("ArrowLeft"),
+    ):
+        frame = page.evaluate("slgaussian.frame")
+        axes = page.evaluate("[...slgaussian.eye.R, ...slgaussian.eye.centre].join()")
+        page.evaluate("document.getElementById('picture').focus()")
+        act()
+        page.wait(f"slgaussian.frame > {frame} && !slgaussian.busy")
+        assert page.evaluate("[...slgaussian.eye.R, ...slgaussian.eye.centre].join()") != axes
+    page.press("0")
+    page.wait(f"!slgaussian.busy && slgaussian.eye.centre.join() === {before!r}")
+    page.press("/")
+    assert page.evaluate("document.activeElement.id") == "words"
+    page.type("floor")
+    page.press("Enter")
+    page.wait("slgaussian.asked.length === 1")
+    page.press("Escape")
+    page.wait("slgaussian.asked.length === 0 && document.getElementById('words').value === ''")
+
+
+def test_it_asks_the_network_for_nothing_and_complains_of_nothing(page, file):
+    assert page.requests[0] == file.as_uri()
+    assert all(url.startswith("data:image/jpeg;base64,") for url in page.requests[1:])
+    assert page.complaints == []
+    policy = page.evaluate("document.querySelector('meta[http-equiv]').content")
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe" not in policy
+
+
+def test_it_is_readable_on_a_telephone(browser, file):
+    with shown(browser, file, 400, 760) as tab:
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 400
+        box = tab.evaluate("document.getElementById('panel').getBoundingClientRect().toJSON()")
+        assert box["top"] > 300 and box["width"] <= 400
+
+
+def test_names_are_text_and_never_markup(browser, field, tmp_path):
+    id_ = field.inventory()[0].id
+    named = field.named(id_, NASTY.replace("\u2028", ""))
+    (tmp_path / "a.html").write_text(scene_page(named, title=NASTY), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        assert tab.evaluate("document.title") == " ".join(NASTY.split()) or NASTY
+        assert tab.evaluate("document.querySelector('h1').textContent") == NASTY
+        listed = tab.evaluate("document.querySelector('#objects li').textContent")
+        assert named.names[id_] in listed
+        assert tab.evaluate("document.querySelectorAll('img[src=x]').length") == 0
+        assert tab.complaints == []
+
+
+def test_what_was_removed_is_not_in_the_file(browser, field, tmp_path):
+    camera = next(iter(field.cameras.values()))
+    (gone, _), *_ = field.render(camera).query("ball").objects
+    less = field.without([gone])
+    (tmp_path / "a.html").write_text(scene_page(less), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        about = tab.evaluate("JSON.parse(document.getElementById('about').textContent)")
+        assert gone not in [thing["id"] for thing in about["things"]]
+        assert tab.evaluate("slgaussian.gaussians.n") == len(less.drawn) < len(field.gaussians)
+        picture, drawn = snapshot(tab), less.render(camera)
+        assert psnr(picture, drawn.rgb) > 30
+        assert drawn.unknown.any()
+        stripes = np.isin(picture[drawn.unknown], (96, 160)).all(1)
+        assert stripes.mean() > 0.9
+
+
+def test_a_field_of_one_object(browser, tmp_path):
+    small = room(keep=1)
+    (tmp_path / "a.html").write_text(scene_page(small), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        assert psnr(snapshot(tab), small.render(next(iter(small.cameras.values()))).rgb) > 40
+        assert tab.evaluate("document.querySelectorAll('#objects li').length") == 1
+        assert "score" in ask(tab, "floor")
+        assert tab.complaints == []
+
+
+def test_a_field_whose_objects_are_all_removed(browser, field, tmp_path):
+    """What belongs to none is left to look at, and nothing to ask."""
+    partly = room(keep=3)
+    bare = partly.without(partly.bank.ids.tolist())
+    (tmp_path / "a.html").write_text(scene_page(bare), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        assert psnr(snapshot(tab), bare.render(next(iter(bare.cameras.values()))).rgb) > 25
+        assert tab.evaluate("document.getElementById('search').hidden")
+        assert tab.complaints == []
+
+
+def test_gaussians_alone_are_looked_at_and_not_asked(browser, field, tmp_path):
+    (tmp_path / "a.html").write_text(gaussians_page(field.gaussians, "strange"), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        assert snapshot(tab).std() > 20
+        assert tab.evaluate("document.getElementById('search').hidden")
+        assert tab.evaluate("[...document.querySelectorAll('#modes button')].length") == 3
+        assert tab.complaints == []
+
+
+def test_nothing_to_show_is_refused(field):
+    with pytest.raises(InputError, match="no Gaussians"):
+        gaussians_page(field.gaussians[:0], "none")
+
+
+def test_the_same_field_makes_the_same_bytes(field):
+    assert scene_page(field) == scene_page(field)
