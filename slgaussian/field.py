@@ -37,6 +37,7 @@ from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
+from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.specs import load_spec
@@ -265,6 +266,8 @@ class SemanticField:
         kept = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
             kept |= {"_decoder", "_labels"}
+            if other.cameras is self.cameras:
+                kept.add("_whole")
         other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
         return other
 
@@ -403,11 +406,38 @@ class SemanticField:
 
     @cached_property
     def drawn(self) -> Gaussians:
-        """The Gaussians but those of removed objects."""
-        if not self.removed:
+        """The Gaussians but those of removed objects and of their fringes.
+
+        See :mod:`slgaussian.semantic.fringe`.
+        """
+        ids = list(self.removed)
+        gone = np.isin(self.labels(), ids)
+        if not gone.any():
             return self.gaussians
-        keep = ~np.isin(self.labels(), list(self.removed))
-        return self.gaussians[torch.from_numpy(keep)]
+        cameras = list(self.cameras.values())
+        held = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
+        views = [view for view in np.flatnonzero(held).tolist() if view < len(cameras)]
+        seen = [self._seen_whole(view) for view in views]
+        edge = fringe(
+            self.gaussians.means.numpy(),
+            gone,
+            [cameras[view] for view in views],
+            [depth for _, depth in seen],
+            [np.isin(drawn, ids) for drawn, _ in seen],
+        )
+        return self.gaussians[torch.from_numpy(~(gone | edge))]
+
+    def _seen_whole(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Ids and depth of a context view of the field with nothing removed; kept."""
+        if view not in self._whole:
+            camera = list(self.cameras.values())[view]
+            seen = replace(self, removed=frozenset()).render(camera)
+            self._whole[view] = seen.ids, seen.depth
+        return self._whole[view]
+
+    @cached_property
+    def _whole(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        return {}
 
     @cached_property
     def _decoder(self) -> Decoder:
