@@ -1,0 +1,115 @@
+"""Bytes and errors of every format that a field is exported to.
+
+    python -m benches.formats.exported DATA [-o docs/measured]
+
+DATA is a folder of pairs of photographs, such as an office; a made-up room comes beside its first
+three scenes. -o writes exports.md. The page (.html) is drawn by Chromium, which must be there.
+"""
+
+import argparse
+import base64
+import io
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from benches.common.pages import publish
+from benches.common.photograph_pairs import load_samples, photographs
+from slgaussian.benchmark.metrics import psnr
+from slgaussian.build import build_field
+from slgaussian.cameras.trajectories import between
+from slgaussian.field import SemanticField
+from slgaussian.formats.glb import save_glb
+from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.formats.splat import load_splat, save_splat
+from slgaussian.formats.spz import load_spz, save_spz
+from slgaussian.gaussians import Gaussians
+from slgaussian.parts.method import Method
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Camera
+from slgaussian.viewer.page.scene_page import scene_page
+from tests.browser import Browser
+
+SCENES = 3
+
+READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
+    ".ply": (save_ply, lambda file: load_ply(file)[0]),
+    ".splat": (save_splat, load_splat),
+    ".spz": (save_spz, load_spz),
+}
+
+
+def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> Iterator[dict]:
+    """A row a format: bytes, and the error of pictures of what was read again."""
+    cameras = list(field.cameras.values())
+    middle = between(cameras[0], cameras[-1], 0.5)
+    true = [_drawn(field.gaussians, camera) for camera in (*cameras, middle)]
+    held = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
+    for suffix, (save, load) in READ.items():
+        file = folder / f"scene{suffix}"
+        save(field.gaussians, file)
+        again = load(file)
+        errors = [
+            psnr(_drawn(again, camera), was)
+            for camera, was in zip((*cameras, middle), true, strict=True)
+        ]
+        yield held | _row(suffix, file, min(errors[:-1]), errors[-1])
+    file = folder / "scene.glb"
+    save_glb(field.gaussians, file)
+    yield held | _row(".glb", file)
+    # The camera between the views is one of the page's only for this.
+    file = folder / "scene.html"
+    file.write_text(scene_page(field), "utf-8")
+    whole = file.stat().st_size
+    there = field.changed(cameras={**field.cameras, "between": middle})
+    file.write_text(scene_page(there), "utf-8")
+    with browser.open(file.as_uri(), 400, 300) as tab:
+        tab.wait("globalThis.slgaussian !== undefined", 600)
+        seen = [_picture(tab.evaluate(f"slgaussian.snapshot({view})")) for view in range(len(true))]
+    errors = [
+        psnr(picture, field.render(camera).rgb)
+        for picture, camera in zip(seen, there.cameras.values(), strict=True)
+    ]
+    yield held | _row(".html", file, min(errors[:-1]), errors[-1]) | {"megabytes": whole / 1e6}
+
+
+def _row(suffix: str, file: Path, context: float | None = None, novel: float | None = None) -> dict:
+    row: dict = {"format": suffix, "megabytes": file.stat().st_size / 1e6}
+    if context is not None:
+        row |= {"context": context, "between": novel}
+    return row
+
+
+def _drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    picture = rasterize(gaussians, None, camera).values.numpy()
+    return np.rint(picture.clip(0, 1) * 255).astype(np.uint8)
+
+
+def _picture(url: str) -> np.ndarray:
+    data = base64.b64decode(url.partition(",")[2])
+    return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", type=photographs)
+    parser.add_argument("-o", "--out", type=Path)
+    given = parser.parse_args()
+    samples = dict(list(load_samples(given.data).items())[:SCENES]) | load_samples(None)
+    rows = []
+    with Browser() as browser, tempfile.TemporaryDirectory() as folder:
+        for name, sample in samples.items():
+            field = build_field(sample, Method())
+            for row in rows_of(name, field, browser, Path(folder)):
+                row["bytes"] = row["megabytes"] * 1e6 / row["gaussians"]
+                print(row, flush=True)
+                rows.append(row)
+    file = None if given.out is None else given.out / "exports.md"
+    publish("formats/exports.md.j2", file, rows=rows, scenes=SCENES)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""What the one-file page costs: bytes, seconds to open, milliseconds a frame, memory.
+
+    python -m benches.viewer.page_cost WALK [-o docs/measured]
+
+WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. -o writes page.md.
+Chromium draws with software: with a graphics processor it is another order of magnitude.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from benches.common.pages import publish
+from benches.common.photograph_pairs import data_folder
+from slgaussian import datasets
+from slgaussian.build import build_field
+from slgaussian.field import SemanticField
+from slgaussian.parts.method import Method
+from slgaussian.viewer.page.scene_page import scene_page
+from tests.browser import Browser, Tab
+
+SIZES = {"two views, needed": (2, "needed"), "two views, all": (2, "all"), "four, all": (4, "all")}
+"""Views, and which of their Gaussians are kept."""
+
+FRAMES = 5
+WINDOW = (960, 600)
+PATIENCE = 900
+
+RENDERER = """(() => { const gl = slgaussian.drawing.gl;
+  const more = gl.getExtension("WEBGL_debug_renderer_info");
+  return gl.getParameter(more ? more.UNMASKED_RENDERER_WEBGL : gl.RENDERER); })()"""
+
+
+def measured(name: str, field: SemanticField, folder: Path) -> dict:
+    start = time.perf_counter()
+    html = scene_page(field)
+    made = time.perf_counter() - start
+    file = folder / "scene.html"
+    file.write_text(html, "utf-8")
+    with Browser() as browser, browser.open("about:blank", *WINDOW) as blank:
+        bare = browser.resident_bytes()
+        del blank
+        with browser.open(file.as_uri(), *WINDOW) as tab:
+            tab.wait("globalThis.slgaussian !== undefined", PATIENCE)
+            marks = tab.evaluate(
+                "Object.fromEntries(performance.getEntriesByType('mark')"
+                ".map((mark) => [mark.name, mark.startTime / 1000]))"
+            )
+            frames = [_frame(tab) for _ in range(FRAMES)]
+            lit = _asked(tab)
+            used = browser.resident_bytes() - bare
+            return {
+                "name": name,
+                "gaussians": len(field.gaussians),
+                "made": made,
+                "megabytes": len(html.encode()) / 1e6,
+                "unpacked": marks["unpacked"],
+                "shown": marks["shown"],
+                "frame": statistics.median(frames),
+                "light": lit,
+                "memory": used / 2**20,
+                "heap": tab.evaluate("performance.memory.usedJSHeapSize") / 2**20,
+                "sort": tab.evaluate(
+                    "(() => { const start = performance.now();"
+                    "slgaussian.drawing.order.of(slgaussian.eye, 0.01);"
+                    "return performance.now() - start; })()"
+                ),
+                "renderer": tab.evaluate(RENDERER),
+            }
+
+
+def _frame(tab: Tab) -> float:
+    """Seconds of a frame after a small turn."""
+    return tab.evaluate(
+        "(async () => { slgaussian.stand.turn(0.02, 0); await slgaussian.wish();"
+        "return slgaussian.took / 1000; })()"
+    )
+
+
+def _asked(tab: Tab) -> float:
+    """Seconds from Enter to the frame that shows the answer."""
+    tab.wait("!slgaussian.busy", PATIENCE)
+    tab.click_on("#words")
+    tab.type("floor")
+    tab.evaluate(
+        "asked = new Promise((done) => addEventListener('submit', async () => {"
+        "const start = performance.now(); await new Promise((go) => setTimeout(go));"
+        "await slgaussian.busy; done((performance.now() - start) / 1000); },"
+        "{capture: true, once: true})); 1"
+    )
+    tab.press("Enter")
+    return tab.evaluate("asked")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", type=data_folder("transforms.json"))
+    parser.add_argument("-o", "--out", type=Path)
+    given = parser.parse_args()
+    scene = datasets.load("nerfstudio", given.data)
+    names = sorted(scene.cameras)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (views, keep) in SIZES.items():
+            sample = scene.sample(names[: 2 * views : 2], [], "auto")
+            rows.append(measured(name, build_field(sample, Method(keep=keep)), Path(folder)))
+            print(rows[-1], flush=True)
+    file = None if given.out is None else given.out / "page.md"
+    publish("viewer/page.md.j2", file, rows=rows, frames=FRAMES, window=WINDOW)
+
+
+if __name__ == "__main__":
+    main()
