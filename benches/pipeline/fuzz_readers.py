@@ -567,7 +567,7 @@ def make_field(folder: Path) -> None:
     bank = MemoryBank(np.array([3, 7], np.int32), codes, features, np.ones((2, 2), bool))
     cameras = {"a": camera(0), "b": camera(1)}
     own = SemanticField(gaussians(), bank, cameras, {"encoder": "lexicon", "codes": "grid"})
-    own.save(folder / "field")
+    own.teach("fox", 3).named(7, "Anna's").without([7]).save(folder / "field")
 
 
 def make_arrays(folder: Path) -> None:
