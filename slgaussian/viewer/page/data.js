@@ -26,8 +26,8 @@ function gaussiansOf(arrays) {
   const n = arrays.opacity.length, block = about.block;
   const centres = new Float32Array(3 * n);
   const store = new Uint32Array(8 * n), floats = new Float32Array(store.buffer);
-  const { low, step, high_byte: high, low_byte: less, red, green, blue, opacity } = arrays;
-  const { rotation, scales, things } = { ...arrays, things: arrays.thing };
+  const { low, step, high_byte: high, low_byte: less, rotation, scales } = arrays;
+  const { red, green, blue, opacity, thing } = arrays;
   for (let i = 0; i < n; i++) {
     const b = 3 * Math.floor(i / block);
     for (let k = 0; k < 3; k++) {
@@ -38,7 +38,7 @@ function gaussiansOf(arrays) {
     store[8 * i + 3] = red[i] | green[i] << 8 | blue[i] << 16 | opacity[i] << 24;
     store[8 * i + 4] = rotation[i];
     store[8 * i + 5] = scales[i];
-    store[8 * i + 6] = things[i] | things[n + i] << 8;
+    store[8 * i + 6] = thing[i] | thing[n + i] << 8;
     store[8 * i + 7] = arrays.guessed[i];
   }
   return { n, centres, store };

@@ -5,6 +5,10 @@ const MODES = ["colour", "depth", "objects", "relevancy", "guesses"];
 const HUES = [[242, 184, 75], [86, 180, 233], [0, 178, 130], [230, 110, 60], [204, 121, 167],
   [240, 228, 66], [120, 130, 255], [170, 170, 170]];
 
+const MOST_PIXELS = 2.5e6;
+const SLOW = 90, REST = 250; // milliseconds: of a frame that is slow, and without input
+const later = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
+
 /** An element with text, never markup, in it. */
 function element(tag, text = "", values = {}) {
   const made = Object.assign(document.createElement(tag), values);
@@ -23,7 +27,7 @@ class Page {
     this.picked = 0;
     this.asked = []; // of {text, scores, taken, best, hue}
     this.held = new Set();
-    this.moved = 0;
+    this.moved = -Infinity;
     this.frame = 0;
     this.slow = false;
     this.fill();
@@ -46,10 +50,14 @@ class Page {
     return { width: Math.round(width * scale), height: Math.round(height * scale), free };
   }
 
+  /** Pixels of the canvas a CSS pixel, at rest; while something moves, a slow page draws fewer. */
+  fine() {
+    return Math.min(devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / (innerWidth * innerHeight)));
+  }
+
   scale() {
-    const most = Math.sqrt(2.5e6 / (innerWidth * innerHeight));
-    const fine = Math.min(devicePixelRatio || 1, most);
-    return this.slow && performance.now() - this.moved < 250 ? Math.min(0.5, fine) : fine;
+    const moving = performance.now() - this.moved < REST;
+    return this.slow && moving ? 0.5 * this.fine() : this.fine();
   }
 
   look() {
@@ -78,10 +86,11 @@ class Page {
       await this.drawing.finished();
       this.took = performance.now() - start;
       this.frame += 1;
-      this.slow = this.took > 90;
+      this.slow = this.took > SLOW;
       if (this.step()) this.stale = true;
-      else if (scale < Math.min(devicePixelRatio || 1, 1)) {
-        await new Promise((done) => setTimeout(done, 260));
+      else if (this.slow && scale < this.fine()) {
+        // Once nothing moves any more, the whole picture.
+        while (!this.stale && performance.now() - this.moved < REST) await later(20);
         this.stale = true;
       }
     }
@@ -223,6 +232,8 @@ class Page {
       card.append(
         element("h3", `Object ${known.id}${known.name ? `: ${known.name}` : ""}`),
         element("p", words ? `Looks most like: ${words}` : "No word of this file was asked of it."),
+        element("p", `Confidence ${percent(known.confidence)}: how clearly its pixels are its own.`,
+          { className: "small" }),
         element("p", `${known.gaussians.toLocaleString("en")} Gaussians; in the photographs `
           + (known.views.map((view) => about.views[view].name).join(", ") || "of none")
           + (known.guessed > 0.005 ? `; ${percent(known.guessed)} of it has a guessed depth` : ""),
