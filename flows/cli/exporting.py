@@ -79,8 +79,8 @@ def export(
         field = SemanticField.load(source)
     field = field.dropped()
     if what is not None:
-        found = [id_ for id_, _ in meant(field, what, {})]
-        field = field.only(found)
+        ids = [id_ for id_, _ in meant(field, what, {})]
+        field = field.only(ids)
         if not len(field.gaussians):
             raise InputError(f"--object {what!r}: nothing is found; `slgaussian objects` lists all")
     if suffix == ".html":
