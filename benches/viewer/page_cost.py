@@ -24,7 +24,7 @@ from tests.browser import Browser, Tab
 SIZES = {"two views, needed": (2, "needed"), "two views, all": (2, "all"), "four, all": (4, "all")}
 """Views, and which of their Gaussians are kept."""
 
-FRAMES = 5
+FRAMES = 3
 WINDOW = (960, 600)
 PATIENCE = 900
 
