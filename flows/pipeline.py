@@ -97,6 +97,11 @@ class Finished:
     costs: dict[str, Cost] = field(default_factory=dict)
     counts: Sequence[Counts] = ()
 
+    @property
+    def look(self) -> str:
+        """A command that opens the field of ``ready`` in the browser; empty if there is none."""
+        return shlex.join(["slgaussian", "view", shlex.split(self.ready)[2]]) if self.ready else ""
+
 
 def run(
     settings: Settings,

@@ -406,14 +406,21 @@ class SemanticField:
 
     @cached_property
     def drawn(self) -> Gaussians:
-        """The Gaussians but those of removed objects and of their fringes.
+        """The Gaussians but those that are :attr:`gone`."""
+        if not self.gone.any():
+            return self.gaussians
+        return self.gaussians[torch.from_numpy(~self.gone)]
+
+    @cached_property
+    def gone(self) -> np.ndarray:
+        """bool [N]: the Gaussians of removed objects and of their fringes.
 
         See :mod:`slgaussian.semantic.fringe`.
         """
         ids = list(self.removed)
         gone = np.isin(self.labels(), ids)
         if not gone.any():
-            return self.gaussians
+            return gone
         cameras = list(self.cameras.values())
         held = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
         views = [view for view in np.flatnonzero(held).tolist() if view < len(cameras)]
@@ -425,7 +432,7 @@ class SemanticField:
             [depth for _, depth in seen],
             [np.isin(drawn, ids) for drawn, _ in seen],
         )
-        return self.gaussians[torch.from_numpy(~(gone | edge))]
+        return gone | edge
 
     def _seen_whole(self, view: int) -> tuple[np.ndarray, np.ndarray]:
         """Ids and depth of a context view of the field with nothing removed; kept."""

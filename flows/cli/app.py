@@ -63,6 +63,7 @@ COMMON = {
     "segment": ("threshold",),
     "objects": (),
     "export": (),
+    "view": (),
     "extract": ("threshold",),
     "remove": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
@@ -581,6 +582,39 @@ def render(
 
 
 @app.command(rich_help_panel=FIELDS)
+@with_options(*PLACES, common=COMMON["view"])
+def view(
+    settings: dict,
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
+    ],
+    port: Annotated[
+        int | None,
+        typer.Option(min=1, max=65535, help="Where to listen. [default: 8080, or a free one]"),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Who can open it: at 0.0.0.0, whoever has the address it prints.")
+    ] = "127.0.0.1",
+) -> None:
+    """Look at a scene in the browser; ask it by word and by click.
+
+    Prints the address to open. Several people may open it: what one asks and changes, all see.
+    Type a word, or click a thing to see what it is, to teach a word for it, or to remove it; Save
+    writes changes into the folder of the field. A .ply can only be looked at. Ctrl-C ends it.
+    Needs viser, the extra `view`.
+
+    \b
+    slgaussian view field/
+    slgaussian view field/ --port 9000
+    slgaussian view scene.ply
+    """
+    from flows.cli.viewing import view as look
+
+    look(source, host, port, settings)
+
+
+@app.command(rich_help_panel=FIELDS)
 @with_options(*PLACES, common=COMMON["export"])
 def export(
     settings: dict,
@@ -1032,6 +1066,7 @@ def _run(command: str, settings: Any, verbose: bool) -> None:
         left_out = ", ".join(failure.scene for failure in finished.failures)
         typer.echo(f"left out: {left_out}; see {settings.out / 'failures.parquet'}", err=True)
     if finished.ready:
+        typer.echo(f"look at it: {finished.look}")
         typer.echo(finished.ready)
     if finished.failures:
         raise typer.Exit(1)

@@ -103,7 +103,8 @@ def made(
     for line in (*_account(field), f"seconds: {spent}"):
         print(line, file=sys.stderr)
     command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
-    print(f"ask it: {shlex.join(command)}", file=sys.stderr)
+    look = shlex.join(["slgaussian", "view", str(out)])
+    print(f"ask it: {shlex.join(command)}", f"look at it: {look}", sep="\n", file=sys.stderr)
 
 
 def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> None:

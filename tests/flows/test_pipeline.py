@@ -121,6 +121,7 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     own.save(tmp_path / "own")
     assert files_below(left) == files_below(tmp_path / "own")
     assert finished.ready.startswith("slgaussian query ")
+    assert shlex.split(finished.look) == ["slgaussian", "view", str(left)]
 
 
 def test_the_last_line_of_a_run_is_a_command_that_works(first, tmp_path, monkeypatch, capsys):
