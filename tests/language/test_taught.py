@@ -11,7 +11,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask
-from slgaussian.language.taught import TaughtWords, encoder_identity, normal
+from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity, normal
 from tests.language.drawn import (
     BLUE,
     GREEN,
@@ -141,15 +141,18 @@ def test_temperature_changes_the_scale_and_not_what_is_found(scene):
     st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=6),
     st.integers(0, 50),
 )
-def test_leads_are_bounded_and_an_example_leads_all(lessons, seed):
-    words = TaughtWords()
-    for number, positive in [*lessons, (9, True)]:
-        words = words.with_example("fox", unit(number)[0], unit(200, 7), THIS, positive)
+def test_an_example_leads_all_and_counter_examples_only_take_away(lessons, seed):
+    words, plain = TaughtWords(), TaughtWords()
+    signs = {**dict(lessons), 9: True}
+    for number, positive in signs.items():
+        lesson = ("fox", unit(number)[0], unit(200, 7), THIS)
+        words = words.with_example(*lesson, positive)
+        plain = plain.with_example(*lesson) if positive else plain
     looks = np.concatenate([unit(seed + 300, 5), unit(9)]).astype(np.float64)
-    leads = words.leads("fox", looks)
-    assert leads.shape == (6,) and np.isfinite(leads).all()
-    assert leads.argmax() == 5
-    assert np.abs(leads).max() <= 1
+    most, leads = (one.leads("fox", looks) for one in (plain, words))
+    assert most.argmax() == 5 and most[5] == pytest.approx(SCALE * (1 - EVEN), abs=1e-4)
+    assert (leads <= most + 1e-12).all() and leads[5] > 0
+    assert (leads >= -2 * SCALE).all()
 
 
 def test_an_example_given_again_takes_the_new_sign_and_is_no_rival():
