@@ -27,7 +27,7 @@ from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 from tests.browser import Browser, Tab
 from tests.known import known_field
 
-H, W = 84, 112
+H, W = 63, 84
 NASTY = """</script><img src=x onerror="alert(1)">' & "quoted" \u2028 <!--"""
 
 
