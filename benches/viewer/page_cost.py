@@ -3,10 +3,11 @@
     python -m benches.viewer.page_cost WALK [-o docs/measured]
 
 WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. -o writes page.md.
-Chromium draws with software: with a graphics processor it is another order of magnitude.
+Chromium draws with software. Run it on a machine that does nothing else.
 """
 
 import argparse
+import os
 import statistics
 import tempfile
 import time
@@ -21,10 +22,10 @@ from slgaussian.parts.method import Method
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 
-SIZES = {"two views, needed": (2, "needed"), "two views, all": (2, "all"), "four, all": (4, "all")}
+SIZES = {"two views, needed": (2, "needed"), "two views, all": (2, "all"), "eight, all": (8, "all")}
 """Views, and which of their Gaussians are kept."""
 
-FRAMES = 3
+FRAMES = 5
 WINDOW = (960, 600)
 PATIENCE = 900
 
@@ -67,6 +68,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
                     "slgaussian.drawing.order.of(slgaussian.eye, 0.01);"
                     "return performance.now() - start; })()"
                 ),
+                "load": os.getloadavg()[0],
                 "renderer": tab.evaluate(RENDERER),
             }
 
