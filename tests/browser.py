@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import ctypes
 import io
 import itertools
 import json
@@ -56,6 +57,11 @@ def executable() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
+def _end_with_parent() -> None:
+    """Have this process told to end when the one that started it does, however it does."""
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+
+
 class PageError(Exception):
     """A script of the page threw, or what a test waited for did not come."""
 
@@ -81,6 +87,7 @@ class Browser:
                 stdout=said,
                 stderr=said,
                 start_new_session=True,
+                preexec_fn=_end_with_parent,
                 env={**os.environ, "HOME": self._folder},
             )
         try:

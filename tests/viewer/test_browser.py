@@ -1,6 +1,9 @@
 """The driver of Chromium that the tests of pages stand on."""
 
 import os
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -88,3 +91,27 @@ def test_nothing_is_left_of_a_browser(page):
         time.sleep(0.05)
     assert left() == []
     assert not os.path.exists(browser._folder)
+
+
+@pytest.mark.skipif(executable() is None, reason="no Chromium on this machine")
+def test_a_browser_ends_with_tests_that_are_killed():
+    code = (
+        "import time; from tests.browser import Browser; b = Browser();"
+        "print(b.process.pid, b._folder, flush=True); time.sleep(600)"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    pid, folder = owner.stdout.readline().split()
+    owner.kill()
+    owner.wait()
+    end = time.monotonic() + 20
+
+    def lives() -> bool:
+        try:
+            return folder.encode() in Path("/proc", pid, "cmdline").read_bytes()
+        except OSError:
+            return False
+
+    while lives() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not lives()
+    shutil.rmtree(folder, ignore_errors=True)
