@@ -460,7 +460,8 @@ def query(
 
     Takes the objects that fit the text about as well as the best one does, and none if no object
     fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
-    The exit status is 1 if nothing is found for any text, or a text is refused.
+    Says how likely that is right. The exit status is 1 if nothing is found for any text, or a text
+    is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png

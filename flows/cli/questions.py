@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,10 @@ def ask(
     Returns
     -------
     list of dict
-        One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``score``, ``point`` [x, y],
-        None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels`` in the mask, what
+        One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``verdict`` (``found``,
+        ``not sure``, ``not here``), ``confidence`` (``mask``, ``point``) or None, ``score``,
+        ``point`` [x, y], None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels``
+        in the mask, what
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
         others (word: [other, similarity]), who answered (``kind``: ``known``, ``taught``,
         ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a taught word
@@ -163,6 +165,7 @@ def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
             lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
             lines.append(f"point  x {x}, y {y}")
             lines.append(f"objects  {found or 'none'}")
+            lines[-3:-3] = _how_sure(answer)
         else:
             lines.append(
                 f"nothing found: the best object scores {answer['score']:.3f} (0.5 is as good as "
@@ -181,7 +184,7 @@ def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
             lines.append(f"{text!r} is refused: {own[0]['refused']}")
             continue
         scores = [answer["score"] for answer in own]
-        seen = sum(answer["found"] for answer in own)
+        seen = sum(answer["verdict"] != "not here" for answer in own)
         lines.append(
             f"{text!r} found in {seen} of {len(own)} frames, "
             f"score {min(scores):.3f} to {max(scores):.3f}"
@@ -208,6 +211,8 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
     return {
         "text": hit.text,
         "found": hit.found,
+        "verdict": hit.verdict,
+        "confidence": None if hit.confidence is None else asdict(hit.confidence),
         "score": hit.score,
         "point": list(hit.point) if hit.found and hit.point is not None else None,
         "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
@@ -224,10 +229,23 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
 
 
 def _refusal(text: str, why: str) -> dict[str, Any]:
-    answer: dict[str, Any] = {"text": text, "found": False, "score": None, "point": None}
+    answer: dict[str, Any] = {"text": text, "found": False, "verdict": "not here"}
+    answer |= {"confidence": None, "score": None, "point": None}
     answer |= {"objects": [], "pixels": 0, "read_as": None}
     answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
     return answer | {"examples": [0, 0], "instead_of": None, "refused": why}
+
+
+def _how_sure(answer: Mapping[str, Any]) -> list[str]:
+    """How likely an answer is right, in a line; none where that is not known."""
+    sure = answer["confidence"]
+    if sure is None:
+        return []
+    point = f"{sure['point']:.2f} that the point is on it"
+    if answer["verdict"] == "not here":
+        return [f"probably not here: {point}; what is most like it:"]
+    said = "found" if answer["verdict"] == "found" else "not sure"
+    return [f"{said}: {sure['mask']:.2f} that the mask is right, {point}"]
 
 
 def _of_words(answer: Mapping[str, Any]) -> list[str]:

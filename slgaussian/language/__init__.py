@@ -12,6 +12,7 @@ if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for
 
     from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
+    from slgaussian.language.confidence import Calibration
 
 ENCODERS = {
     "lexicon": "slgaussian.language.lexicon:Lexicon",
@@ -30,10 +31,12 @@ class Encoder(Protocol):
 
     ``name`` says what ran; it is written into every artifact and report row. ``canonical`` are the
     phrases that a query competes with (the paper's "object", "things", "stuff", "texture").
+    ``calibration`` says how likely its answers are right, None where that was not measured.
     """
 
     name: str
     canonical: tuple[str, ...]
+    calibration: Calibration | None
 
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None

@@ -83,6 +83,7 @@ class Clip:
         "clip", "CLIPModel", ("clip",), "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", _converted
     )
     name: ClassVar[str] = "clip"
+    calibration: ClassVar[None] = None
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
 
     model: str | Path = setting(

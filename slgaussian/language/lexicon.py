@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.language.confidence import Calibration, Curve
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.parts.settings import setting
@@ -64,6 +65,9 @@ class Lexicon:
     """
 
     name: ClassVar[str] = "lexicon"
+    calibration: ClassVar[Calibration] = Calibration(
+        mask=Curve(26.4, 1.45, -4.75), point=Curve(29.8, 1.23, -4.09)
+    )
 
     synonyms: str | Path | None = setting(
         None,

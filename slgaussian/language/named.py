@@ -54,6 +54,7 @@ class Named:
     """
 
     name: ClassVar[str] = "named"
+    calibration: ClassVar[None] = None
 
     table: Path | None = setting(None, "Names and vectors, .npz.", content=file_digest)
 

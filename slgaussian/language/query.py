@@ -16,6 +16,7 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.brief import said
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
+from slgaussian.language.confidence import Confidence, confidence
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
 from slgaussian.language.taught import TaughtWords, normal
@@ -289,6 +290,9 @@ class QueryResult:
     """How many of those, from the first, are about as good as the first."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: what the rules select, visible or not."""
+    confidence: Confidence | None = None
+    """How likely mask and point are right; None where that was not measured: of an encoder without
+    a calibration, with canonical phrases of one's own, or by the protocol ``langsplat``."""
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
@@ -337,6 +341,17 @@ class QueryResult:
     def found(self) -> bool:
         """Whether anything is selected; without it, the point is no more than the best guess."""
         return bool(self.mask.any())
+
+    @property
+    def verdict(self) -> str:
+        """``found``, ``not sure`` or ``not here``.
+
+        By :attr:`confidence`, see :class:`slgaussian.language.confidence.Confidence`; without it
+        what selects anything is found. Mask and point are given whatever it says.
+        """
+        if not self.found:
+            return "not here"
+        return "found" if self.confidence is None else self.confidence.verdict
 
     @property
     def point(self) -> tuple[int, int] | None:
@@ -406,6 +421,9 @@ def ask(
         If there is no text, or the encoder cannot use one.
     """
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
+    calibration = reader.encoder.calibration
+    if rules.canonical is not None or rules.protocol != "slgaussian":
+        calibration = None
     visible = np.flatnonzero(seen.areas)
     results = []
     for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True):
@@ -415,7 +433,10 @@ def ask(
         as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
         chosen = _chosen(gaps, best, rules)
         scores = expit(rules.temperature * gaps)
-        found = ranked, as_good, chosen
+        sure = None
+        if calibration is not None and len(ranked):
+            sure = confidence(calibration, gaps[ranked], chosen[ranked])
+        found = ranked, as_good, chosen, sure
         results.append(kind(text, scores, reader.understood(text), reader.bank.ids, seen, *found))
     return results
 

@@ -256,3 +256,25 @@ def test_shares_are_of_all_views_and_an_id_map_of_one(field, tmp_path, ask, monk
     assert run(monkeypatch, "segment", field, "red", *both, "-o", tmp_path / "a.png") == 2
     assert "the labels of one view" in said(capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
+    # Of two walls neither stands out of the rest: there is none.
+    status, (answer,) = ask("query", field, "red")
+    assert (status, answer["found"], answer["verdict"]) == (0, True, "not sure")
+    assert run(monkeypatch, "query", field, "red") == 0
+    mask, point = (answer["confidence"][name] for name in ("mask", "point"))
+    said_so = f"not sure: {mask:.2f} that the mask is right, {point:.2f} that the point is on it\n"
+    assert capsys.readouterr().out.startswith(said_so)
+    status, (answer,) = ask("query", field, "wall")
+    assert (status, answer["found"], answer["verdict"]) == (0, True, "not here")
+    assert run(monkeypatch, "query", field, "wall") == 0
+    point = answer["confidence"]["point"]
+    said_so = f"probably not here: {point:.2f} that the point is on it; what is most like it:\n"
+    assert capsys.readouterr().out.startswith(said_so)
+    status, (other,) = ask("query", field, "red", "--protocol", "langsplat")
+    assert (other["confidence"], other["verdict"]) == (None, "found")
+    assert run(monkeypatch, "query", field, "red", "--protocol", "langsplat") == 0
+    assert "right" not in capsys.readouterr().out
+    # Nothing selected is nothing here, however sure.
+    assert ask("query", field, "yellow")[1][0]["verdict"] == "not here"

@@ -297,7 +297,7 @@ def test_a_text_is_encoded_once_and_alone(scene, lexicon):
     ids, bank = scene
 
     class Counting:
-        name, canonical = lexicon.name, lexicon.canonical
+        name, canonical, calibration = lexicon.name, lexicon.canonical, None
         unknown_words = staticmethod(lexicon.unknown_words)
         taken_for = staticmethod(lexicon.taken_for)
         unused_words = staticmethod(lexicon.unused_words)
@@ -400,3 +400,24 @@ def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_g
     # Fitting just as well as "object" does is no answer.
     assert told_by_gaps(*gaps, hidden=(1, 2, 3, 4))[0] == []
     assert told_by_gaps(-0.2, -0.1)[0] == []
+
+
+def test_an_answer_says_how_sure_it_is(scene, lexicon):
+    ids, bank = scene
+    present, absent = (find(text, ids, bank, lexicon) for text in ("red ball", "cup"))
+    assert present.confidence.mask > absent.confidence.mask
+    assert present.verdict == "found"
+    # Of what is not among the objects at all.
+    assert absent.verdict in ("not sure", "not here")
+    # The temperature changes scores, not what is known.
+    assert find("red ball", ids, bank, lexicon, temperature=1.0).confidence == present.confidence
+    nothing = find("yellow", ids, bank, lexicon)
+    assert not nothing.found and nothing.verdict == "not here"
+
+
+@pytest.mark.parametrize("rules", [{"canonical": "object"}, {"protocol": "langsplat"}])
+def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon, rules):
+    ids, bank = scene
+    hit = find("red ball", ids, bank, lexicon, **rules)
+    assert hit.confidence is None
+    assert hit.verdict == "found"

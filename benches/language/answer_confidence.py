@@ -1,0 +1,236 @@
+"""How often answers are right, and what tells: fits the constants of the lexicon's confidence.
+
+    python -m benches.language.answer_confidence DATA [-o docs/measured] [--rows FILE] [--seeds 3]
+
+DATA holds ``office`` and ``places``. Every labelled pair is asked for what is labelled in its
+target, and for things that its place has not. An answer is a mask, right if its IoU with the truth
+is above 0.5, and a point, right if it lies on the thing. Constants for one place are fitted to the
+others; those that ship, to all. Places count alike, and what is there as much as what is not. Rows
+are kept in FILE as they come, and what it holds is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from benches.common.pages import publish
+from benches.common.photograph_pairs import data_folder
+from benches.scores.seed_spread import PLACES, labelled, read
+from flows.settings import SceneSettings, Settings
+from slgaussian.benchmark.annotations import read_truth
+from slgaussian.build import build_field
+from slgaussian.errors import InputError
+from slgaussian.kernels import threads
+from slgaussian.language import confidence
+from slgaussian.language.query import Rules, ask
+from slgaussian.parts.method import Method
+
+KEPT = 0.85
+"""Share of the right answers that are to be told from what is not there."""
+
+RIDGE = 0.002
+
+OUTDOORS = "grass, bed, toilet, bathtub, road, brick wall, gravel, green grass, fence, cobblestone \
+road, refrigerator, oven, tree"
+INDOORS = (
+    "sofa, bed, bottle, mug, cushion, carpet, backpack, laptop, keyboard, refrigerator, oven, \
+sink, toilet, bathtub, towel, pillow, vase, banana, wooden table, grey sofa, pink placemat, coffee \
+machine, foosball table, wooden floor, book"
+)
+NOT_THERE = {
+    "office": f"{OUTDOORS}, purple tablecloth, pink flowers, leather pouf, pink placemat, towel",
+    "castle": INDOORS,
+    "street": INDOORS,
+    "dining": f"{OUTDOORS}, sky, foosball table, coffee machine, red crate, beige sofa, purple \
+tablecloth, blue carpet, carpet",
+    "kitchen": f"{OUTDOORS}, sky, sofa, foosball table, qr code, blue carpet, green plant, carpet, \
+poster",
+    "bonsai": f"{OUTDOORS}, sky, foosball table, qr code, blue carpet, coffee machine, sofa",
+    "lounge": f"{OUTDOORS}, sky, pink flowers, purple tablecloth, blue box, foosball table",
+}
+"""What no photograph of a place shows, by eye."""
+
+
+class Row(NamedTuple):
+    """One answer: what it rests on, and whether it is right."""
+
+    place: str
+    scene: str
+    seed: int
+    text: str
+    there: bool
+    gap: float
+    stands_out: float
+    mask: bool
+    point: bool
+
+
+def answers(place: str, scene: SceneSettings, seed: int) -> Iterator[Row]:
+    """The answers in the target of a labelled pair; texts that the lexicon refuses have none."""
+    sample = read(scene, Settings())
+    assert scene.labels is not None
+    target = sample.targets[0]
+    truth = read_truth(scene.labels, scene.categories, sample.targets).masks[target.name]
+    field = build_field(sample, Method(seed=seed))
+    view = field.render(target.camera)
+    asked = [text for text, mask in truth.items() if mask.any()]
+    for text in [*asked, *NOT_THERE[place].split(", ")]:
+        try:
+            hit = ask([text], view._objects, field.reader, Rules())[0]
+        except InputError:
+            continue
+        gaps = field.reader.gaps([text], Rules())[0][hit._ranked]
+        at = confidence.signs(gaps, hit._chosen[hit._ranked])
+        there = text in asked
+        right = truth[text] if there else np.zeros_like(hit.mask)
+        union = (right | hit.mask).sum()
+        on = there and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
+        good = bool(union) and (right & hit.mask).sum() / union > 0.5
+        yield Row(place, scene.name, seed, text, there, *at, bool(good), on)
+
+
+def weights(rows: Sequence[Row]) -> np.ndarray:
+    """Of rows float64 [M]: places alike, and in each what is there as much as what is not."""
+    groups = [(row.place, row.there) for row in rows]
+    return np.array([1 / groups.count(group) for group in groups])
+
+
+def signs(rows: Sequence[Row]) -> np.ndarray:
+    """What confidence rests on, and ones: float64 [M, 3]."""
+    return np.array([[row.gap, row.stands_out, 1.0] for row in rows])
+
+
+def fitted(rows: Sequence[Row], what: str) -> np.ndarray:
+    """Constants float64 [3] of the logistic curve of ``mask`` or ``point``, a little held back."""
+    X, w = signs(rows), weights(rows)
+    right = np.array([getattr(row, what) for row in rows])
+    w, scale = w / w.sum(), np.append(X[:, :2].std(0), 0)
+
+    def loss(b: np.ndarray) -> tuple[float, np.ndarray]:
+        z = X @ b
+        p = expit(z)
+        cost = w @ np.logaddexp(0, np.where(right, -z, z)) + RIDGE * ((b * scale) ** 2).sum()
+        return cost, X.T @ (w * (p - right)) + 2 * RIDGE * scale**2 * b
+
+    return minimize(loss, np.zeros(3), jac=True, method="L-BFGS-B").x
+
+
+def left_out(rows: Sequence[Row], what: str) -> np.ndarray:
+    """Probabilities float64 [M], of every place by constants of the other ones."""
+    out = np.zeros(len(rows))
+    for place in {row.place for row in rows}:
+        own = np.array([row.place == place for row in rows])
+        others = [row for row in rows if row.place != place]
+        out[own] = expit(signs(rows)[own] @ fitted(others, what))
+    return out
+
+
+def auroc(p: np.ndarray, right: np.ndarray, w: np.ndarray) -> float:
+    """Weighted probability that a right one is above a wrong one; half for ties."""
+    above = (p[right][:, None] > p[~right]) + 0.5 * (p[right][:, None] == p[~right])
+    both = w[right][:, None] * w[~right]
+    return float((above * both).sum() / both.sum())
+
+
+def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> list[dict]:
+    """Tenths of the weight by probability: what was said, and what was right."""
+    order = np.argsort(p, kind="stable")
+    at = (np.cumsum(w[order]) - w[order] / 2) / w.sum()
+    tenths = [order[(at * count).astype(int) == k] for k in range(count)]
+    return [
+        {
+            "said": float(np.average(p[own], weights=w[own])),
+            "right": float(np.average(right[own], weights=w[own])),
+            "share": float(w[own].sum() / w.sum()),
+        }
+        for own in tenths
+        if len(own)
+    ]
+
+
+def judged(rows: Sequence[Row], what: str) -> dict:
+    """How well the probabilities of ``mask`` or ``point`` do at places left out."""
+    p, w = left_out(rows, what), weights(rows)
+    right = np.array([getattr(row, what) for row in rows])
+    places = np.array([row.place for row in rows])
+    curve = bins(p, right, w)
+    by_place = {
+        place: auroc(p[places == place], right[places == place], w[places == place])
+        for place in ("office", *PLACES)
+    }
+    error = sum(one["share"] * abs(one["said"] - one["right"]) for one in curve)
+    return {
+        "what": what,
+        "constants": fitted(rows, what),
+        "auroc": auroc(p, right, w),
+        "error": error,
+        "by_place": by_place,
+        "bins": curve,
+    }
+
+
+def false_found(rows: Sequence[Row]) -> dict[str, float]:
+    """The probability of a point above which :data:`KEPT` of the right ones lie, and what else."""
+    p, w = left_out(rows, "point"), weights(rows)
+    point, there = (np.array([getattr(row, name) for row in rows]) for name in ("point", "there"))
+    limit = float(np.quantile(p[point], 1 - KEPT))
+    selected = np.array([row.gap > 0 for row in rows])
+
+    def share(which: np.ndarray, of: np.ndarray) -> float:
+        return float(w[of & which].sum() / w[of].sum())
+
+    return {
+        "limit": limit,
+        "before": share(selected, ~there),
+        "after": share(p >= limit, ~there),
+        "kept": share(p >= limit, there),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=data_folder("office", "places"))
+    parser.add_argument("-o", "--out", type=Path)
+    parser.add_argument("--rows", type=Path)
+    parser.add_argument("--seeds", type=int, default=3)
+    given = parser.parse_args()
+    threads.limit()
+    kept = given.rows.read_text().splitlines() if given.rows and given.rows.exists() else []
+    rows = [Row(*json.loads(line)) for line in kept]
+    done = {(row.place, row.scene, row.seed) for row in rows}
+    for place in ("office", *PLACES):
+        folder = place if place == "office" else f"places/{place}"
+        for scene in labelled([folder], given.data):
+            for seed in range(given.seeds):
+                if (place, scene.name, seed) in done:
+                    continue
+                new = list(answers(place, scene, seed))
+                rows += new
+                if given.rows:
+                    with given.rows.open("a") as file:
+                        file.writelines(json.dumps(row) + "\n" for row in new)
+                print(f"{place} {scene.name} seed {seed}: {len(new)} answers", flush=True)
+    publish(
+        "language/answer_confidence.md.j2",
+        given.out and given.out / "confidence.md",
+        rows=len(rows),
+        there=sum(row.there for row in rows),
+        seeds=given.seeds,
+        judged=[judged(rows, what) for what in ("mask", "point")],
+        found=false_found(rows),
+        kept=KEPT,
+        absent=confidence.ABSENT,
+        asked=NOT_THERE,
+    )
+
+
+if __name__ == "__main__":
+    main()
