@@ -9,6 +9,14 @@ import numpy as np
 from slgaussian.scene import Camera
 
 
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Matrix product [..., N, K] of ``a`` [..., N, M] and ``b`` [M, K], the same on any processor.
+
+    BLAS adds up in an order of its own on each, and a last digit here can tip what is matched.
+    """
+    return np.einsum("...ij,jk->...ik", a, b)
+
+
 @dataclass(frozen=True, eq=False)
 class Relative:
     """How a reference view's pixels at some inverse depth land in a source view.
@@ -24,22 +32,22 @@ class Relative:
     @staticmethod
     def between(reference: Camera, source: Camera) -> Relative:
         """The relative geometry that two cameras in one world state."""
-        pose = source.w2c @ reference.c2w
+        pose = product(source.w2c, reference.c2w)
         return Relative(reference.K, source.K, pose[:3, :3], pose[:3, 3])
 
     def reversed(self) -> Relative:
         """The same geometry with the two views' parts exchanged."""
-        return Relative(self.K_src, self.K_ref, self.R.T, -self.R.T @ self.t)
+        return Relative(self.K_src, self.K_ref, self.R.T, -product(self.R.T, self.t[:, None])[:, 0])
 
     @property
     def infinity(self) -> np.ndarray:
         """Homography [3, 3] of points at infinity, reference pixels to source pixels."""
-        return self.K_src @ self.R @ np.linalg.inv(self.K_ref)
+        return product(product(self.K_src, self.R), np.linalg.inv(self.K_ref))
 
     @property
     def epipole(self) -> np.ndarray:
         """Homogeneous shift [3] a pixel gets in the source per unit of inverse depth."""
-        return self.K_src @ self.t
+        return product(self.K_src, self.t[:, None])[:, 0]
 
     def project(
         self, pixels: np.ndarray, inverse_depth: np.ndarray | float
@@ -50,7 +58,8 @@ class Relative:
         not positive the point is behind the source and its pixel means nothing.
         """
         w = np.asarray(inverse_depth, np.float64)[..., None]
-        a = pixels @ self.infinity[:, :2].T + self.infinity[:, 2] + w * self.epipole
+        infinity = self.infinity
+        a = product(pixels, infinity[:, :2].T) + infinity[:, 2] + w * self.epipole
         ratio = a[..., 2]
         return a[..., :2] / np.where(np.abs(ratio) > 1e-9, ratio, 1e-9)[..., None], ratio
 
@@ -58,14 +67,15 @@ class Relative:
         """F [3, 3] with ``p_source.T @ F @ p_reference = 0`` (Hartley and Zisserman, ch. 9)."""
         x, y, z = self.t / np.linalg.norm(self.t)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return np.linalg.inv(self.K_src).T @ cross @ self.R @ np.linalg.inv(self.K_ref)
+        between = product(product(np.linalg.inv(self.K_src).T, cross), self.R)
+        return product(between, np.linalg.inv(self.K_ref))
 
     def epipolar_distance(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
         """Signed Sampson distance [M] in pixels of matches [M, 2] and [M, 2]."""
         F = self.fundamental()
         a = np.concatenate([ref, np.ones((len(ref), 1))], 1)
         b = np.concatenate([src, np.ones((len(src), 1))], 1)
-        Fa, Fb = a @ F.T, b @ F
+        Fa, Fb = product(a, F.T), product(b, F)
         scale = np.sqrt((Fa[:, :2] ** 2).sum(1) + (Fb[:, :2] ** 2).sum(1))
         return (b * Fa).sum(1) / np.maximum(scale, 1e-12)
 
@@ -80,7 +90,8 @@ class Relative:
 
     def triangulate(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
         """Inverse depths [M] in the reference that explain matches best; may be negative."""
-        a = ref @ self.infinity[:, :2].T + self.infinity[:, 2]
+        infinity = self.infinity
+        a = product(ref, infinity[:, :2].T) + infinity[:, 2]
         e = self.epipole
         slope = e[:2] - src * e[2]
         wanted = src * a[:, 2:] - a[:, :2]

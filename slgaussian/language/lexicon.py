@@ -66,7 +66,7 @@ class Lexicon:
 
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
-        mask=Curve(26.4, 1.45, -4.75), point=Curve(29.8, 1.23, -4.09)
+        mask=Curve(25.2, 1.51, -4.86), point=Curve(31.9, 1.35, -4.3)
     )
 
     synonyms: str | Path | None = setting(
