@@ -218,13 +218,19 @@ def main() -> None:
                     with given.rows.open("a") as file:
                         file.writelines(json.dumps(row) + "\n" for row in new)
                 print(f"{place} {scene.name} seed {seed}: {len(new)} answers", flush=True)
+    both = [judged(rows, what) for what in ("mask", "point")]
+    columns = {"what": ("probability that", "the {} is right".format)}
+    columns |= {"auroc": ("AUROC", ".3f"), "error": ("calibration error", ".3f")}
+    columns |= {place: (place, ".2f") for place in both[0]["by_place"]}
     publish(
         "language/answer_confidence.md.j2",
         given.out and given.out / "confidence.md",
+        summary=[{**one, **one["by_place"]} for one in both],
+        columns=columns,
         rows=len(rows),
         there=sum(row.there for row in rows),
         seeds=given.seeds,
-        judged=[judged(rows, what) for what in ("mask", "point")],
+        judged=both,
         found=false_found(rows),
         kept=KEPT,
         absent=confidence.ABSENT,

@@ -9,12 +9,17 @@ import numpy as np
 from slgaussian.scene import Camera
 
 
-def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Matrix product [..., N, K] of ``a`` [..., N, M] and ``b`` [M, K], the same on any processor.
+def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Points [..., M] after a matrix [K, M], [..., K]: the same on any processor.
 
     BLAS adds up in an order of its own on each, and a last digit here can tip what is matched.
     """
-    return np.einsum("...ij,jk->...ik", a, b)
+    return np.einsum("...j,kj->...k", points, matrix)
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The product [N, K] of matrices [N, M] and [M, K], likewise."""
+    return np.einsum("ij,jk->ik", a, b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +37,14 @@ class Relative:
     @staticmethod
     def between(reference: Camera, source: Camera) -> Relative:
         """The relative geometry that two cameras in one world state."""
-        pose = product(source.w2c, reference.c2w)
-        return Relative(reference.K, source.K, pose[:3, :3], pose[:3, 3])
+        turn = source.c2w[:3, :3].T
+        # Of one place exactly none, wherever the origin is.
+        t = mapped(reference.center - source.center, turn)
+        return Relative(reference.K, source.K, product(turn, reference.c2w[:3, :3]), t)
 
     def reversed(self) -> Relative:
         """The same geometry with the two views' parts exchanged."""
-        return Relative(self.K_src, self.K_ref, self.R.T, -product(self.R.T, self.t[:, None])[:, 0])
+        return Relative(self.K_src, self.K_ref, self.R.T, -mapped(self.t, self.R.T))
 
     @property
     def infinity(self) -> np.ndarray:
@@ -47,7 +54,7 @@ class Relative:
     @property
     def epipole(self) -> np.ndarray:
         """Homogeneous shift [3] a pixel gets in the source per unit of inverse depth."""
-        return product(self.K_src, self.t[:, None])[:, 0]
+        return mapped(self.t, self.K_src)
 
     def project(
         self, pixels: np.ndarray, inverse_depth: np.ndarray | float
@@ -59,7 +66,7 @@ class Relative:
         """
         w = np.asarray(inverse_depth, np.float64)[..., None]
         infinity = self.infinity
-        a = product(pixels, infinity[:, :2].T) + infinity[:, 2] + w * self.epipole
+        a = mapped(pixels, infinity[:, :2]) + infinity[:, 2] + w * self.epipole
         ratio = a[..., 2]
         return a[..., :2] / np.where(np.abs(ratio) > 1e-9, ratio, 1e-9)[..., None], ratio
 
@@ -75,7 +82,7 @@ class Relative:
         F = self.fundamental()
         a = np.concatenate([ref, np.ones((len(ref), 1))], 1)
         b = np.concatenate([src, np.ones((len(src), 1))], 1)
-        Fa, Fb = product(a, F.T), product(b, F)
+        Fa, Fb = mapped(a, F), mapped(b, F.T)
         scale = np.sqrt((Fa[:, :2] ** 2).sum(1) + (Fb[:, :2] ** 2).sum(1))
         return (b * Fa).sum(1) / np.maximum(scale, 1e-12)
 
@@ -91,7 +98,7 @@ class Relative:
     def triangulate(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
         """Inverse depths [M] in the reference that explain matches best; may be negative."""
         infinity = self.infinity
-        a = product(ref, infinity[:, :2].T) + infinity[:, 2]
+        a = mapped(ref, infinity[:, :2]) + infinity[:, 2]
         e = self.epipole
         slope = e[:2] - src * e[2]
         wanted = src * a[:, 2:] - a[:, :2]
