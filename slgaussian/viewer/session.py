@@ -160,7 +160,8 @@ class Session:
         pictures are the mean of what is there. A browser lets the background shine through in a
         large window, and viser drops Gaussians that are small in a small one. So their light is
         taken three times, and they are sent a little larger. In an office, at its first camera,
-        that is 34 dB from the mean in windows of 640x400 and of 1200x800, as against 15 and 24 dB.
+        that is 34 dB from the mean in windows of 640x400 and of 1200x800; as they are, 24 dB in the
+        larger one.
         Those of a ``.ply`` were trained as browsers draw.
         """
         plain = self.gaussians
@@ -310,12 +311,6 @@ class Session:
         best = np.argsort(-scores, kind="stable")[:BEST]
         words = tuple((texts[k], float(scores[k])) for k in best)
         return replace(self.things()[id_], name=own.names.get(id_), words=words)
-
-    def sureness(self, ids: Sequence[int]) -> float:
-        """How clearly objects are told from others: their confidence, by the share of Gaussians."""
-        chosen = [self.things()[id_] for id_ in ids]
-        weights = [max(1, thing.gaussians) for thing in chosen]
-        return float(np.average([thing.confidence for thing in chosen], weights=weights))
 
     @property
     def unsaved(self) -> bool:

@@ -42,7 +42,7 @@ def answer(session: Session) -> str:
         said = f"{sign}**{plain(hit.text)}** ({_kind(hit)}): "
         ids = [id_ for id_, _ in hit.objects]
         if ids:
-            said += f"score {hit.score:.3f}, confidence {session.sureness(ids):.2f}; "
+            said += f"{_how_sure(hit)}score {hit.score:.3f}; "
             said += _objects(session, hit.objects)
         else:
             said += f"not found; the best object scores {hit.score:.3f}"
@@ -106,6 +106,15 @@ def swatch(colour: Sequence[int] | np.ndarray) -> str:
     """A square of a colour."""
     r, g, b = map(int, colour)
     return f'<span style="color: rgb({r},{g},{b})">&#9632;</span>'
+
+
+def _how_sure(hit: QueryResult) -> str:
+    """How likely an answer is right; nothing where that is not known."""
+    if hit.confidence is None:
+        return ""
+    if hit.verdict == "not here":
+        return f"probably not here ({hit.confidence.point:.2f}); most like it: "
+    return f"{hit.verdict}, {hit.confidence.mask:.2f} that this is right; "
 
 
 def _kind(hit: QueryResult) -> str:
