@@ -6,6 +6,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from slgaussian.kernels import threads
@@ -13,6 +14,10 @@ from tests.browser import Browser, executable
 
 # Several test processes share the cores; threads that spin while they wait would take them away.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+# No test asserts a wall time, and a deadline is one.
+hypothesis.settings.register_profile("shared", deadline=None)
+hypothesis.settings.load_profile("shared")
 
 
 @pytest.fixture(scope="session")

@@ -715,7 +715,7 @@ def extract(
     """
     from flows.cli import things
 
-    made = things.extract(field, what, out, settings, words)
+    made = things.take_out(field, what, out, settings, words)
     if not made["found"]:
         typer.echo(f"nothing found for {what!r}, so nothing is written")
         raise typer.Exit(1)

@@ -95,7 +95,7 @@ def listed(rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines + refusals(rows))
 
 
-def extract(
+def take_out(
     folder: Path, what: str, out: Path, settings: Mapping[str, Any], words: Path | None
 ) -> dict[str, Any]:
     """Write the Gaussians of what a text, a name or an id means: ``.ply``, or a field folder.
