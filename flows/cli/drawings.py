@@ -13,8 +13,9 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
+from slgaussian.formats.written import write_file
 from slgaussian.masks.precomputed import encode_ids
-from slgaussian.storage.store import replacing, write_atomic
+from slgaussian.storage.store import replacing
 
 PICTURES = (".png", ".jpg", ".jpeg")
 FILMS = (".mp4", ".gif")
@@ -74,7 +75,7 @@ def drawing(path: Path | None, film: bool) -> Iterator[Draw]:
         frames: list[Image.Image] = []
         # A palette a frame, so that at once only a byte a pixel is kept.
         yield lambda image: frames.append(Image.fromarray(image).quantize(256))
-        _write(path, _gif(frames))
+        write_file(path, _gif(frames))
     else:
         with _mp4(path) as draw:
             yield draw
@@ -89,12 +90,12 @@ def write_picture(path: Path, image: np.ndarray) -> None:
         Image.fromarray(image).save(out, kind, **how)
     except (OSError, ValueError) as error:  # a JPEG has at most 65,500 rows
         raise InputError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels: {error}") from None
-    _write(path, out.getvalue())
+    write_file(path, out.getvalue())
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
     """Write ids int32 [H, W] as :func:`slgaussian.masks.precomputed.encode_ids` does."""
-    _write(path, encode_ids(ids)[1])
+    write_file(path, encode_ids(ids)[1])
 
 
 def below_each_other(images: Sequence[np.ndarray]) -> np.ndarray:
@@ -142,13 +143,3 @@ def _mp4(path: Path) -> Iterator[Draw]:
         finally:
             writer.release()
             Path(draft).unlink(missing_ok=True)
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_atomic(path, data)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists "
-            "and that you may write to"
-        ) from error

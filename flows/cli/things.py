@@ -16,9 +16,10 @@ from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
+from slgaussian.formats.written import write_file
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import packed, write_atomic
+from slgaussian.storage.store import packed
 from slgaussian.things import Thing
 
 UNITS = {
@@ -72,7 +73,7 @@ def inventory(
             write_picture(out, pictures.contact_sheet(tiles, side=112, columns=8))
     if out is not None and table:
         made = pa.Table.from_pylist(rows, schema=load_spec("things").schema)
-        _write(out, packed("things", made, str(out))[1])
+        write_file(out, packed("things", made, str(out))[1])
     return rows + [{"text": text, "refused": why} for text, why in refused.items()]
 
 
@@ -277,13 +278,3 @@ def _write_crops(folder: Path, things: Sequence[Thing], cuts: Sequence[np.ndarra
     for thing, cut in zip(things, cuts, strict=True):
         if cut.size:
             write_picture(folder / f"{thing.id}.png", cut)
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_atomic(path, data)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists "
-            "and that you may write to"
-        ) from error
