@@ -150,7 +150,8 @@ class SemanticField:
     taught : TaughtWords
         Words by example; asked, they win over what the encoder knows.
     names : {id: str}
-        What the user calls objects.
+        What the user calls objects. Asked, a name means these objects alone, and wins over taught
+        words and what the encoder knows.
     removed : frozenset of int
         Objects that are not drawn and not found. Their Gaussians stay, so that they can come back.
     """
@@ -196,7 +197,7 @@ class SemanticField:
     @cached_property
     def reader(self) -> BankReader:
         """Bank and encoder together: what turns texts into scores of objects."""
-        return BankReader(self.bank, self.encoder, self.taught)
+        return BankReader(self.bank, self.encoder, self.taught, self.names)
 
     def query(
         self, texts: Sequence[str], cameras: Sequence[Camera], **rules: Any

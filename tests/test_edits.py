@@ -10,6 +10,7 @@ import pytest
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
+from slgaussian.language.query import Rules
 from tests.square import (
     BLUE,
     COLOURS,
@@ -95,6 +96,39 @@ def test_what_is_removed_is_not_an_answer(field):
     assert [one.id for one in open_field.describe(["red"])] == [RED, GREEN, BLUE]
     assert YELLOW not in [id_ for id_, _ in open_field.like_object(RED)]
     assert open_field.drawn is open_field.drawn and len(open_field.drawn) < len(field.gaussians)
+
+
+def test_a_name_means_the_object_that_has_it_and_no_other(field, tmp_path):
+    folder = tmp_path / "field"
+    named = field.named(GREEN, "Die  Wiese").named(BLUE, "red").named(RED, "sides")
+    named = named.named(YELLOW, "sides").teach("die wiese", YELLOW)
+    named.save(folder)
+    for own in (named, SemanticField.load(folder)):
+        view = own.render(own.cameras["a"])
+        hit = view.query(" die WIESE ")
+        assert [id_ for id_, _ in hit.objects] == [GREEN]
+        assert (hit.mask == (view.ids == GREEN)).all()
+        assert (hit.kind, hit.verdict, hit.confidence) == ("named", "found", None)
+        assert hit.score == pytest.approx(1, abs=1e-3) and hit.understood.examples == (0, 0)
+        assert own.find("die wiese") == hit.objects
+        # A name wins over what the encoder knows, which is said; and two may have the same.
+        red = view.query("red", threshold=0.99, temperature=1)
+        assert [id_ for id_, _ in red.objects] == [BLUE] and red.understood.instead_of == "red"
+        assert {id_ for id_, _ in view.query("sides").objects} == {RED, YELLOW}
+        segments = view.segment(["green", "die wiese", "yellow"])
+        assert (segments[view.ids == GREEN] == 2).all()
+    away = named.without([GREEN])
+    hit = away.render(away.cameras["a"]).query("die wiese")
+    assert not hit.found and hit.verdict == "not here" and away.find("die wiese") == ()
+    assert named.named(GREEN, "").render(named.cameras["a"]).query("die wiese").kind == "taught"
+
+
+def test_names_known_and_taught_in_one_question_answer_as_alone(field):
+    named = field.named(GREEN, "meadow").teach("zorp", BLUE)
+    texts = ["red", "meadow", "zorp", "green"]
+    together = named.reader.gaps(texts, Rules())
+    for text, gaps in zip(texts, together, strict=True):
+        np.testing.assert_array_equal(named.reader.gaps([text], Rules())[0], gaps)
 
 
 def test_only_some_objects(field):

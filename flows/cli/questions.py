@@ -50,10 +50,10 @@ def ask(
         ``point`` [x, y], None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels``
         in the mask, what
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
-        others (word: [other, similarity]), who answered (``kind``: ``known``, ``taught``,
-        ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a taught word
-        would mean otherwise (``instead_of``), why it was ``refused`` or None, ``picture`` path or
-        None.
+        others (word: [other, similarity]), who answered (``kind``: ``known``, ``named``,
+        ``taught``, ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a
+        name or a taught word would mean otherwise (``instead_of``), why it was ``refused`` or None,
+        ``picture`` path or None.
 
     Raises
     ------
@@ -252,9 +252,11 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     """Which words of a text count for its answer, if not all."""
     if answer["kind"] == "picture":
         return ["asked by picture"]
-    if answer["kind"] == "taught":
+    if answer["kind"] in ("named", "taught"):
         yes, no = answer["examples"]
         lines = [f"a taught word: {_counted(yes, 'example')}, {_counted(no, 'counter-example')}"]
+        if answer["kind"] == "named":
+            lines = ["a name that you gave"]
         known = answer["instead_of"]
         return [*lines, f"not as the encoder knows it: {known}"] if known else lines
     lines = []

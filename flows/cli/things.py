@@ -216,10 +216,6 @@ def meant(
                 f"{what!r}: is no object of the field; `slgaussian objects` lists them"
             )
         return ((int(what), 1.0),)
-    plain = " ".join(what.casefold().split())
-    named = [id_ for id_, name in field.names.items() if name.casefold() == plain]
-    if named:
-        return tuple((id_, 1.0) for id_ in sorted(named) if id_ in there)
     return field.find(what, **rules)
 
 

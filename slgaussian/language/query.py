@@ -19,7 +19,7 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import Confidence, confidence
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
-from slgaussian.language.taught import TaughtWords, normal
+from slgaussian.language.taught import TaughtWords, normal, spelled
 
 NEAR_BEST = 0.7
 """An object is taken with the best one if its gap reaches this share of the best gap."""
@@ -31,6 +31,10 @@ PROTOCOLS = ("slgaussian", "langsplat")
 
 PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
 """Canonical phrases by name: LERF's, which LangSplat and the paper use too."""
+
+NAMED = 10.0
+"""Gap of an object that the user called so, and minus it that of all others: far beyond cosines, so
+that the relevancy is 1 or 0 at any temperature in use."""
 
 REMEMBERED = 4096
 """Texts whose vectors a reader keeps."""
@@ -141,7 +145,7 @@ class Understood:
     examples : (int, int)
         Of a taught word, how many examples and counter-examples answer.
     instead_of : str
-        Of a taught word that the encoder knows too: what it would have read. The examples win.
+        Of a name or a taught word that the encoder knows too: what it would have read.
     """
 
     read_as: str
@@ -208,16 +212,24 @@ class TextReader:
 class BankReader(TextReader):
     """A memory bank and the encoder that built it: what objects have to say to texts.
 
-    What the canonical phrases score is remembered too. A text that is one of the ``taught`` words
-    is answered by their examples.
+    What the canonical phrases score is remembered too. A text that is one of the ``names`` {id:
+    name} means the objects called so and no others; one of the ``taught`` words is answered by
+    their examples.
     """
 
     def __init__(
-        self, bank: MemoryBank, encoder: Encoder, taught: TaughtWords | None = None
+        self,
+        bank: MemoryBank,
+        encoder: Encoder,
+        taught: TaughtWords | None = None,
+        names: Mapping[int, str] | None = None,
     ) -> None:
         super().__init__(encoder)
         self.bank = bank
         self.taught = TaughtWords() if taught is None else taught
+        self._called: dict[str, list[int]] = {}
+        for id_, name in (names or {}).items():
+            self._called.setdefault(spelled(name), []).append(id_)
         self._scorer = lru_cache(4)(self._make_scorer)
 
     def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
@@ -229,19 +241,20 @@ class BankReader(TextReader):
             If there is no text, or the encoder cannot use one.
         """
         scorer = self._scorer(self.phrases(rules), rules.absent)
-        own = (
-            []
-            if isinstance(texts, str)
-            else [k for k, text in enumerate(texts) if text in self.taught]
-        )
-        if not own:
-            return scorer.gaps(self.vectors(texts))
+        if isinstance(texts, str) or not len(texts):
+            self.vectors(texts)  # which says what is wrong
         gaps = np.empty((len(texts), len(self.bank)))
-        others = [k for k in range(len(texts)) if k not in own]
-        if others:
-            gaps[others] = scorer.gaps(self.vectors([texts[k] for k in others]))
-        leads = np.stack([self.taught.leads(texts[k], scorer.looks) for k in own])
-        gaps[own] = scorer.combined(leads)
+        by: dict[str, list[int]] = {"named": [], "taught": [], "known": []}
+        for k, text in enumerate(texts):
+            by[self._who(text)].append(k)
+        if by["known"]:
+            gaps[by["known"]] = scorer.gaps(self.vectors([texts[k] for k in by["known"]]))
+        if by["taught"]:
+            leads = [self.taught.leads(texts[k], scorer.looks) for k in by["taught"]]
+            gaps[by["taught"]] = scorer.combined(np.stack(leads))
+        for k in by["named"]:
+            mine = np.isin(self.bank.ids, self._called[spelled(texts[k])])
+            gaps[k] = np.where(mine, NAMED, -NAMED)
         return gaps
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
@@ -251,7 +264,8 @@ class BankReader(TextReader):
 
     def understood(self, text: str) -> Understood:
         """What counts of ``text`` and what does not; InputError if nobody can use it."""
-        if text not in self.taught:
+        who = self._who(text)
+        if who == "known":
             return super().understood(text)
         try:
             also = super().understood(text)
@@ -259,7 +273,14 @@ class BankReader(TextReader):
         except InputError:
             instead_of = ""
         word = normal(text)
-        return Understood(word, (), {}, {}, "taught", self.taught.examples(word), instead_of)
+        examples = self.taught.examples(word) if who == "taught" else (0, 0)
+        return Understood(word, (), {}, {}, who, examples, instead_of)
+
+    def _who(self, text: str) -> str:
+        """Who answers: a name wins over a taught word, and that over the encoder."""
+        if spelled(text) in self._called:
+            return "named"
+        return "taught" if text in self.taught else "known"
 
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
         canonical = self.vectors(phrases)
@@ -292,7 +313,8 @@ class QueryResult:
     """bool [N]: what the rules select, visible or not."""
     confidence: Confidence | None = None
     """How likely mask and point are right; None where that was not measured: of an encoder without
-    a calibration, with canonical phrases of one's own, or by the protocol ``langsplat``."""
+    a calibration, with canonical phrases of one's own, or by the protocol ``langsplat``. And of a
+    name, of which nothing is to be doubted."""
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
@@ -300,7 +322,7 @@ class QueryResult:
 
     @property
     def kind(self) -> str:
-        """Who answered: ``known``, ``taught``, ``unknown`` or ``picture``; see Understood."""
+        """Who answered, as :class:`Understood` says: ``known``, ``named``, ``taught`` and so on."""
         return self.understood.kind
 
     @property
@@ -433,11 +455,11 @@ def ask(
         as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
         chosen = _chosen(gaps, best, rules)
         scores = expit(rules.temperature * gaps)
-        sure = None
-        if calibration is not None and len(ranked):
+        read, sure = reader.understood(text), None
+        if calibration is not None and len(ranked) and read.kind != "named":
             sure = confidence(calibration, gaps[ranked], chosen[ranked])
         found = ranked, as_good, chosen, sure
-        results.append(kind(text, scores, reader.understood(text), reader.bank.ids, seen, *found))
+        results.append(kind(text, scores, read, reader.bank.ids, seen, *found))
     return results
 
 

@@ -119,7 +119,7 @@ class TaughtWords:
 
     def __contains__(self, text: object) -> bool:
         """Whether a text is a taught word, whatever its case and spaces."""
-        return isinstance(text, str) and _plain(text) in list(self)
+        return isinstance(text, str) and spelled(text) in list(self)
 
     def examples(self, word: str) -> tuple[int, int]:
         """How many examples and counter-examples a word has."""
@@ -320,14 +320,15 @@ def normal(word: str) -> str:
 
     InputError if nothing is left of it, or it has more than :data:`LONGEST` letters.
     """
-    plain = _plain(word)
+    plain = spelled(word)
     if not plain or len(plain) > LONGEST:
         found = f"{len(plain)} letters" if plain else "an empty text"
         raise InputError(f"word: found {found}, expected 1 to {LONGEST} letters")
     return plain
 
 
-def _plain(word: str) -> str:
+def spelled(word: str) -> str:
+    """A text whatever its case and spaces: words and names that agree in this are the same."""
     return " ".join(word.casefold().split())
 
 

@@ -20,6 +20,7 @@ _SIGNS = str.maketrans({sign: f"&#{ord(sign)};" for sign in "\\`*_{}[]()#+-.!|~<
 _KINDS = {
     "known": "known",
     "unknown": "in part unknown",
+    "named": "named by you",
     "taught": "taught",
     "picture": "a picture",
 }

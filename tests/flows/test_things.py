@@ -155,6 +155,17 @@ def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch
     assert ask("query", field, "blue")[1][0]["kind"] == "known"
 
 
+def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch, capsys):
+    SemanticField.load(field).named(BLUE, "Anna's wall").save_edits(field)
+    status, (answer,) = ask("query", field, "anna's  WALL")
+    assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
+    assert (answer["kind"], answer["verdict"], answer["confidence"]) == ("named", "found", None)
+    assert run(monkeypatch, "query", field, "Anna's wall") == 0
+    assert "a name that you gave" in capsys.readouterr().out
+    assert run(monkeypatch, "extract", field, "anna's wall", "-o", tmp_path / "wall.ply") == 0
+    assert set(labels_of(tmp_path / "wall.ply")) == {BLUE}
+
+
 def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch, capsys):
     assert run(monkeypatch, "teach", field, "fox", "--at", 40, 16) == 0
     other = two_walls(tmp_path / "other")

@@ -19,7 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
-from slgaussian.language.query import Rules
+from slgaussian.language.query import QueryResult, Rules
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.viewer.page.answers import answers_of
@@ -113,6 +113,13 @@ def taken(tab: Tab) -> set[int]:
     )
 
 
+def how_sure(hit: QueryResult) -> str:
+    """How the page says how sure an answer is."""
+    if hit.verdict == "not here":
+        return f"is probably not here: {hit.confidence.point:.2f} that the best object is it"
+    return f"{hit.verdict}, {hit.confidence.mask:.2f} that this is right"
+
+
 def test_it_draws_what_the_rasteriser_draws(page, field):
     page.evaluate("slgaussian.clear()")
     for view, camera in enumerate(field.cameras.values()):
@@ -127,7 +134,7 @@ def test_a_word_lights_up_the_pixels_that_a_query_takes(page, field):
     for text in ("floor", "wall", "ball"):
         said = ask(page, text)
         hit = seen.query(text)
-        assert f"score {hit.score:.3f}" in said
+        assert f"score {hit.score:.3f}" in said and how_sure(hit) in said
         picture = snapshot(page).astype(float)
         assert psnr(picture, paint_relevancy(hit.relevancy, seen.rgb)) > 25
         heat = (picture - 0.34 * cv2.cvtColor(seen.rgb, cv2.COLOR_RGB2GRAY)[..., None]) / 0.72
@@ -155,6 +162,39 @@ def test_every_text_takes_what_a_query_takes(field):
         assert chosen == {id_ for id_, _ in seen.query(answers.texts[row]).objects}
 
 
+def test_the_page_is_as_sure_as_a_query(page, field):
+    seen = field.render(next(iter(field.cameras.values())))
+    texts = page.evaluate("JSON.parse(document.getElementById('about').textContent).texts")[::29]
+    asked = f"{json.dumps(texts)}.map((text) => slgaussian.words.ask(text).sure)"
+    verdicts = set()
+    for text, sure in zip(texts, page.evaluate(asked), strict=True):
+        hit = seen.query(text)
+        assert sure["mask"] == pytest.approx(hit.confidence.mask, abs=1e-5)
+        assert sure["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
+        assert sure["verdict"] == hit.confidence.verdict
+        verdicts.add(hit.confidence.verdict)
+    assert len(verdicts) == 3, "all three are tried"
+
+
+def test_what_is_near_the_best_can_be_chosen(page, field):
+    seen = field.render(next(iter(field.cameras.values())))
+    numbers = set()
+    for share in (0.1, 1.0, 0.7):  # the last one is that of a query
+        if share != 0.7:
+            assert "score" in ask(page, "grey")
+        page.evaluate(
+            f"(() => {{ const e = document.getElementById('share'); e.value = {share};"
+            "e.dispatchEvent(new Event('input')); })()"
+        )
+        assert page.evaluate("document.getElementById('nearness').textContent") == f"{share:.0%}"
+        hit = seen.query("grey", share=share)
+        assert taken(page) == {id_ for id_, _ in hit.objects}
+        assert how_sure(hit) in page.evaluate("document.getElementById('answer').textContent")
+        numbers.add(len(hit.objects))
+    assert len(numbers) > 1, "the choice makes a difference"
+    page.evaluate("slgaussian.clear()")
+
+
 @pytest.mark.parametrize(
     ("typed", "read"),
     [
@@ -180,19 +220,24 @@ def test_texts_are_read_as_the_lexicon_reads_them(page, field, typed, read):
 
 
 def test_what_is_not_known_is_said(page):
-    assert "unicorn" in ask(page, "unicorn") and "not among the words" in ask(page, "unicorn")
+    said = ask(page, "unicorn")
+    assert said.startswith("This file does not know “unicorn”: ") and said.count(".") == 1
     assert "slgaussian query" in ask(page, "red green crate")
 
 
-def test_a_taught_word_is_answered_by_its_examples(browser, field, tmp_path):
+def test_taught_words_and_names_are_answered(browser, field, tmp_path):
     camera = next(iter(field.cameras.values()))
     (cone, _), *_ = field.render(camera).query("cone").objects
-    taught = field.teach("Gizmo of mine", cone)
+    (ball, _), *_ = field.render(camera).query("ball").objects
+    taught = field.teach("Gizmo of mine", cone).named(ball, "Anna's ball")
     (tmp_path / "a.html").write_text(scene_page(taught), "utf-8")
     with shown(browser, tmp_path / "a.html") as tab:
         assert "(taught by example)" in ask(tab, "gizmo of MINE")
         assert taken(tab) == {id_ for id_, _ in taught.find("gizmo of mine")}
         assert cone in taken(tab)
+        said = ask(tab, "anna's  BALL")
+        assert "(a name that was given)" in said and taken(tab) == {ball}
+        assert "right" not in said, "of a name nothing is to be doubted"
 
 
 def test_depth_is_painted_as_in_pictures(page, field):
@@ -215,7 +260,10 @@ def test_a_browser_that_cannot_draw_says_so(browser, file):
 
 def test_several_words_share_the_scene_out(page, field):
     ask(page, "floor, wall")
-    assert page.evaluate("document.querySelectorAll('#legend li').length") == 2
+    legend = page.evaluate("[...document.querySelectorAll('#legend li')].map(e => e.textContent)")
+    hits = field.render(next(iter(field.cameras.values()))).query_all(["floor", "wall"])
+    for said, hit in zip(legend, hits, strict=True):
+        assert said == f"{hit.text}{hit.verdict} {hit.confidence.mask:.2f}"
     camera = field.cameras[next(iter(field.cameras))]
     labels = field.render(camera).segment(["floor", "wall"])
     picture = snapshot(page).astype(float)

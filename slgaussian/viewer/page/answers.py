@@ -1,9 +1,10 @@
 """What a page can be asked: texts, with what every thing answers worked out beforehand.
 
 A page holds no encoder. Of the lexicon it knows every word, and every describing word with every
-thing ("red chair"); of another encoder some common things. What a user taught it knows too. The
-answers are relevancy gaps (:mod:`slgaussian.language.relevancy`), of which the page takes what
-:class:`slgaussian.language.query.Rules` take.
+thing ("red chair"); of another encoder some common things. What a user taught, and the names that
+he gave, it knows too. The answers are relevancy gaps (:mod:`slgaussian.language.relevancy`), of
+which the page takes what :class:`slgaussian.language.query.Rules` take, and by which it says how
+sure that is (:mod:`slgaussian.language.confidence`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slgaussian.field import SemanticField
+from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
@@ -34,14 +36,16 @@ class Answers:
     gaps : float32 [texts, things]
         -inf for a thing that no view holds.
     kinds : {word: kind}
-        Of the texts that are single words or whole phrases: ``thing``, ``describing``, ``taught``
-        or ``text``.
+        Of the texts that are single words or whole phrases: ``thing``, ``describing``, ``taught``,
+        ``named`` or ``text``.
     spellings : {spelling: word}
         Other ways to write words.
     skipped : tuple of str
         Words that carry no meaning.
     pairs : bool
         Whether a describing word and a thing are answered together.
+    calibration : Calibration or None
+        Of the encoder.
     """
 
     texts: tuple[str, ...]
@@ -50,6 +54,7 @@ class Answers:
     spellings: Mapping[str, str]
     skipped: tuple[str, ...]
     pairs: bool
+    calibration: Calibration | None = None
 
 
 def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = ()) -> Answers:
@@ -78,10 +83,12 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
         kinds |= dict.fromkeys(words_for(field), "text")
     kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}
     kinds |= {_plain(word): "taught" for word in field.taught}
+    kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
     texts = tuple(dict.fromkeys([*kinds, *pairs]))
     rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
     gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
-    return Answers(texts, gaps.astype(np.float32), kinds, spellings, skipped, bool(pairs))
+    known_as = texts, gaps.astype(np.float32), kinds, spellings, skipped
+    return Answers(*known_as, bool(pairs), field.encoder.calibration)
 
 
 def _plain(text: str) -> str:

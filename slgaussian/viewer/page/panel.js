@@ -19,13 +19,23 @@ function element(tag, text = "", values = {}) {
 const css = ([r, g, b]) => `rgb(${r}, ${g}, ${b})`;
 const percent = (share) => `${Math.round(100 * share)}%`;
 
+/** How sure an answer is, in a word or two, for a legend. */
+function verdict({ taken, sure }) {
+  if (!taken.includes(true)) return "not found";
+  if (!sure) return "";
+  const [how, chance] = sure.verdict === "not here"
+    ? ["probably not here", sure.point] : [sure.verdict, sure.mask];
+  return `${how} ${chance.toFixed(2)}`;
+}
+
 class Page {
   constructor(gaussians, words, drawing) {
     Object.assign(this, { gaussians, words, drawing });
     this.stand = new Standpoint(about.views[0], about.views[0].distance, about.up);
     this.mode = 0;
     this.picked = 0;
-    this.asked = []; // of {text, scores, taken, best, hue}
+    this.asked = []; // of {text, scores, taken, best, sure, hue}
+    this.typed = "";
     this.held = new Set();
     this.moved = -Infinity;
     this.frame = 0;
@@ -169,6 +179,7 @@ class Page {
   // --- What is asked ------------------------------------------------------------------------
 
   ask(typed) {
+    this.typed = typed;
     const parts = typed.split(",").map((part) => part.trim()).filter(Boolean);
     const answer = $("answer");
     this.asked = [];
@@ -186,33 +197,50 @@ class Page {
       else this.asked.push({ text, ...this.words.ask(text), hue: HUES[k % HUES.length] });
     });
     if (this.asked.length === 1) {
-      const { text, scores, taken, best } = this.asked[0];
-      const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
-      const kind = this.words.kinds.get(text) === "taught" ? " (taught by example)" : "";
-      if (found.length) {
-        said.push(`“${text}”${kind}: score ${scores[best].toFixed(3)} (0.5 is as good as any `
-          + `phrase), ${found.length === 1 ? "object" : "objects"} `
-          + found.map((k) => this.called(k + 1)).join(", "));
-      } else if (best >= 0) {
-        said.push(`“${text}”${kind}: nothing found; the best object scores `
-          + `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`);
-      } else {
-        said.push("there are no objects in this file");
-      }
+      said.push(this.said(this.asked[0]));
       this.setMode(3);
     } else if (this.asked.length) {
       this.asked.forEach((one) => {
         const item = element("li");
         const swatch = element("span", "", { className: "swatch" });
         swatch.style.background = css(one.hue);
-        item.append(swatch, element("span", one.text, { className: "grow" }));
+        item.append(swatch, element("span", one.text, { className: "grow" }),
+          element("span", verdict(one), { className: "number" }));
         $("legend").append(item);
       });
-      said.push("each object in the colour of the word that fits it best, above 0.5");
+      said.push("Each object has the colour of the word that fits it best, above 0.5.");
       this.setMode(2);
     }
-    answer.textContent = said.join("; ");
+    answer.textContent = said.join(" ");
     this.repaint();
+  }
+
+  /** What one text found, in a sentence. */
+  said({ text, scores, taken, best, sure }) {
+    if (best < 0) return "There are no objects in this file.";
+    const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
+    const asked = `“${text}”${kinds[this.words.kinds.get(text)] || ""}`;
+    const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
+    const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
+    if (!found.length) return `${asked}: nothing found; the best object scores ${score}.`;
+    const objects = `${found.length === 1 ? "object" : "objects"} `
+      + found.map((k) => this.called(k + 1)).join(", ");
+    if (!sure) return `${asked}: score ${score}, ${objects}.`;
+    if (sure.verdict === "not here") {
+      return `${asked} is probably not here: ${sure.point.toFixed(2)} that the best object is it; `
+        + `score ${score}; most like it: ${objects}.`;
+    }
+    return `${asked}: ${sure.verdict}, ${sure.mask.toFixed(2)} that this is right; `
+      + `score ${score}, ${objects}.`;
+  }
+
+  /** Take what is at least this share as good as the best, and ask again. */
+  near(share) {
+    this.words.share = share;
+    $("nearness").textContent = percent(share);
+    const mode = this.mode;
+    this.ask(this.typed);
+    this.setMode(mode);
   }
 
   called(thing) {
@@ -302,6 +330,8 @@ class Page {
       $(id).hidden = !about.things.length || !about.texts.length;
     }
     $("listed").textContent = about.said_words;
+    $("share").value = about.share;
+    $("nearness").textContent = percent(about.share);
     $("honest").textContent = about.honest;
     if (innerWidth <= 640) $("help").open = false;
   }
@@ -317,6 +347,7 @@ class Page {
       this.ask($("words").value);
     });
     $("clear").addEventListener("click", () => this.clear());
+    $("share").addEventListener("input", () => this.near(Number($("share").value)));
     $("save").addEventListener("click", () => this.save());
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("pointerdown", (event) => {

@@ -12,6 +12,7 @@ import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -26,6 +27,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField, shown
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
+from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
 from slgaussian.language.query import Rules
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
@@ -162,6 +164,7 @@ def _page(
         "said_words": _said_words(answers),
         "share": rules.share,
         "temperature": rules.temperature,
+        "calibration": _calibration(answers.calibration),
         "block": BLOCK,
         "layout": content.layout,
         "scale_logs": list(content.scale_logs),
@@ -252,11 +255,20 @@ def _honest(field: SemanticField, gaussians: Gaussians, guesses: float) -> str:
     return " ".join(said)
 
 
+def _calibration(known: Calibration | None) -> dict[str, Any] | None:
+    """What the page works out confidence by, as the module ``confidence`` does."""
+    if known is None:
+        return None
+    curves = {"mask": list(astuple(known.mask)), "point": list(astuple(known.point))}
+    return {**curves, "absent": ABSENT, "typical": TYPICAL, "even_out": EVEN_OUT}
+
+
 def _said_words(answers: Answers) -> str:
     kinds: dict[str, list[str]] = {}
     for word, kind in answers.kinds.items():
         kinds.setdefault(kind, []).append(word)
-    titles = {"taught": "Taught", "text": "Texts", "thing": "Things", "describing": "Describing"}
+    titles = {"named": "Names", "taught": "Taught", "text": "Texts"}
+    titles |= {"thing": "Things", "describing": "Describing"}
     said = [
         f"{name}: {', '.join(sorted(kinds[kind]))}."
         for kind, name in titles.items()

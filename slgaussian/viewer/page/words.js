@@ -9,6 +9,7 @@ class Words {
     this.spellings = new Map(Object.entries(about.spellings));
     this.longest = Math.max(1, ...[...this.spellings.keys()].map((s) => s.split(" ").length));
     this.skipped = new Set(about.skipped);
+    this.share = about.share;
   }
 
   /** The text among those answered that a typed one means: {text} or {why}. */
@@ -24,17 +25,17 @@ class Words {
       left.splice(0, length);
     }
     if (unknown.length) {
-      return { why: `${unknown.map((w) => `“${w}”`).join(", ")}: not among the words of this file, `
-        + "which are listed below" };
+      return { why: `This file does not know ${unknown.map((w) => `“${w}”`).join(", ")}: it answers `
+        + "only the words that are listed below, as no encoder of words is in it." };
     }
     const once = [...new Set(found)];
     const things = once.filter((word) => this.kinds.get(word) === "thing");
     const text = [...once.filter((word) => !things.includes(word)), ...things].join(" ");
     if (this.rows.has(text)) return { text };
-    if (!once.length) return { why: "type one of the words that are listed below" };
+    if (!once.length) return { why: "Type one of the words that are listed below." };
     const asks = about.pairs ? "one word, or one describing word and one thing" : "the listed texts";
-    return { why: `this file answers ${asks}; for “${typed.trim()}” ask the field itself: `
-      + "slgaussian query" };
+    return { why: `This file answers ${asks}; for “${typed.trim()}” ask the field itself with `
+      + "slgaussian query." };
   }
 
   /** The word that a list of spellings begins with, and how many of them it takes. */
@@ -50,19 +51,46 @@ class Words {
   }
 
   /**
-   * What `text` takes by the rule of a query: all whose gap is above 0 and at least about.share of
-   * the best. {scores, taken, best}.
+   * What `text` takes by the rule of a query: all whose gap is above 0 and at least this.share of
+   * the best. {scores, taken, best, sure}; sure as of confidence(), null where that is not known.
    */
   ask(text) {
     const count = about.things.length, row = this.rows.get(text);
     const gaps = Array.from(this.gaps.subarray(row * count, (row + 1) * count));
     const top = Math.max(-Infinity, ...gaps);
+    const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
+    const doubted = about.calibration && this.kinds.get(text) !== "named" && top > -Infinity;
     return {
       scores: gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap))),
-      taken: gaps.map((gap) => gap > 0 && gap >= about.share * top),
+      taken,
       best: gaps.indexOf(top),
+      sure: doubted ? confidence(gaps, taken, top) : null,
     };
   }
+}
+
+/**
+ * How likely an answer is right, {mask, point, verdict}: slgaussian/language/confidence.py, whose
+ * constants are in about.calibration.
+ */
+function confidence(gaps, taken, top) {
+  const { mask, point, absent, typical, even_out: evenOut } = about.calibration;
+  const any = taken.includes(true);
+  const own = [], rest = [];
+  gaps.forEach((gap, k) => {
+    if (gap > -Infinity) ((any ? taken[k] : gap === top) ? own : rest).push(gap);
+  });
+  const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+  let apart = typical;
+  if (rest.length > 1) {
+    const middle = mean(rest);
+    const spread = Math.sqrt(mean(rest.map((gap) => (gap - middle) ** 2)));
+    apart = (mean(own) - middle) / (spread + evenOut);
+  }
+  const chance = ([gap, out, offset]) => 1 / (1 + Math.exp(-(gap * top + out * apart + offset)));
+  const likely = { mask: chance(mask), point: chance(point) };
+  const verdict = likely.point < absent ? "not here" : likely.mask >= 0.5 ? "found" : "not sure";
+  return { ...likely, verdict };
 }
 
 /** A word and what it may be the plural of. */
