@@ -80,6 +80,16 @@ def marked(colours: np.ndarray, mask: np.ndarray, colour: tuple[int, int, int]) 
     return out
 
 
+def outlined(
+    colours: np.ndarray, own: np.ndarray, outline: np.ndarray, colour: tuple[int, int, int]
+) -> np.ndarray:
+    """A copy with an outline, bool [N], in a colour, and a tint of it on what is ``own``."""
+    out = colours.copy()
+    out[own] = _bytes(0.75 * out[own] + 0.25 * np.array(colour))
+    out[outline] = colour
+    return out
+
+
 def _grey(colours: np.ndarray) -> np.ndarray:
     return colours @ np.array([0.299, 0.587, 0.114])
 

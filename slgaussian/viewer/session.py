@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.things import BEST, Thing, words_for
 from slgaussian.viewer import paint
+from slgaussian.viewer.outline import Outlines
 from slgaussian.viewer.stage import Stage
 
 MODES = ("colour", "depth", "objects", "relevancy", "code")
@@ -188,6 +190,12 @@ class Session:
             return np.zeros(len(self.labels), bool)
         return self._asked_field().gone[self._visible]
 
+    @cached_property
+    def _outlines(self) -> Outlines:
+        views = list(self.cameras.values())
+        shape = len(views), views[0].height, views[0].width
+        return Outlines(self.labels, self.gaussians.source.numpy(), shape)
+
     def ask(self, texts: Sequence[str], rules: Rules) -> Answer:
         """Ask for texts, and show the answer; none takes the last answer away.
 
@@ -259,7 +267,8 @@ class Session:
             unsure = (self.labels == 0) | (self.confidence < SURE)
             out = paint.marked(out, unsure, paint.UNSURE)
         if look.selected:
-            out = paint.marked(out, self.labels == look.selected, paint.SELECTED)
+            own, outline = self.labels == look.selected, self._outlines.of(look.selected)
+            out = paint.outlined(out, own, outline, paint.SELECTED)
         return out
 
     def picture(self, camera: Camera) -> np.ndarray:

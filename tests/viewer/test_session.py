@@ -16,6 +16,7 @@ from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
 from slgaussian.language.query import Rules
 from slgaussian.viewer import paint, shots, told
+from slgaussian.viewer.outline import Outlines
 from slgaussian.viewer.session import Session
 from slgaussian.viewer.stage import DEPTH, Stand
 from tests.square import BLUE, COLOURS, GREEN, RED, YELLOW, H, W, square_field
@@ -72,6 +73,26 @@ def test_a_click_past_everything_selects_nothing(session):
     away = replace(session.cameras["a"], c2w=np.diag([-1.0, 1, -1, 1]))
     assert session.click(away, 40, 30) == 0
     assert "Click a thing" in told.thing(session)
+
+
+def test_what_is_clicked_has_an_outline(session):
+    plain = session.colours().astype(int)
+    session.click(session.cameras["a"], 54, 30)
+    shown, own = session.colours(), session.labels == YELLOW
+    labels = session.labels.reshape(2, H, W)  # a Gaussian a pixel
+    beside = np.zeros(labels.shape, bool)
+    for view, y, x in zip(*np.nonzero(labels == YELLOW), strict=True):
+        around = labels[view, max(0, y - 2) : y + 3, max(0, x - 2) : x + 3]
+        beside[view, y, x] = (around != YELLOW).any()
+    outline = beside.ravel()
+    assert 0 < outline.sum() < own.sum() / 2
+    assert (shown[outline] == paint.SELECTED).all()
+    assert (shown[~own] == plain[~own]).all()
+    inner = np.abs(shown[own & ~outline] - plain[own & ~outline]).max(1)
+    assert (inner > 10).all() and (inner < 60).all()
+    some = np.arange(len(plain)) % 3 > 0
+    kept = Outlines(session.labels[some], session.gaussians.source.numpy()[some], (2, H, W))
+    assert 0.5 < kept.of(YELLOW).sum() / outline.sum() < 0.8, "also where pixels have no Gaussian"
 
 
 def test_a_word_lights_up_what_it_finds_and_nothing_else(session):
@@ -172,7 +193,10 @@ def test_changes_are_made_asked_again_taken_back_and_saved(folder, session, tmp_
     assert "the &#42;meadow&#42;" in told.answer(session)
     session.look = replace(session.look, selected=GREEN)
     assert "the &#42;meadow&#42;" in told.thing(session) and "zorp" in told.thing(session)
+    (hit,) = session.ask(["The *Meadow*"], Rules()).hits
+    assert [id_ for id_, _ in hit.objects] == [GREEN] and "named by you" in told.answer(session)
     assert session.undo() and session.field.names == {}
+    assert "the *meadow*" in {text.lower() for text in session.answer.refused}
     copy = tmp_path / "copy"
     SemanticField.load(folder).save(copy)
     session.source = copy
