@@ -13,7 +13,7 @@ from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules
-from slgaussian.language.vocabulary import NOUNS, load_vocabulary
+from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.scene import Camera
 
 if TYPE_CHECKING:
@@ -117,16 +117,14 @@ def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -
 
 
 def words_for(field: SemanticField) -> tuple[str, ...]:
-    """The words that things are told by: colours and nouns that the field's lexicon knows.
+    """The words that things are told by: colours, and the lexicon's nouns for naming.
 
     For another encoder, which knows any word, some common things.
     """
     if not isinstance(field.encoder, Lexicon):
         return COMMON_THINGS
     known = load_vocabulary()
-    words = [*known.words.values(), *known.phrases.values()]
-    telling = {word.name for word in words if word.weights and word.family in NOUNS | {"colour"}}
-    return tuple(sorted(telling))
+    return tuple(sorted([*known.colours, *known.naming]))
 
 
 def small(camera: Camera) -> Camera:

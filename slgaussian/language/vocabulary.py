@@ -1,4 +1,7 @@
-"""The words that the lexicon knows and how it reads a text; the data are in ``vocabulary.toml``."""
+"""The words that the lexicon knows, and how it reads a text.
+
+The data are in two files: ``nouns.toml`` has the nouns, ``vocabulary.toml`` all else.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,12 @@ from importlib.resources import files
 
 from slgaussian.errors import InputError
 
-NOUNS = frozenset({"solid", "stuff", "furniture", "thing"})
+NOUNS = frozenset(
+    {
+        "solid", "building", "nature", "street", "vehicle", "animal", "person", "clothing",
+        "furniture", "kitchen", "food", "container", "device", "tool", "leisure",
+    }
+)  # fmt: skip
 """Families whose words name an object; words of the other families describe it."""
 
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*")
@@ -55,7 +63,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Everything in ``vocabulary.toml``.
+    """Everything in ``vocabulary.toml`` and ``nouns.toml``.
 
     Attributes
     ----------
@@ -68,6 +76,10 @@ class Vocabulary:
         By every spelling, synonyms included; neutral words have no weights.
     phrases : mapping tuple of str -> Word
         Several spellings in a row that are one word, stop words among them.
+    naming : tuple of str
+        Nouns that things are told by when nobody asks for one.
+    unseen : mapping str -> str
+        Words that are understood but cannot be seen, with the reason.
     stop, relations, negations : frozenset of str
     """
 
@@ -76,6 +88,8 @@ class Vocabulary:
     groups: Mapping[str, Mapping[str, float]]
     words: Mapping[str, Word]
     phrases: Mapping[tuple[str, ...], Word]
+    naming: tuple[str, ...]
+    unseen: Mapping[str, str]
     stop: frozenset[str]
     relations: frozenset[str]
     negations: frozenset[str]
@@ -108,7 +122,9 @@ class Vocabulary:
         end = next((i for i, s in enumerate(spelled) if s in self.relations), len(spelled))
         meant = [s for s in spelled[:end] if s not in self.stop]
         guesses = {
-            s: found for s in meant if guess and not self._look_up(s) and (found := guess(s))
+            s: found
+            for s in meant
+            if guess and s not in self.unseen and not self._look_up(s) and (found := guess(s))
         }
         known = [(s, guesses[s][0] if s in guesses else self._look_up(s)) for s in meant]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
@@ -133,13 +149,15 @@ class Vocabulary:
                 "`slgaussian words` lists"
             )
         # A guess that does not count leaves its word as unknown as it was.
-        unknown = [s for s, word in left_out if word is None or s in guesses]
+        unseen = {s: self.unseen[s] for s, _ in left_out if s in self.unseen}
+        unknown = [s for s, word in left_out if (word is None or s in guesses) and s not in unseen]
         sought = "" if head is None else known[head][0]
         unused = {
             s: f"another thing, while {sought!r} is looked for"
             for s, _ in left_out
-            if s not in unknown
+            if s not in unknown and s not in unseen
         }
+        unused |= unseen
         after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
         unused |= dict.fromkeys(elsewhere, after)
         taken_for = {
@@ -170,7 +188,8 @@ class Vocabulary:
         while start < len(spelled):
             word, length = self._phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]
-            if word is None or then == ["of"] or not self.relations.isdisjoint(left):
+            place = word is not None and word.family not in NOUNS
+            if word is None or (place and then == ["of"]) or not self.relations.isdisjoint(left):
                 left.append(spelled[start])
                 length = 1
             elif word.family in NOUNS:
@@ -198,24 +217,31 @@ class Vocabulary:
 
 @cache
 def load_vocabulary() -> Vocabulary:
-    """Read ``vocabulary.toml``, which is part of the package."""
-    data = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text("utf-8"))
+    """Read ``vocabulary.toml`` and ``nouns.toml``, which are part of the package."""
+    data, nouns = (
+        tomllib.loads(files(__package__).joinpath(name).read_text("utf-8"))
+        for name in ("vocabulary.toml", "nouns.toml")
+    )
+    naming = tuple(nouns.pop("naming"))
+    synonyms = data["synonyms"] | {
+        k: s for family in nouns.values() for k, s in family.pop("also", {}).items()
+    }
     words = {name: Word(name, "colour", {name: 1.0}) for name in data["colours"]}
     words |= {name: Word(name, "neutral", {}) for name in data["neutral"]}
-    for family, entries in data["words"].items():
+    for family, entries in {**data["words"], **nouns}.items():
         words |= {name: Word(name, family, weights) for name, weights in entries.items()}
-    for name, others in data["synonyms"].items():
+    for name, others in synonyms.items():
         words |= dict.fromkeys(others, words[name])
+    phrases = {phrase: word for phrase, word in words.items() if " " in phrase}
+    phrases |= {p: words[name] for name, several in data["phrases"].items() for p in several}
     return Vocabulary(
         canonical=tuple(data["canonical"]),
         colours={n: (c["swatches"], c["darkest"]) for n, c in data["colours"].items()},
         groups=data["groups"],
         words=words,
-        phrases={
-            tuple(phrase.split()): words[name]
-            for name, phrases in data["phrases"].items()
-            for phrase in phrases
-        },
+        phrases={tuple(phrase.split()): word for phrase, word in phrases.items()},
+        naming=naming,
+        unseen={s: why for why, several in data["unseen"].items() for s in several},
         stop=frozenset(data["stop"]),
         relations=frozenset(data["relations"]),
         negations=frozenset(data["negations"]),
@@ -225,7 +251,7 @@ def load_vocabulary() -> Vocabulary:
 def _singulars(word: str) -> list[str]:
     """The word and what it may be the plural of, in the order to try them."""
     forms = [word]
-    for ending, singular in (("ies", "y"), ("ves", "f"), ("s", ""), ("es", "")):
+    for ending, singular in (("ies", "y"), ("ves", "f"), ("ves", "fe"), ("s", ""), ("es", "")):
         if word.endswith(ending) and len(word) > len(ending) + 1:
             forms.append(word.removesuffix(ending) + singular)
     return forms

@@ -1,10 +1,11 @@
 """What a page can be asked: texts, with what every thing answers worked out beforehand.
 
-A page holds no encoder. Of the lexicon it knows every word, and every describing word with every
-thing ("red chair"); of another encoder some common things. What a user taught, and the names that
-he gave, it knows too. The answers are relevancy gaps (:mod:`slgaussian.language.relevancy`), of
-which the page takes what :class:`slgaussian.language.query.Rules` take, and by which it says how
-sure that is (:mod:`slgaussian.language.confidence`).
+A page holds no encoder. Of the lexicon it knows every word, every colour with every thing ("red
+car") and every describing word with every common thing ("striped chair"); of another encoder some
+common things. What a user taught, and the names that he gave, it knows too. The answers are
+relevancy gaps (:mod:`slgaussian.language.relevancy`), of which the page takes what
+:class:`slgaussian.language.query.Rules` take, and by which it says how sure that is
+(:mod:`slgaussian.language.confidence`).
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Answers:
     skipped : tuple of str
         Words that carry no meaning.
     pairs : bool
-        Whether a describing word and a thing are answered together.
+        Whether a colour and a thing, or a describing word and a common thing, are answered
+        together.
     calibration : Calibration or None
         Of the encoder.
     """
@@ -68,7 +70,7 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
     pairs: list[str] = []
     if isinstance(field.encoder, Lexicon):
         known = load_vocabulary()
-        skipped = tuple(sorted(known.stop))
+        skipped = tuple(sorted({*known.stop, *known.unseen}))
         every = {**known.words, **{" ".join(p): word for p, word in known.phrases.items()}}
         for spelling, word in sorted(every.items()):
             if word.weights:
@@ -77,8 +79,13 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
         spellings |= {name: name for name in kinds}
         things = sorted(word for word, kind in kinds.items() if kind == "thing")
         describing = sorted(word for word, kind in kinds.items() if kind == "describing")
-        if len(things) * len(describing) * len(ids) <= MOST:
-            pairs = [f"{one} {other}" for one in describing for other in things]
+        pairs = [
+            f"{one} {other}"
+            for one in describing
+            for other in (things if one in known.colours else known.naming)
+        ]
+        if len(pairs) * len(ids) > MOST:
+            pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field), "text")
     kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}

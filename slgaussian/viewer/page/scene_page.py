@@ -275,7 +275,10 @@ def _said_words(answers: Answers) -> str:
         if kind in kinds
     ]
     if answers.pairs:
-        said.append("And one describing word with one thing, as in “red chair”.")
+        said.append(
+            "And a colour with a thing, as in “red chair”, or another describing word with a "
+            "common thing."
+        )
     said.append("Several, with commas between them, share the scene out among them.")
     return " ".join(said)
 

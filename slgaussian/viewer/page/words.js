@@ -33,7 +33,9 @@ class Words {
     const text = [...once.filter((word) => !things.includes(word)), ...things].join(" ");
     if (this.rows.has(text)) return { text };
     if (!once.length) return { why: "Type one of the words that are listed below." };
-    const asks = about.pairs ? "one word, or one describing word and one thing" : "the listed texts";
+    const asks = about.pairs
+      ? "one word, a colour and a thing, or another describing word and a common thing"
+      : "the listed texts";
     return { why: `This file answers ${asks}; for “${typed.trim()}” ask the field itself with `
       + "slgaussian query." };
   }
@@ -96,7 +98,7 @@ function confidence(gaps, taken, top) {
 /** A word and what it may be the plural of. */
 function singulars(word) {
   const forms = [word];
-  for (const [ending, singular] of [["ies", "y"], ["ves", "f"], ["s", ""], ["es", ""]]) {
+  for (const [ending, singular] of [["ies", "y"], ["ves", "f"], ["ves", "fe"], ["s", ""], ["es", ""]]) {
     if (word.endsWith(ending) && word.length > ending.length + 1) {
       forms.push(word.slice(0, -ending.length) + singular);
     }
