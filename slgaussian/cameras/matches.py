@@ -5,7 +5,6 @@ SIFT (Lowe 2004) by OpenCV with the descriptors of RootSIFT (Arandjelovic and Zi
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -13,6 +12,13 @@ import cv2
 import numpy as np
 
 from slgaussian.formats.brief import brief
+from slgaussian.kernels.seeding import content_of
+from slgaussian.storage.derived import Arrays, once
+
+SIFT = 4000, 0.02
+RATIO = 0.8
+"""Features of an image that views are matched by, at most, and the contrast that they need; and how
+much nearer than the next the nearest must be (:func:`match`)."""
 
 _ROWS = 128
 
@@ -45,17 +51,23 @@ class Features:
 
 
 def find_features(grey: np.ndarray, most: int, contrast: float) -> Features:
-    """The ``most`` strongest features of a grey uint8 image [H, W]."""
-    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
-    keys, raw = sift.detectAndCompute(grey, None)
-    if raw is None:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), *np.zeros((2, 0)))
+    """The ``most`` strongest features of a grey uint8 image [H, W].
+
+    Those of the last images are at hand; kept as :mod:`slgaussian.storage.derived` says.
+    """
+    image = _Grey(grey)
+    found = once(
+        "features",
+        1,
+        lambda: f"{image.content} {most} {contrast}",
+        lambda: _detected(image, most, contrast),
+    )
+    raw = found["descriptors"].astype(np.float32)
     # Unit vectors, so products rank as distances do.
     descriptors = np.sqrt(raw / np.maximum(raw.sum(1, keepdims=True), 1e-9))
+    x, y, size, angle = found["keys"].astype(np.float64).T
     # OpenCV counts pixel centres at 0.
-    points = np.array([key.pt for key in keys]) + 0.5
-    scales = np.array([key.size for key in keys]) / 2
-    return Features(points, descriptors, scales, np.radians([key.angle for key in keys]))
+    return Features(np.stack([x, y], 1) + 0.5, descriptors, size / 2, np.radians(angle))
 
 
 def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -91,26 +103,33 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
 def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mutual SIFT matches (ratio 0.8) of two grey uint8 images.
 
-    Features and matches of the last images are kept.
-
     Returns
     -------
     float64 [M, 2], float64 [M, 2]
         Pixels in each image, pixel centres at +0.5.
     """
-    first, second = _Grey(ref), _Grey(src)
-    i, j = _sift_pairs(first, second)
-    return _sift(first).points[i], _sift(second).points[j]
+    i, j = sift_pairs(ref, src)
+    return sift(ref).points[i], sift(src).points[j]
 
 
 def sift(grey: np.ndarray) -> Features:
     """The SIFT features of a grey uint8 image that :func:`sift_pairs` counts."""
-    return _sift(_Grey(grey))
+    return find_features(grey, *SIFT)
 
 
 def sift_pairs(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As :func:`sift_matches`, but int [M] and int [M], which features of each image."""
-    return _sift_pairs(_Grey(ref), _Grey(src))
+    """As :func:`sift_matches`, but int [M] and int [M], which features of each image.
+
+    Those of the last images are at hand; kept as :mod:`slgaussian.storage.derived` says.
+    """
+    first, second = _Grey(ref), _Grey(src)
+    found = once(
+        "matches",
+        1,
+        lambda: f"{first.content} {second.content} {SIFT} {RATIO}",
+        lambda: _matched(first, second),
+    )
+    return found["i"], found["j"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +139,8 @@ class _Grey:
     pixels: np.ndarray
 
     @cached_property
-    def content(self) -> tuple[tuple[int, ...], bytes]:
-        return self.pixels.shape, hashlib.sha256(np.ascontiguousarray(self.pixels).data).digest()
+    def content(self) -> str:
+        return content_of(self.pixels)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Grey) and self.content == other.content
@@ -132,16 +151,22 @@ class _Grey:
 
 # The cameras are checked by what depth is found from later, and a view meets several others.
 @lru_cache(maxsize=32)
-def _sift(image: _Grey) -> Features:
-    found = find_features(image.pixels, 4000, 0.02)
-    for array in (found.points, found.descriptors, found.scales, found.angles):
-        array.setflags(write=False)
-    return found
+def _detected(image: _Grey, most: int, contrast: float) -> Arrays:
+    """Position, size and angle of features as OpenCV says them, and descriptors, uint8."""
+    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
+    keys, raw = sift.detectAndCompute(image.pixels, None)
+    told = np.array([(*key.pt, key.size, key.angle) for key in keys], np.float32).reshape(-1, 4)
+    descriptors = np.zeros((0, 128), np.uint8) if raw is None else raw.astype(np.uint8)
+    return _unchanging(keys=told, descriptors=descriptors)
 
 
 @lru_cache(maxsize=256)
-def _sift_pairs(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
-    i, j, _ = match(_sift(first), _sift(second), 0.8)
-    for array in (i, j):
+def _matched(first: _Grey, second: _Grey) -> Arrays:
+    i, j, _ = match(sift(first.pixels), sift(second.pixels), RATIO)
+    return _unchanging(i=i, j=j)
+
+
+def _unchanging(**arrays: np.ndarray) -> Arrays:
+    for array in arrays.values():
         array.setflags(write=False)
-    return i, j
+    return arrays

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.seeding import content_of
+from slgaussian.storage.derived import once
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -110,7 +112,13 @@ class MemoryTracker(ABC):
         new = self.describe(seen, labels)
         if not any(frame.labels.any() for frame in self._frames):
             return labels
-        leaves = watershed_leaves(_gradient(new.lab))
+        kept = once(
+            "leaves",
+            1,
+            lambda: content_of(new.lab),
+            lambda: {"of_pixel": watershed_leaves(_gradient(new.lab))},
+        )
+        leaves = kept["of_pixel"]
         size = np.bincount(leaves.ravel())
         top = max(int(frame.labels.max()) for frame in self._frames) + 1
         votes = np.zeros((len(size), top))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.seeding import rng_for
+from slgaussian.kernels.seeding import content_of, rng_for
 from slgaussian.predict import Depths
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
@@ -38,6 +39,7 @@ from slgaussian.predict.settle import kept_near
 from slgaussian.predict.sgm import aggregate, winners
 from slgaussian.predict.unproject import concatenate, unproject
 from slgaussian.scene import Sample, View
+from slgaussian.storage.derived import once
 
 if TYPE_CHECKING:
     from slgaussian.predict.planesweep import PlaneSweep
@@ -116,13 +118,11 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
             middle = np.full(size, steps.mean(), np.float32)
             found.append((Swept(steps, middle, np.zeros(size, bool)), np.zeros(size)))
             continue
-        cost = combine(
-            [matching_cost(guides[i], guides[k.source], k.relative, steps) for k, _ in shown]
+        index, clear = _searched(
+            guides[i], [(guides[k.source], k.relative) for k, _ in shown], steps
         )
-        best, offset, margin = winners(aggregate(cost, guides[i]))
-        index = best + offset
         inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
-        found.append((Swept(steps, inverse_depth, margin > MIN_MARGIN), index))
+        found.append((Swept(steps, inverse_depth, clear), index))
     result = []
     for (mine, index), sources in zip(found, links, strict=True):
         agrees = np.zeros(index.shape, bool)
@@ -133,6 +133,30 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
         answered = without_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
         result.append(Swept(mine.steps, mine.inverse_depth, answered))
     return result
+
+
+def _searched(
+    guide: np.ndarray, sources: Sequence[tuple[np.ndarray, Relative]], steps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which candidate every pixel matches best, float32 [H, W], and where that is clear, bool.
+
+    Kept as :mod:`slgaussian.storage.derived` says.
+    """
+
+    def content() -> str:
+        parts = [guide, steps]
+        for grey, relative in sources:
+            parts += [grey, relative.infinity, relative.epipole]
+        return content_of(*parts)
+
+    def search() -> dict[str, np.ndarray]:
+        costs = [matching_cost(guide, grey, relative, steps) for grey, relative in sources]
+        best, offset, margin = winners(aggregate(combine(costs), guide))
+        return {"index": best + offset, "clear": np.packbits(margin > MIN_MARGIN, axis=1)}
+
+    found = once("sweeps", 1, content, search)
+    clear = np.unpackbits(found["clear"], axis=1, count=guide.shape[1]).view(bool)
+    return found["index"], clear
 
 
 def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:

@@ -1,9 +1,9 @@
-"""What is derived of photographs alone, kept so that a larger scene need not derive it again.
+"""What is derived of a few photographs, kept so that a larger scene need not derive it again.
 
 Results are known by what they were computed from, so that a kept one is the same, to the bit, as a
-new one: it saves time and changes nothing. What depends on the whole scene, as depth and objects
-do, is not kept. Who builds a field says with :func:`keeping` where results are kept; otherwise
-nothing is.
+new one: it saves time and changes nothing. What depends on the whole scene, as depth in the end and
+objects do, is not kept. Who builds a field says with :func:`keeping` where results are kept;
+otherwise nothing is.
 """
 
 from __future__ import annotations

@@ -88,7 +88,10 @@ def test_the_field_is_the_same_as_of_all_at_once(place, built, monkeypatch, caps
     assert run(monkeypatch, "field", "--add", built / "d.png", "field", "-o", "other") == 0
     printed = capsys.readouterr()
     assert printed.out == "other\n"
-    assert printed.err.endswith("1 added; reused 3 of 4 outlines, 3 of 4 palettes\n")
+    assert printed.err.endswith(
+        "1 added; reused 3 of 4 features, 2 of 3 leaves, 3 of 6 matches, 3 of 4 outlines, 3 of 4 "
+        "palettes, 0 of 4 sweeps\n"
+    )
     assert len(outlined) == 1
     assert content(place / "field") == before
     assert apart_from_ids(place / "other") == apart_from_ids(built / "four")
@@ -96,7 +99,7 @@ def test_the_field_is_the_same_as_of_all_at_once(place, built, monkeypatch, caps
     # In place, and without what was derived, which only saves time.
     (place / "field" / origins.DERIVED).write_bytes(b"damaged")
     assert run(monkeypatch, "field", "--add", built / "d.png", "field/") == 0
-    assert capsys.readouterr().err.endswith("1 added; reused 0 of 4 outlines, 0 of 4 palettes\n")
+    assert re.search(r"1 added; reused (0 of \d \w+, ){5}0 of 4 sweeps\n$", capsys.readouterr().err)
     assert content(place / "field") == content(place / "other")
     assert {file.name for file in place.iterdir()} == {"field", "other"}
 
@@ -226,7 +229,8 @@ def test_cameras_that_are_found_are_found_of_all(tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "field", "--add", NAMES[2], "field") == 0
     told = capsys.readouterr().err
     assert told.endswith(
-        "1 added; reused 2 of 3 outlines, 2 of 3 palettes, 1 of 3 relative poses\n"
+        "1 added; reused 4 of 6 features, 1 of 2 leaves, 1 of 3 matches, 2 of 3 outlines, 2 of 3 "
+        "palettes, 1 of 3 relative poses, 0 of 3 sweeps\n"
     )
     assert len(solved) == 2
     assert apart_from_ids(tmp_path / "field") == apart_from_ids(tmp_path / "three")
