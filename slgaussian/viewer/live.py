@@ -249,9 +249,10 @@ class Page:
                 self._near_best = gui.add_checkbox(
                     "near the best", True, hint="take what fits about as well as the best does"
                 )
+                self._share = gui.add_slider("how near", 0.05, 1.0, 0.05, Rules().share)
                 self._threshold = gui.add_slider("or above", 0.05, 0.95, 0.01, 0.5, disabled=True)
                 self._temperature = gui.add_slider("temperature", 1.0, 30.0, 0.5, 10.0)
-            for handle in (self._near_best, self._threshold, self._temperature):
+            for handle in (self._near_best, self._share, self._threshold, self._temperature):
                 handle.on_update(self._in_turn(self._rules_moved))
         with gui.add_folder("Look"):
             self._mode = gui.add_dropdown("show", session.modes, initial_value=session.look.mode)
@@ -332,10 +333,12 @@ class Page:
 
     def _rules(self) -> Rules:
         threshold = None if self._near_best.value else self._threshold.value
-        return Rules(threshold=threshold, temperature=self._temperature.value)
+        temperature = self._temperature.value
+        return Rules(threshold=threshold, share=self._share.value, temperature=temperature)
 
     def _rules_moved(self, event: Any) -> None:
         self._threshold.disabled = self._near_best.value
+        self._share.disabled = not self._near_best.value
         if self.session.answer.hits:
             self._ask()
 

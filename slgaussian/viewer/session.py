@@ -161,10 +161,8 @@ class Session:
         A field has about one Gaussian a pixel of its photographs, half transparent, and its
         pictures are the mean of what is there. A browser lets the background shine through in a
         large window, and viser drops Gaussians that are small in a small one. So their light is
-        taken three times, and they are sent a little larger. In an office, at its first camera,
-        that is 34 dB from the mean in windows of 640x400 and of 1200x800; as they are, 24 dB in the
-        larger one.
-        Those of a ``.ply`` were trained as browsers draw.
+        taken three times, and they are sent a little larger. Those of a ``.ply`` were trained as
+        browsers draw, and go as they are.
         """
         plain = self.gaussians
         if self.field is None:

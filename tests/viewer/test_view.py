@@ -22,8 +22,10 @@ from websockets.sync.client import connect
 
 from slgaussian.errors import SLGaussianError
 from slgaussian.field import SemanticField
+from slgaussian.formats.ply import save_ply
+from slgaussian.rasterize import rasterize
 from slgaussian.viewer import door as doors
-from slgaussian.viewer import live
+from slgaussian.viewer import live, shots
 from slgaussian.viewer.session import Session
 from tests.browser import PATIENCE
 from tests.flows.command import run
@@ -113,7 +115,8 @@ def drawn(page) -> np.ndarray:
     (client,) = page.clients
     where = np.zeros((HEIGHT, WIDTH), bool)
     where[FREE] = True
-    return where & (page.session.field.render(page._camera(client)).alpha > 0.6)
+    gaussians, camera = page.session.gaussians, page._camera(client)
+    return where & (rasterize(gaussians, None, camera).alpha.numpy() > 0.6)
 
 
 def alike(tab, page, least: float = 25.0) -> np.ndarray:
@@ -145,6 +148,38 @@ def write(tab, label: str, text: str) -> None:
     )
     tab.wait(script)
     tab.type(text)
+
+
+def control(label: str) -> str:
+    """The input of a label of the panel, as an expression."""
+    return (
+        f"(() => {{ const l = [...document.querySelectorAll('label')].find({named(label)});"
+        "return document.getElementById(l.htmlFor)"
+        " || l.closest('div').parentElement.querySelector('input') })()"
+    )
+
+
+def unfold(tab, folder: str) -> None:
+    """Open a folder of the panel."""
+    tab.evaluate(f"[...document.querySelectorAll('div')].filter({named(folder)}).pop().click()")
+
+
+def slide(tab, label: str, key: str) -> None:
+    """Move the slider of this label by a key."""
+    row = f"[...document.querySelectorAll('label')].find({named(label)}).closest('div')"
+    tab.wait(
+        f"(() => {{ const s = {row}.parentElement.querySelector('[role=slider]'); s.focus();"
+        "return s.ariaDisabled !== 'true' && document.activeElement === s })()"
+    )
+    tab.press(key)
+
+
+def choose(tab, label: str, option: str) -> None:
+    """Choose an option of the list of this label."""
+    tab.evaluate(f"{control(label)}.click()")
+    options = "[...document.querySelectorAll('[role=option]')]"
+    tab.wait(f"{options}.some({named(option)})")
+    tab.evaluate(f"{options}.find({named(option)}).click()")
 
 
 def ask_for(tab, page, words: str) -> None:
@@ -214,6 +249,58 @@ def test_ask_click_teach_remove_save_and_open_again(browser, folder, tmp_path):
     with shown(copy) as page, looking(browser, page) as tab:
         assert page.session.removed == {YELLOW} and "zorp" in page.session.field.taught
         alike(tab, page)
+
+
+def test_modes_marks_sliders_and_pictures_to_keep(browser, folder, tmp_path):
+    with shown(folder) as page, looking(browser, page) as tab:
+        tab.keep_downloads(tmp_path)
+        choose(tab, "show", "objects")
+        wait(lambda: page.session.look.mode == "objects")
+        tab.evaluate(f"{control('what is unsure')}.click()")
+        tab.wait("document.body.innerText.includes('unsure which object it is')", LONG)
+        alike(tab, page)
+        ask_for(tab, page, "red")
+        tab.wait("document.body.innerText.includes('score')", LONG)
+        (near,) = page.session.answer.hits
+        unfold(tab, "How to take things")
+        slide(tab, "how near", "ArrowLeft")
+        wait(lambda: page.session.answer.rules.share == pytest.approx(0.65))
+        tab.evaluate(f"{control('near the best')}.click()")
+        wait(lambda: page.session.answer.rules.threshold == 0.5)
+        slide(tab, "or above", "ArrowLeft")
+        wait(lambda: page.session.answer.rules.threshold == pytest.approx(0.49))
+        slide(tab, "temperature", "ArrowLeft")
+        wait(lambda: page.session.answer.rules.temperature == pytest.approx(9.5))
+        (hit,) = page.session.answer.hits
+        assert hit.score < near.score
+        tab.wait(f"document.body.innerText.includes('score {hit.score:.3f}')", LONG)
+        (client,) = page.clients
+        camera = page._camera(client)
+        for label, name, draw in (
+            ("Picture from here", "view.png", shots.picture),
+            ("Short turn from here", "turn.gif", shots.turn),
+        ):
+            press(tab, label)
+            wait(lambda name=name: (tmp_path / name).exists())
+            assert (tmp_path / name).read_bytes() == draw(page.session, camera)
+        assert not [c for c in tab.complaints if c.startswith("exception")]
+
+
+def test_a_ply_of_anybody_is_looked_at(browser, folder, tmp_path):
+    given = SemanticField.load(folder).gaussians
+    save_ply(replace(given, scales=1.6 * given.scales), tmp_path / "strange.ply")
+    with (
+        shown(tmp_path / "strange.ply") as page,
+        browser.open(page.door.address, WIDTH, HEIGHT) as tab,
+    ):
+        tab.wait("document.body.innerText.includes('A .ply holds no words')", LONG)
+        tab.evaluate(NO_NOTICES)
+        assert "Ask" not in said(tab) and "Click a thing" not in said(tab)
+        wait(lambda: tab.screenshot()[FREE].std() > 20)
+        choose(tab, "show", "depth")
+        wait(lambda: page.session.look.mode == "depth")
+        alike(tab, page)
+        assert not [c for c in tab.complaints if c.startswith("exception")]
 
 
 def test_the_address_needs_its_token_where_others_can_reach_it(browser, folder):
