@@ -7,6 +7,7 @@ import pytest
 import torch
 from textured_planes import Plane, camera, sample
 
+from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
 from slgaussian.predict import load_predictor, sweep
@@ -103,6 +104,21 @@ def test_a_kept_sweep_is_that_of_the_same_photographs_and_cameras(monkeypatch):
         assert len(searched) == 4
         how(replace(given, context=(given.context[0], dimmed(given.context[1]))))
         assert len(searched) == 6
+
+
+def test_views_whose_sources_stay_are_not_swept_again():
+    size = {"height": 72, "width": 96}
+    scene = datasets.load("procedural", seed=0, objects=4, views=7, baseline=1.6, **size)
+    names = list(scene.cameras)
+    with keeping(before := Derived()):
+        PlaneSweep()(scene.sample(names[:-1]))
+    with keeping(after := Derived(before.kept)):
+        added = PlaneSweep()(scene.sample(names))
+    assert after.reused["sweeps"] >= 2 and after.made["sweeps"] >= 2
+    for (_, a), (_, b) in zip(
+        added.items(), PlaneSweep()(scene.sample(names)).items(), strict=True
+    ):
+        assert torch.equal(a, b)
 
 
 def moved(view: View) -> View:
