@@ -162,6 +162,26 @@ def test_every_text_takes_what_a_query_takes(field):
         assert chosen == {id_ for id_, _ in seen.query(answers.texts[row]).objects}
 
 
+@pytest.mark.parametrize(
+    ("typed", "text"),
+    [
+        ("two old red bicycles", "red bicycle"),
+        ("traffic lights", "traffic light"),
+        ("t-shirt", "shirt"),
+        ("knives", "knife"),
+        ("the striped chair", "striped chair"),
+    ],
+)
+def test_the_page_reads_words_as_a_query_does(page, field, typed, text):
+    assert page.evaluate(f"slgaussian.words.read({json.dumps(typed)})") == {"text": text}
+    assert field.reader.understood(typed).read_as == text
+
+
+def test_a_page_says_which_pairs_of_words_it_answers(page):
+    found = page.evaluate('slgaussian.words.read("striped elephant")')
+    assert "a colour and a thing, or another describing word and a common thing" in found["why"]
+
+
 def test_the_page_is_as_sure_as_a_query(page, field):
     seen = field.render(next(iter(field.cameras.values())))
     texts = page.evaluate("JSON.parse(document.getElementById('about').textContent).texts")[::29]
