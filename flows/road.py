@@ -41,7 +41,7 @@ def score_scene(
     known = truth(sample, labels)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = masks(sample, base, method.proposer, method.tracker, method.replicas)
-    bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed)
+    bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed, method.bank)
     built = field(sample, base, ids, bank, method)
     benchmark(sample, known, base, ids, built, method.encoder, settings)
     # What is asked without truth can be no miss.

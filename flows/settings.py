@@ -25,7 +25,7 @@ from pydantic_core import PydanticCustomError
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
-from slgaussian.parts.method import KEEP
+from slgaussian.parts.method import BANK, KEEP, OWN
 from slgaussian.parts.method import Method as BuildMethod
 from slgaussian.parts.part import Part
 from slgaussian.parts.registry import KINDS, find_part, names_of
@@ -191,9 +191,10 @@ def files_of(*kinds: str) -> tuple[str, ...]:
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
-PRESETS = ("fast", "balanced", "accurate")
+PRESETS = ("fast", "balanced", "accurate", "paper")
 """Named settings, each a file in `presets`. `benches/scores/setting_tradeoffs.py` measures them and
-picks them by the rules that `docs/measured/tradeoffs.md` states."""
+picks the first three by the rules that `docs/measured/tradeoffs.md` states. The last is what the
+paper prints, see `docs/reference/paper.md`."""
 
 PARTS = set(KINDS)
 """The settings that name a part of the method."""
@@ -283,6 +284,12 @@ class MethodSettings(QueryRules):
         description="Gaussians of a field: needed, where even neighbours become larger ones, or "
         "all that were predicted.",
     )
+    bank: Literal["groups", "objects"] = Field(
+        "groups",
+        examples=list(BANK),
+        description="What a text is scored on: objects and groups of them, or objects alone (as "
+        "the paper).",
+    )
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
@@ -310,7 +317,7 @@ class MethodSettings(QueryRules):
     def built_by(self) -> BuildMethod:
         """How a field is built, as the library takes it; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
-        return BuildMethod(**parts, replicas=self.replicas, seed=self.seed, keep=self.keep)
+        return BuildMethod(**parts, **self.model_dump(include=set(OWN)))
 
     @cached_property
     def identity(self) -> dict[str, Any]:

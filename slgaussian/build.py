@@ -22,7 +22,7 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.named import Named, true_names
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.parts.method import Method
+from slgaussian.parts.method import BANK, Method
 from slgaussian.parts.part import Part
 from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.predict.links import usable
@@ -96,7 +96,8 @@ def build_field(
     with _timed("masks", took):
         label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     with _timed("supervision", took):
-        bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
+        made = method.encoder, method.codes, method.seed, method.bank
+        bank = remember(sample, geometry, label_maps, *made)
     with _timed("field", took):
         return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
@@ -139,16 +140,19 @@ def remember(
     encoder: Part,
     codes: Part,
     seed: int,
+    held: str = BANK[0],
 ) -> MemoryBank:
     """Draw an ID code for every object and encode what each view shows of it (section 3.2).
 
-    Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them.
-    With the encoder ``named`` objects get the vectors of their true names instead, and groups none.
+    Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them,
+    unless ``held`` is ``objects`` (:data:`slgaussian.parts.method.BANK`). With the encoder
+    ``named`` objects get the vectors of their true names instead, and groups none.
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
     loaded = encoder.load()
     names = true_names(sample, label_maps) if isinstance(loaded, Named) else None
-    groups = group_objects(geometry.seen, label_maps) if names is None else None
+    grouped = names is None and held == "groups"
+    groups = group_objects(geometry.seen, label_maps) if grouped else None
     around = geometry.surroundings
     return build_bank(sample.context, label_maps, loaded, drawn, names, around, groups)
 

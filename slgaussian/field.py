@@ -36,7 +36,13 @@ from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
-from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
+from slgaussian.semantic.decode import (
+    VISIBLE,
+    Decoder,
+    NearestCode,
+    decoder_of,
+    elected_ids,
+)
 from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
@@ -448,8 +454,8 @@ class SemanticField:
         return {}
 
     @cached_property
-    def _decoder(self) -> Decoder:
-        return Decoder(self.bank)
+    def _decoder(self) -> Decoder | NearestCode:
+        return decoder_of(self.bank, self.settings)
 
     def labels(self) -> np.ndarray:
         """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""

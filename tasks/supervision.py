@@ -10,7 +10,7 @@ from tasks.geometry import read_geometry
 from tasks.stage import Worksite, stage
 
 
-@stage("supervision", version=4)
+@stage("supervision", version=5)
 def supervision(
     site: Worksite,
     sample: ArtifactRef,
@@ -19,6 +19,7 @@ def supervision(
     encoder: Part,
     codes: Part,
     seed: int,
+    held: str,
 ) -> ArtifactRef:
     """A code and vectors of every object: spec ``bank``.
 
@@ -32,5 +33,6 @@ def supervision(
         encoder,
         codes,
         seed,
+        held,
     )
     return site.store.put("bank", bank.to_arrays(), {"objects": len(bank)})

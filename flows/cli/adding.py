@@ -15,7 +15,7 @@ from flows.settings import files_of, make_settings
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.parts.identity import file_digest
-from slgaussian.parts.method import Method
+from slgaussian.parts.method import OWN, Method
 from slgaussian.parts.part import Part
 from slgaussian.parts.registry import KINDS
 from slgaussian.scene import Sample
@@ -136,7 +136,7 @@ def _method(about: About, places: Mapping[str, str], options: Mapping[str, Any])
                     f"stored with a field; say where it is, as in --{name}-{key} PLACE"
                 )
         part.values(OTHER)
-    shared = {name: about.settings[name] for name in ("replicas", "seed", "keep")}
+    shared = {name: about.settings[name] for name in OWN if name in about.settings}
     return Method(**parts, **shared)
 
 

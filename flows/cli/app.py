@@ -21,7 +21,7 @@ from slgaussian.parts.registry import KINDS
 
 RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
 METHOD = (
-    "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", "keep",
+    "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", "keep", "bank",
     *tables_of(),
 )  # fmt: skip
 PLACES = files_of("encoder")
@@ -439,7 +439,7 @@ def masks(
 
 
 @app.command(rich_help_panel=FIELDS)
-@with_options(*RULES, *PLACES, common=COMMON["query"])
+@with_options("preset", *RULES, *PLACES, common=COMMON["query"])
 def query(
     settings: dict,
     field: Folder,

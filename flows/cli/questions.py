@@ -12,7 +12,7 @@ from PIL import ImageOps
 
 from flows.cli.drawings import check_drawing, drawing, write_ids
 from flows.cli.viewpoints import Choice, Viewpoint
-from flows.settings import TABLES
+from flows.settings import RULES, TABLES, over_preset
 from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
@@ -326,9 +326,12 @@ def opened(
 ) -> tuple[dict[str, Any], SemanticField]:
     """The rules among the settings, and the field, with its encoder ready to be asked.
 
-    With ``words``, a file of taught ones, it knows those too.
+    Of a preset, the rules count. With ``words``, a file of taught ones, it knows those too.
     """
-    rules = {name: value for name, value in settings.items() if name not in TABLES}
+    given = settings
+    if "preset" in settings:
+        given = over_preset(settings["preset"], dict(settings), "options")
+    rules = {name: value for name, value in given.items() if name in RULES}
     Rules(**rules)
     field = SemanticField.load(folder)
     used = field.settings["encoder"]

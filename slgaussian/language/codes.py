@@ -33,15 +33,24 @@ class Grid:
     ----------
     dimension : int
         Numbers a code, 1 to 3.
+    decode : "settled" or "nearest"
+        How pixels of a rendered view are read: see :class:`slgaussian.semantic.decode.Decoder`, or
+        each by itself and as it is drawn, as the paper does
+        (:class:`slgaussian.semantic.decode.NearestCode`).
 
     Raises
     ------
     InputError
-        If the dimension is another.
+        If a setting is out of its range.
     """
 
     dimension: int = setting(
         3, "Numbers a code, 1 to 3.", low=1, high=MOST_DIMENSIONS, expected=DIMENSIONS
+    )
+    decode: str = setting(
+        "settled",
+        "How pixels are read: settled, where borders ask those around, or nearest, as the paper.",
+        choices=("settled", "nearest"),
     )
 
     def __post_init__(self) -> None:

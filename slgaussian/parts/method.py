@@ -13,6 +13,13 @@ from slgaussian.parts.registry import KINDS
 KEEP = ("needed", "all")
 """Which Gaussians a field keeps: those that the scene needs, or all that were predicted."""
 
+BANK = ("groups", "objects")
+"""What a memory bank holds: objects and the groups that a word may mean as one, or, as in the
+paper, objects alone."""
+
+OWN = ("replicas", "seed", "keep", "bank")
+"""The settings of the method that belong to no part."""
+
 PartSettings = Mapping[str, Mapping[str, Any]]
 """Settings of parts by the part's name, as in ``{"mvsplat": {"checkpoint": "re10k.ckpt"}}``."""
 
@@ -33,6 +40,9 @@ class Method:
     keep : "needed" or "all"
         Whether even neighbours become larger Gaussians (:mod:`slgaussian.rasterize.merging`), or
         the field has all that were predicted, in the paper one a pixel.
+    bank : "groups" or "objects"
+        Whether the memory bank holds groups of objects too (:mod:`slgaussian.masks.levels`), and a
+        text is scored on both, or, as in the paper, objects alone and the best of their views.
     settings : mapping, optional
         Settings of the parts that are given by name, each under its name:
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
@@ -52,6 +62,7 @@ class Method:
     replicas: int
     seed: int
     keep: str
+    bank: str
 
     def __init__(
         self,
@@ -64,6 +75,7 @@ class Method:
         replicas: int = 5,
         seed: int = 0,
         keep: str = KEEP[0],
+        bank: str = BANK[0],
         settings: PartSettings | None = None,
     ) -> None:
         given = dict(
@@ -82,11 +94,12 @@ class Method:
         for kind, part in given.items():
             made = part if isinstance(part, Part) else Part.of(kind, part, own.get(part))
             object.__setattr__(self, kind, made)
-        if keep not in KEEP:
-            near = did_you_mean(keep, KEEP)
-            raise InputError(f"keep: found {keep!r}, expected {' or '.join(KEEP)}{near}")
-        for name, value in (("replicas", replicas), ("seed", seed), ("keep", keep)):
-            object.__setattr__(self, name, value)
+        for name, value, choices in (("keep", keep, KEEP), ("bank", bank, BANK)):
+            if value not in choices:
+                near = did_you_mean(value, choices)
+                raise InputError(f"{name}: found {value!r}, expected {' or '.join(choices)}{near}")
+        for name, said in zip(OWN, (replicas, seed, keep, bank), strict=True):
+            object.__setattr__(self, name, said)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -96,12 +109,12 @@ class Method:
     def identity(self) -> dict[str, Any]:
         """What a field depends on besides the sample, as cache keys and artifacts hold it.
 
-        The name of each part, replicas, seed and what is kept, and under a part's name its
-        settings, files by content; of a part without settings nothing.
+        The name of each part, replicas, seed, what is kept and what the bank holds, and under a
+        part's name its settings, files by content; of a part without settings nothing.
         """
         named = {part.kind: part.name for part in self.parts}
         tables = {part.name: part.identity() for part in self.parts if part.settings}
-        own = {"replicas": self.replicas, "seed": self.seed, "keep": self.keep}
+        own = {name: getattr(self, name) for name in OWN}
         return {**named, **own, **tables}
 
     def check(self) -> None:

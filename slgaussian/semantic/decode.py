@@ -1,13 +1,17 @@
 """From a rendered feature image back to object ids, and how sure each pixel is.
 
-The paper takes the code nearest in L1 (section 3.2). At the border of two objects compositing mixes
-their codes, and the mixture can be nearest to the code of a third: a halo of wrong ids, one or two
-pixels wide. So only *settled* pixels answer for themselves: their code is close to an object's, and
-pixels around them say the same. The others choose among the objects of settled pixels near them,
-the nearest code again: where two objects mix, that is the one with more of the light.
+The paper takes the code nearest in L1 (section 3.2; :class:`NearestCode`). At the border of two
+objects compositing mixes their codes, and the mixture can be nearest to the code of a third: a halo
+of wrong ids, one or two pixels wide. So only *settled* pixels answer for themselves: their code is
+close to an object's, and pixels around them say the same. The others choose among the objects of
+settled pixels near them, the nearest code again: where two objects mix, that is the one with more
+of the light.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import numba
 import numpy as np
@@ -88,6 +92,45 @@ class Decoder:
                 f"decode: features in image row {int(bad.argmax())} hold NaN or infinity"
             )
         return ids, confidence
+
+
+class NearestCode:
+    """The paper's decoding (section 3.2): each pixel by itself is the code nearest in L1.
+
+    A rendered code is not divided by its weight, so one that is drawn thinly lies nearer to zero.
+
+    Parameters
+    ----------
+    bank : MemoryBank
+        With codes [N, D], D from 1 to 3.
+    """
+
+    def __init__(self, bank: MemoryBank) -> None:
+        self._ids = bank.ids
+        self._codes = bank.codes.astype(np.float64)
+        self._gaps = _gaps(self._codes)
+
+    def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`Decoder.__call__`; the confidence is ``1 - 2 d / g`` times the weight."""
+        ids, confidence = np.zeros(features.shape[:2], np.int32), np.zeros(features.shape[:2], "f4")
+        visible = features[..., -1] >= VISIBLE
+        if not visible.any() or not len(self._ids):
+            return ids, confidence
+        drawn = features[visible].astype(np.float64)
+        if not np.isfinite(drawn).all():
+            row = int(np.argwhere(visible)[np.isfinite(drawn).all(1).argmin(), 0])
+            raise InputError(f"decode: features in image row {row} hold NaN or infinity")
+        distance, nearest = cKDTree(self._codes).query(drawn[:, :-1], p=1)
+        ids[visible] = self._ids[nearest]
+        lead = np.maximum(0, 1 - 2 * distance / self._gaps[nearest])
+        confidence[visible] = np.minimum(drawn[:, -1], 1) * lead
+        return ids, confidence
+
+
+def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | NearestCode:
+    """The decoder of a field, as the settings that it was built by have it."""
+    own = settings.get(str(settings.get("codes")), {})
+    return NearestCode(bank) if own.get("decode") == "nearest" else Decoder(bank)
 
 
 def elected_ids(image: Render, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

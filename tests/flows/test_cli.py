@@ -80,6 +80,17 @@ def test_a_query_follows_its_rules(field, monkeypatch, capsys):
     assert objects("--protocol", "langsplat") == [1]
 
 
+def test_a_query_takes_the_rules_of_a_preset_and_what_is_given_wins(field, monkeypatch, capsys):
+    def score(*words):
+        assert run(monkeypatch, "query", field, "red", "--json", *words) == 0
+        return json.loads(capsys.readouterr().out)["score"]
+
+    # The sigmoid of the same gap, ten times as steep.
+    printed, common = (np.log(s / (1 - s)) for s in (score("--preset", "paper"), score()))
+    assert common == pytest.approx(10 * printed, rel=1e-6)
+    assert score("--preset", "paper", "--temperature", "10") == score()
+
+
 def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
     assert run(monkeypatch, "query", field, "red qwxyz") == 0
     assert "not known and left out: qwxyz" in capsys.readouterr().out
@@ -97,6 +108,7 @@ def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
         (["red", "--protocol", "lerf"], "expected one of slgaussian, langsplat"),
         (["red", "--canonical", "qwxyz"], "qwxyz"),
         (["red", "--absent", "0"], "expected one of skip, zero"),
+        (["red", "--preset", "papr"], "did you mean 'paper'?"),
         ([], "nothing is asked: give a TEXT, or a picture with --like"),
         (["--like", "nowhere.png"], "nowhere.png"),
         (["red", "--words", "nowhere.npz"], "nowhere.npz: cannot be read"),

@@ -33,6 +33,7 @@ def test_the_identity_is_flat_plain_and_complete():
         "replicas": 5,
         "seed": 0,
         "keep": "needed",
+        "bank": "groups",
         "planesweep": {"depth_candidates": 144},
         "lexicon": {"synonyms": None},
         "separated": {"dimension": 3, "error": 0.01},

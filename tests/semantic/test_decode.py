@@ -9,7 +9,7 @@ from slgaussian.errors import InputError
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.separated import _points
-from slgaussian.semantic.decode import Decoder
+from slgaussian.semantic.decode import Decoder, NearestCode, decoder_of
 
 # Written out, not imported: a slip in the module must show here.
 AGREE, CLOSE, REACH, VISIBLE = 4, 0.25, 2, 0.5
@@ -191,3 +191,35 @@ def test_what_is_no_number_is_refused_with_its_place(bad, channel):
 def test_features_of_another_dimension_are_refused():
     with pytest.raises(InputError, match=r"expected \[H, W, 4\]"):
         Decoder(bank())(np.zeros((4, 4, 3), np.float32))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_papers_decoding_is_the_nearest_code_of_what_is_drawn(seed):
+    features, mine = borders(seed, 20, 3)
+    features[5:10, 5:10] *= 0.7
+    ids, confidence = NearestCode(mine)(features)
+    codes = mine.codes.astype(np.float64)
+    for pixel in np.ndindex(*ids.shape):
+        code, weight = features[*pixel, :-1].astype(np.float64), features[*pixel, -1]
+        if weight < VISIBLE:
+            assert (ids[pixel], confidence[pixel]) == (0, 0)
+            continue
+        far = np.abs(codes - code).sum(1)
+        apart = np.sort(np.abs(codes - codes[far.argmin()]).sum(1))[1]
+        assert ids[pixel] == mine.ids[far.argmin()]
+        lead = max(0, 1 - 2 * far.min() / apart) * min(weight, 1)
+        assert confidence[pixel] == pytest.approx(lead, abs=1e-6)
+
+
+def test_the_papers_decoding_refuses_what_is_no_number():
+    features = image(CODES[[[0, 1], [2, 1]]])
+    features[1, 0, 1] = np.nan
+    with pytest.raises(InputError, match="image row 1"):
+        NearestCode(bank())(features)
+
+
+def test_a_field_is_decoded_as_its_codes_say():
+    assert isinstance(decoder_of(bank(), {"codes": "separated"}), Decoder)
+    assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {"dimension": 3}}), Decoder)
+    paper = {"codes": "grid", "grid": {"dimension": 3, "decode": "nearest"}}
+    assert isinstance(decoder_of(bank(), paper), NearestCode)
