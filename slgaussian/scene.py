@@ -342,15 +342,13 @@ class Sample:
 
     @cached_property
     def content(self) -> str:
-        """What the context views are, images and cameras in their order, whatever they are called.
+        """What the context views show, in their order, whatever they are called.
 
         SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.kernels.seeding`).
+        Cameras are no part of it: the last digits of those that are found depend on the processor,
+        and must not change what is drawn.
         """
-        parts: list[np.ndarray] = []
-        for view in self.context:
-            seen = view.camera
-            parts += [view.image, seen.K, seen.c2w, np.array([seen.near or 0.0, seen.far or 0.0])]
-        return content_of(*parts)
+        return content_of(*(view.image for view in self.context))
 
     def resized(self, height: int, width: int) -> Sample:
         """All views scaled and centre-cropped to one size."""
