@@ -35,8 +35,8 @@ class Method:
     replicas : int
         How many copies of each view vote on its labels (five in the paper, section 3.2).
     seed : int
-        Of everything random: the planes that fill depth, and the ID codes. The same seed gives
-        the same bytes, whatever scene and views are called.
+        Of everything random: the ID codes, and what parts of other packages draw. The same seed
+        gives the same bytes, whatever scene and views are called.
     keep : "needed" or "all"
         Whether even neighbours become larger Gaussians (:mod:`slgaussian.rasterize.merging`), or
         the field has all that were predicted, in the paper one a pixel.

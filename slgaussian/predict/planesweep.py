@@ -59,7 +59,7 @@ class PlaneSweep:
 
         First one a context pixel, in the order of ``source``, but for those that show what two
         views before show already; then a few for what no view sees.
-        ``seed`` decides which planes are tried where matching gave no depth.
+        Nothing of it is random, so ``seed`` changes nothing.
 
         Raises
         ------
@@ -74,4 +74,4 @@ class PlaneSweep:
         """What a call gives, and how many depths were compared; raises as a call."""
         from slgaussian.predict.sweep import predict
 
-        return predict(self, sample, seed)
+        return predict(self, sample)

@@ -12,7 +12,7 @@ import torch
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.seeding import content_of, rng_for
+from slgaussian.kernels.seeding import content_of
 from slgaussian.predict import Depths
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
@@ -61,7 +61,7 @@ shows must close the surface by itself. What lies in another view's free space i
 """
 
 
-def predict(settings: PlaneSweep, sample: Sample, seed: int) -> tuple[Gaussians, Depths]:
+def predict(settings: PlaneSweep, sample: Sample) -> tuple[Gaussians, Depths]:
     """Gaussians of the context views; see
     :meth:`slgaussian.predict.planesweep.PlaneSweep.counted`."""
     views = sample.context
@@ -74,7 +74,7 @@ def predict(settings: PlaneSweep, sample: Sample, seed: int) -> tuple[Gaussians,
         for view, gain in zip(views, gains, strict=True)
     ]
     swept = lend(swept, exposed, graph.links)
-    whole = _complete(sample, graph.links, swept, seed)
+    whole = _complete(sample, graph.links, swept)
     opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(graph.links)]
     steps = [s.step for s in swept]
     colors = blend(exposed, whole, steps, graph.links)
@@ -199,13 +199,12 @@ def _range(
 
 
 def _complete(
-    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept], seed: int
+    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept]
 ) -> list[np.ndarray]:
     """Inverse depth float32 [H, W] of every view at every pixel."""
     whole = []
     for i, (view, mine) in enumerate(zip(sample.context, swept, strict=True)):
-        rng = rng_for(seed, sample.content, f"planesweep/{i}")
-        planes = fit_planes(mine.inverse_depth, mine.answered, mine.step, rng)
+        planes = fit_planes(mine.inverse_depth, mine.answered, mine.step)
         witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
         filled = fill(mine.inverse_depth, mine.answered, view.grey, planes, mine.steps, witnesses)
         whole.append(weighted_median(filled, view.image, mine.steps[0], mine.step))

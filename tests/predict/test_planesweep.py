@@ -232,5 +232,5 @@ def test_motorcycle_bad_pixels():
     found = focal * baseline / depth - offset
     known = np.isfinite(disparity)
     bad = (np.abs(found - disparity)[known] > 2).mean()
-    # Measured 5.4 to 5.9 %, by seed of the planes; 12 % is required, OpenCV's SGBM is at 17.9 %.
+    # 12 % is required, OpenCV's SGBM is at 17.9 %.
     assert bad < 0.08
