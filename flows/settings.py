@@ -220,7 +220,7 @@ class QueryRules(BaseModel):
         description="Take what fits a text above this relevancy, 0 to 1.",
     )
     share: float = Field(
-        0.7,
+        0.6,
         gt=0,
         le=1,
         description="Without a threshold: select the objects that have this share of the best "

@@ -66,7 +66,7 @@ class Lexicon:
 
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
-        mask=Curve(25.2, 1.51, -4.86), point=Curve(31.9, 1.35, -4.3)
+        mask=Curve(28.7, 1.8, -5.22), point=Curve(41.8, 1.29, -4.24)
     )
 
     synonyms: str | Path | None = setting(

@@ -21,7 +21,7 @@ from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
 from slgaussian.language.taught import TaughtWords, normal, spelled
 
-NEAR_BEST = 0.7
+NEAR_BEST = 0.6
 """An object is taken with the best one if its gap reaches this share of the best gap."""
 
 AS_GOOD = 0.9

@@ -21,7 +21,7 @@ class Regions:
     """Object-like regions of an image: watershed leaves, merged into trees.
 
     Level ``m``, objects, is the first tree cut at one height: disjoint masks that cover all of
-    ``where``, 15 to 60 in an indoor photograph, one in a blank image. The other levels are nodes of
+    ``where``, 20 to 90 in a photograph, one in a blank image. The other levels are nodes of
     all trees, chosen by how long they stand: ``s``, parts, smaller than the object in which they
     lie; ``l``, groups. They overlap. One partition cannot fit every object, so that the best of all
     masks fits a thing far better than the best object does; only label maps need a partition.
@@ -44,8 +44,8 @@ class Regions:
     """
 
     level: str = "m"
-    height: float = 0.28
-    most_objects: int = 60
+    height: float = 0.2
+    most_objects: int = 90
     most: int = 400
 
     def __post_init__(self) -> None:

@@ -218,7 +218,7 @@ def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
 
     def remembered(place):
         encoder = Part.stored("encoder", own, {"model": str(place)})
-        return supervision.work(site, sample, base, ids, encoder, method.codes, 0)
+        return supervision.work(site, sample, base, ids, encoder, method.codes, 0, "groups")
 
     assert remembered(model).meta["objects"] >= 1
     other = shutil.copytree(model, tmp_path / "other")

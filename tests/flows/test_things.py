@@ -135,22 +135,22 @@ def test_what_cannot_be_removed_is_said_and_nothing_is_written(
 
 
 def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "query", field, "fox") == 2
-    assert run(monkeypatch, "teach", field, "Fox", "--at", 8, 16) == 0
+    assert run(monkeypatch, "query", field, "zorp") == 2
+    assert run(monkeypatch, "teach", field, "Zorp", "--at", 8, 16) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[:2] == ["'Fox' is object 1", "examples  1, counter-examples  0"]
-    status, (answer, known) = ask("query", field, "fox", "blue", "--view", 1)
+    assert lines[:2] == ["'Zorp' is object 1", "examples  1, counter-examples  0"]
+    status, (answer, known) = ask("query", field, "zorp", "blue", "--view", 1)
     assert status == 0 and [one["id"] for one in answer["objects"]] == [RED]
     assert (answer["kind"], answer["examples"]) == ("taught", [1, 0])
     assert known["kind"] == "known" and known["examples"] == [0, 0]
-    assert run(monkeypatch, "query", field, "fox") == 0
+    assert run(monkeypatch, "query", field, "zorp") == 0
     assert "a taught word: 1 example, 0 counter-examples" in capsys.readouterr().out
     assert run(monkeypatch, "teach", field, "blue", "--at", 8, 16, "--view", 1) == 0
     assert run(monkeypatch, "query", field, "blue") == 0
     assert "not as the encoder knows it: blue" in capsys.readouterr().out
-    assert run(monkeypatch, "teach", field, "fox", "--at", 8, 16, "--not") == 0
-    assert "'fox' is not object 1" in capsys.readouterr().out
-    assert run(monkeypatch, "query", field, "fox") == 2
+    assert run(monkeypatch, "teach", field, "zorp", "--at", 8, 16, "--not") == 0
+    assert "'zorp' is not object 1" in capsys.readouterr().out
+    assert run(monkeypatch, "query", field, "zorp") == 2
     assert run(monkeypatch, "teach", field, "blue", "--forget") == 0
     assert ask("query", field, "blue")[1][0]["kind"] == "known"
 
@@ -167,32 +167,32 @@ def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch
 
 
 def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "teach", field, "fox", "--at", 40, 16) == 0
+    assert run(monkeypatch, "teach", field, "zorp", "--at", 40, 16) == 0
     other = two_walls(tmp_path / "other")
     words = field / "words.npz"
-    status, (answer,) = ask("query", other, "fox", "--words", words)
+    status, (answer,) = ask("query", other, "zorp", "--words", words)
     assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
-    _, rows = ask("segment", other, "fox", "red", "--words", words)
-    assert [(row["text"], row["objects"]) for row in rows[:2]] == [("fox", [BLUE]), ("red", [RED])]
-    assert ask("objects", other, "--words", words)[1][1]["words"][0] == "fox"
+    _, rows = ask("segment", other, "zorp", "red", "--words", words)
+    assert [(row["text"], row["objects"]) for row in rows[:2]] == [("zorp", [BLUE]), ("red", [RED])]
+    assert ask("objects", other, "--words", words)[1][1]["words"][0] == "zorp"
     assert (
-        run(monkeypatch, "extract", other, "fox", "--words", words, "-o", tmp_path / "f.ply") == 0
+        run(monkeypatch, "extract", other, "zorp", "--words", words, "-o", tmp_path / "f.ply") == 0
     )
     assert not (other / "words.npz").exists()
     words.write_bytes(words.read_bytes()[:-9])
-    assert run(monkeypatch, "query", other, "fox", "--words", words) == 2
+    assert run(monkeypatch, "query", other, "zorp", "--words", words) == 2
     assert "words.npz: file: found" in said(capsys)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["fox", "--at", "48", "3"], "--at 48 3: is outside view 'images/001.png', which is 48"),
-        (["fox", "--at", "8", "16", "--view", "7"], "no view '7'"),
+        (["zorp", "--at", "48", "3"], "--at 48 3: is outside view 'images/001.png', which is 48"),
+        (["zorp", "--at", "8", "16", "--view", "7"], "no view '7'"),
         (["  ", "--at", "8", "16"], "expected 1 to 80 letters"),
-        (["fox"], "say either where it is, with --at X Y, or --forget"),
-        (["fox", "--forget", "--at", "8", "16"], "say either where it is"),
-        (["fox", "--forget"], "'fox': is no taught word; those there are: none"),
+        (["zorp"], "say either where it is, with --at X Y, or --forget"),
+        (["zorp", "--forget", "--at", "8", "16"], "say either where it is"),
+        (["zorp", "--forget"], "'zorp': is no taught word; those there are: none"),
     ],
 )
 def test_a_bad_lesson_is_one_sentence(field, monkeypatch, capsys, words, sentence):
@@ -204,7 +204,7 @@ def test_a_bad_lesson_is_one_sentence(field, monkeypatch, capsys, words, sentenc
 def test_where_there_is_nothing_nothing_can_be_taught(field, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "remove", field, "red", "-o", tmp_path / "without") == 0
     capsys.readouterr()
-    assert run(monkeypatch, "teach", tmp_path / "without", "fox", "--at", 8, 16) == 2
+    assert run(monkeypatch, "teach", tmp_path / "without", "zorp", "--at", 8, 16) == 2
     assert "--at 8 16: view 'images/001.png' shows no object there" in said(capsys)
 
 

@@ -187,16 +187,16 @@ def test_changes_are_made_asked_again_taken_back_and_saved(folder, session, tmp_
     assert YELLOW not in [id_ for id_, _ in session.answer.hits[0].objects]
     assert session.removed == {YELLOW} and session.unsaved
     session.change(session.field.teach("zorp", GREEN))
-    session.change(session.field.named(GREEN, "the *meadow*"))
+    session.change(session.field.named(GREEN, "the *zerp*"))
     assert session.ask(["zorp"], Rules()).hits[0].objects[0][0] == GREEN
     assert "taught" in told.answer(session)
-    assert "the &#42;meadow&#42;" in told.answer(session)
+    assert "the &#42;zerp&#42;" in told.answer(session)
     session.look = replace(session.look, selected=GREEN)
-    assert "the &#42;meadow&#42;" in told.thing(session) and "zorp" in told.thing(session)
-    (hit,) = session.ask(["The *Meadow*"], Rules()).hits
+    assert "the &#42;zerp&#42;" in told.thing(session) and "zorp" in told.thing(session)
+    (hit,) = session.ask(["The *Zerp*"], Rules()).hits
     assert [id_ for id_, _ in hit.objects] == [GREEN] and "named by you" in told.answer(session)
     assert session.undo() and session.field.names == {}
-    assert "the *meadow*" in {text.lower() for text in session.answer.refused}
+    assert "the *zerp*" in {text.lower() for text in session.answer.refused}
     copy = tmp_path / "copy"
     SemanticField.load(folder).save(copy)
     session.source = copy
