@@ -38,7 +38,7 @@ SHEET_SIDE = 144
 
 
 # Its version is raised with that of the stage that labels the views of a single scene.
-@stage("lessons", version=1001 * masks.version + 1)
+@stage("lessons", version=1000 * masks.version + 1)
 def lessons(
     site: Worksite,
     pairs: ArtifactRef,

@@ -18,7 +18,7 @@ from slgaussian.masks.merge import Cues, build_tree, joint_sums, leaf_sums
 
 CUTS = ((Cues(), 0.4), (Cues(plane=0.25, fill=0.5, size_power=0.1), 0.8))
 """A tree and the height at which it is cut, for each level: things that look and lie alike, and
-compact ones. Of about 90 objects in two photographs of an office, fewer than half are left."""
+compact ones. Of about 90 objects in two photographs of an office, 25 and 45 groups are left."""
 
 
 def group_objects(seen: Sequence[SeenView], label_maps: LabelMaps) -> np.ndarray:
