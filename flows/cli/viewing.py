@@ -47,7 +47,9 @@ def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any])
         print("Ctrl-C ends it", file=sys.stderr)
         if sys.stdout.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             webbrowser.open(door.address)
-        threading.Event().wait()
+        # Now and then awake: a signal that comes just before it waits would else not end it.
+        while not threading.Event().wait(1):
+            pass
     except KeyboardInterrupt:
         # A second one must not leave the server half ended.
         for sign in before:
