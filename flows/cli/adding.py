@@ -84,10 +84,21 @@ def add(
 def _settled(
     before: SemanticField, after: SemanticField, views: Mapping[str, str]
 ) -> SemanticField:
-    """The field ``after`` with the ids of ``before``, and what the user changed there."""
+    """The field ``after`` with the ids of ``before``, and what the user changed there.
+
+    What was named or hidden and is no object of its own any more is said.
+    """
     whole = before.changed(removed=frozenset())  # what is hidden has ids too
     settled = with_ids_of(whole, after, views)
     ids = set(settled.bank.ids.tolist())
+    for id_ in sorted({*before.names, *before.removed} - ids):
+        known = f" ({before.names[id_]!r})" if id_ in before.names else ""
+        what = "shown again" if id_ in before.removed else "without its name"
+        print(
+            f"object {id_}{known} is {what}: with the new photographs it is no object of its own; "
+            "look at what there is with `slgaussian objects`",
+            file=sys.stderr,
+        )
     return settled.changed(
         taught=before.taught,
         names={id_: name for id_, name in before.names.items() if id_ in ids},

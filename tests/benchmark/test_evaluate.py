@@ -14,7 +14,7 @@ from slgaussian.benchmark.evaluate import (
 )
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
-from slgaussian.language.query import Rules
+from slgaussian.language.query import NEAR_BEST, Rules
 from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
 
@@ -114,7 +114,7 @@ def test_annotated_boxes_take_the_place_of_the_masks_own(room):
 def test_every_row_says_how_its_mask_was_made(room, result):
     said = ("selection", "threshold", "share", "filter")
     expected = {
-        "slgaussian": ("near-best", None, 0.7, None),
+        "slgaussian": ("near-best", None, NEAR_BEST, None),
         "langsplat": ("stretched", 0.4, None, 30),
         "langsplat-rescaled": ("stretched", 0.4, None, 4),  # 30 of 988 pixels, of 144
         "3d-ovs": ("arg-max", None, None, None),

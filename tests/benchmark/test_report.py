@@ -11,6 +11,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.timings import Times
+from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.account import Account
 from slgaussian.storage.specs import load_spec
 
@@ -85,7 +86,8 @@ def test_the_page_shows_the_numbers_and_how_they_were_made(result, page_of):
     page = page_of([result])
     for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
-    assert "slgaussian@1 near-best, share 0.7, temperature 10, phrases: encoder's" in page.text
+    rule = f"slgaussian@1 near-best, share {NEAR_BEST}"
+    assert f"{rule}, temperature 10, phrases: encoder's" in page.text
     scored = sum(row["iou"] is not None for row in leading(result))
     assert f"{scored} scored queries" in page.text
     for row in result.rows:

@@ -9,6 +9,7 @@ import pytest
 from command import run, said, two_walls
 from PIL import Image
 
+from flows.cli.adding import _settled
 from slgaussian import datasets
 from slgaussian.cameras import kept_pairs
 from slgaussian.cameras.kept_pairs import pair_pose
@@ -122,18 +123,30 @@ def test_photographs_are_added_one_after_the_other_or_together(place, built, mon
 
 def test_what_a_user_changed_goes_along(place, built, monkeypatch):
     before = SemanticField.load("field")
-    first, *_, last = before.bank.ids.tolist()
-    changed = before.teach("zorp", first).named(last, "Mine").without([first])
+    objects = before.objects().sort_by([("gaussians", "descending")])
+    first, other = objects["id"].to_pylist()[:2]
+    changed = before.teach("zorp", first).named(other, "Mine").without([first])
     changed.save_edits("field")
     assert run(monkeypatch, "field", "--add", built / "d.png", "field") == 0
     after = SemanticField.load("field")
     assert "zorp" in after.taught and after.removed == {first}
-    assert after.names == {last: "Mine"}
+    assert after.names == {other: "Mine"}
     # The hidden object is the one that it was.
     camera = after.cameras["a.png"]
     seen = after.restored([first]).render(camera).ids == first
     was = before.render(camera).ids == first
     assert (seen & was).sum() > 0.7 * was.sum()
+
+
+def test_what_is_no_object_any_more_is_said(built, capsys):
+    before = SemanticField.load(built / "three")
+    named, hidden = before.bank.ids.tolist()[:2]
+    before = before.named(named, "Mine").without([hidden])
+    strangers = _settled(before, SemanticField.load(built / "four"), views={})
+    assert not strangers.names and not strangers.removed
+    told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith(f"object {named} ('Mine') is without its name: with the new")
+    assert told[1].startswith(f"object {hidden} is shown again: with the new photographs it is")
 
 
 def test_what_cannot_be_added_is_one_sentence_and_changes_nothing(

@@ -23,6 +23,7 @@ from websockets.sync.client import connect
 from slgaussian.errors import SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
+from slgaussian.language.query import NEAR_BEST
 from slgaussian.rasterize import rasterize
 from slgaussian.viewer import door as doors
 from slgaussian.viewer import live, shots
@@ -264,7 +265,7 @@ def test_modes_marks_sliders_and_pictures_to_keep(browser, folder, tmp_path):
         (near,) = page.session.answer.hits
         unfold(tab, "How to take things")
         slide(tab, "how near", "ArrowLeft")
-        wait(lambda: page.session.answer.rules.share == pytest.approx(0.65))
+        wait(lambda: page.session.answer.rules.share == pytest.approx(NEAR_BEST - 0.05))
         tab.evaluate(f"{control('near the best')}.click()")
         wait(lambda: page.session.answer.rules.threshold == 0.5)
         slide(tab, "or above", "ArrowLeft")
