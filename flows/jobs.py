@@ -20,9 +20,13 @@ from tasks.truth import Labels
 
 OURS = "slgaussian"
 
+JUDGED = "auto"
+"""Size of the targets of every run, whatever it works at: scores of other sizes do not compare."""
+
 
 def scene_job(settings: Settings, method: Method, scene: SceneSettings) -> Job:
     """From the photographs of a scene to its scores."""
+    size = scene.size or settings.size
     photographs = Photographs(
         scene.name,
         scene.format,
@@ -30,9 +34,10 @@ def scene_job(settings: Settings, method: Method, scene: SceneSettings) -> Job:
         scene.options,
         tuple(scene.context),
         tuple(scene.targets),
-        scene.size or settings.size,
+        size,
         scene.near or settings.near,
         scene.far or settings.far,
+        judged=JUDGED if isinstance(size, str) else size,  # a pair crops
     )
     labels = Labels(scene.labels, tuple(scene.targets), tuple(scene.categories))
     asked = evaluation(settings, scene)

@@ -435,6 +435,7 @@ class Scene:
         size: Size = "auto",
         near: float | None = None,
         far: float | None = None,
+        judged: Size | None = None,
     ) -> Sample:
         """Read the named views, the context first, and bring them to a size.
 
@@ -450,6 +451,9 @@ class Scene:
         near, far : float, optional
             Depth range along z in scene units, for all views; without it each keeps what its
             camera says, mostly nothing, and a predictor finds its own.
+        judged : as ``size``, optional
+            Size of the targets, so that what is built of small photographs can be judged at the
+            size at which others are; by default ``size``.
 
         Raises
         ------
@@ -466,12 +470,12 @@ class Scene:
                 )
         cameras = [self.cameras[name] for name in names]
         least = min(c.height for c in cameras), min(c.width for c in cameras)
-        views = []
-        for name in names:  # and not all at once: photographs are large
+        views, n = [], len(context)
+        for k, name in enumerate(names):  # and not all at once: photographs are large
+            wanted = size if k < n or judged is None else judged
             view = self.read(name)
-            view = view if size == "original" else view.resized(*_fit(*least, size))
+            view = view if wanted == "original" else view.resized(*_fit(*least, wanted))
             views.append(replace(view, camera=view.camera.ranged(near, far)))
-        n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
 
 

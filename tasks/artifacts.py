@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -21,28 +21,54 @@ from slgaussian.scene import Camera, Estimated, Sample, View
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, address
 
+TARGET = "target_"
+"""What the arrays of target views begin with."""
+
 
 def sample_to_arrays(sample: Sample) -> Arrays:
-    """A sample as spec ``sample``; InputError unless all its views have one size."""
-    views = (*sample.context, *sample.targets)
+    """A sample as spec ``sample``; InputError unless its targets have one size."""
+    arrays = {
+        "scene": np.array(sample.scene),
+        "phrase_ids": np.array(sorted(sample.phrases), np.int32),
+        "phrases": np.array([sample.phrases[i] for i in sorted(sample.phrases)], np.str_),
+        **_views_to_arrays(sample.scene, sample.context),
+    }
+    if sample.targets:
+        targets = _views_to_arrays(sample.scene, sample.targets)
+        arrays |= {TARGET + name: array for name, array in targets.items()}
+    if sample.found:
+        arrays["found"] = np.array(json.dumps(dict(sample.found), sort_keys=True))
+    return arrays
+
+
+def sample_from_arrays(arrays: Arrays) -> Sample:
+    """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
+    ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
+    phrases_by_id = dict(zip(ids, phrases, strict=True))
+    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
+    cut = len(TARGET)
+    of_targets = {name[cut:]: array for name, array in arrays.items() if name.startswith(TARGET)}
+    context, targets = _views_from_arrays(arrays), ()
+    if of_targets:
+        targets = _views_from_arrays(of_targets)
+    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, found)
+
+
+def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
     first = views[0]
     for view in views:
         if view.image.shape != first.image.shape:
             (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
             raise InputError(
-                f"scene {sample.scene!r}: {view.name!r} is {w1}x{h1} and {first.name!r} is "
+                f"scene {scene!r}: {view.name!r} is {w1}x{h1} and {first.name!r} is "
                 f"{w0}x{h0}; give a size (height and width) that all views are brought to"
             )
     arrays = {
-        "scene": np.array(sample.scene),
         "names": np.array([view.name for view in views]),
-        "n_context": np.array(len(sample.context), np.int32),
         "images": np.stack([view.image for view in views]),
         "K": np.stack([view.camera.K for view in views]),
         "c2w": np.stack([view.camera.c2w for view in views]),
         "near_far": np.array([[v.camera.near or 0.0, v.camera.far or 0.0] for v in views]),
-        "phrase_ids": np.array(sorted(sample.phrases), np.int32),
-        "phrases": np.array([sample.phrases[i] for i in sorted(sample.phrases)], np.str_),
     }
     for name, dtype in (("depth", np.float32), ("instances", np.int32)):
         truths = [getattr(view, name) for view in views]
@@ -58,13 +84,10 @@ def sample_to_arrays(sample: Sample) -> Arrays:
     if any(one is not None for one in estimated):
         said = ["" if one is None else json.dumps(asdict(one)) for one in estimated]
         arrays["estimated"] = np.array(said, np.str_)
-    if sample.found:
-        arrays["found"] = np.array(json.dumps(dict(sample.found), sort_keys=True))
     return arrays
 
 
-def sample_from_arrays(arrays: Arrays) -> Sample:
-    """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
+def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
     height, width = arrays["images"].shape[1:3]
 
     def truth(name: str, index: int) -> np.ndarray | None:
@@ -75,7 +98,7 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
         said = str(arrays["estimated"][index]) if "estimated" in arrays else ""
         return Estimated.of(json.loads(said)) if said else None
 
-    views = [
+    return tuple(
         View(
             name=str(name),
             camera=Camera(
@@ -93,12 +116,7 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
             opaque=None if "opaque" not in arrays else arrays["opaque"][i] > 0,
         )
         for i, name in enumerate(arrays["names"])
-    ]
-    n = int(arrays["n_context"])
-    ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
-    phrases_by_id = dict(zip(ids, phrases, strict=True))
-    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
-    return Sample(str(arrays["scene"]), tuple(views[:n]), tuple(views[n:]), phrases_by_id, found)
+    )
 
 
 def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
@@ -116,7 +134,8 @@ def truth_to_arrays(truth: Truth, sample: Sample) -> Arrays:
     by_view, has_boxes = truth.masks, bool(truth.boxes)
     keys = [(view, query) for view, masks in by_view.items() for query in masks]
     boxes = [truth.boxes[view][query] if has_boxes else np.zeros((0, 4)) for view, query in keys]
-    size = sample.context[0].image.shape[:2]
+    judged = sample.targets or sample.context
+    size = judged[0].image.shape[:2]
     return {
         "views": np.array([view for view, _ in keys], np.str_),
         "queries": np.array([query for _, query in keys], np.str_),

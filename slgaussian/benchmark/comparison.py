@@ -175,7 +175,8 @@ def _said(
     if not pairs:
         return (
             f"nothing to compare: {first.folder} has {_described(first)}, {second.folder} has "
-            f"{_described(second)}, and no query of the same frame is in both"
+            f"{_described(second)}, and no query of the same frame, judged at the same size, is in "
+            "both"
         )
     total = same = 0
     more = [0, 0]
@@ -206,11 +207,12 @@ def _described(made: Made) -> str:
     return f"{len(scenes)} scene(s) of {', '.join(sets)} ({listed})"
 
 
-def _key(row: Row) -> tuple[str, ...]:
-    return row["dataset"], row["protocol"], *key_of(row)
+def _key(row: Row) -> tuple[Any, ...]:
+    """What two samples must share to be compared; scores at two sizes do not compare."""
+    return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
 
 
-def _keys(rows: Sequence[Row]) -> set[tuple[str, ...]]:
+def _keys(rows: Sequence[Row]) -> set[tuple[Any, ...]]:
     return set(map(_key, rows))
 
 

@@ -322,6 +322,7 @@ class _Record:
                 if not leads and not mask.any():
                     continue
                 named = {"frame": frame, "query": text, "protocol": protocol.label}
+                named |= dict(zip(("height", "width"), mask.shape, strict=True))
                 note = _note(hits.get(text), absent=told and not mask.any())
                 self._add_row(named | asdict(how), one, hits.get(text), note)
                 if one.mask is not None:

@@ -6,6 +6,7 @@ Each function stands for one stage of the way from photographs to an answer;
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -282,9 +283,13 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
         place = np.where(inside, row * width + column, -1)
         np.minimum.at(nearest, place[inside], z[inside])
         landed.append((place, z))
-    # Where the target is nearer a surface than the photographs, its pixels have gaps between them.
+    # Where the target is nearer a surface than the photographs, or larger than they are, its pixels
+    # have gaps between them.
+    side = 1 + 2 * max(1, math.ceil(height / sample.context[0].image.shape[0]))
     front = cv2.erode(
-        nearest.reshape(height, width), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE
+        nearest.reshape(height, width),
+        np.ones((side, side), np.uint8),
+        borderType=cv2.BORDER_REPLICATE,
     )
     if target.depth is not None:
         front = np.where(target.depth > 0, target.depth, front)

@@ -112,6 +112,14 @@ def test_own_methods_of_other_names_are_compared(tmp_path, result):
     assert "all are the same" in found.said
 
 
+def test_samples_judged_at_two_sizes_are_not_compared(tmp_path, result):
+    first = leave(tmp_path / "a", result)
+    second = leave(tmp_path / "b", result, lambda row: {**row, "width": row["width"] // 2})
+    found = compared(first, second)
+    assert not found.tables and not found.changes
+    assert "no query of the same frame, judged at the same size, is in both" in found.said
+
+
 def test_nothing_in_common_is_one_sentence(tmp_path, result):
     second = leave(tmp_path / "b", result, lambda row: {**row, "dataset": "attic", "scene": "x"})
     found = compared(leave(tmp_path / "a", result), second)

@@ -259,9 +259,9 @@ class TestScored:
 
 
 class TestHeldOut:
-    def ingested(self, folder, tmp_path, context, targets):
+    def ingested(self, folder, tmp_path, context, targets, size=None):
         scene = SceneSettings(
-            name="hall", format="colmap", path=folder, context=context, targets=targets
+            name="hall", format="colmap", path=folder, context=context, targets=targets, size=size
         )
         settings = make_settings({}, "test")
         photographs, *_ = scene_job(settings, settings.built_by, scene).arguments
@@ -275,8 +275,19 @@ class TestHeldOut:
     def test_so_is_a_copy_of_its_picture(self, lerf, tmp_path):
         folder = lerf / "ramen"
         shutil.copy(folder / "images" / FRAMES[1], folder / "images" / FRAMES[2])
-        with pytest.raises(InputError, match="is the same picture as the context view"):
-            self.ingested(folder, tmp_path, FRAMES[1:4:2], [FRAMES[2]])
+        for size in (None, "at most 24x32"):  # targets keep the size that all are judged at
+            with pytest.raises(InputError, match="is the same picture as the context view"):
+                self.ingested(folder, tmp_path, FRAMES[1:4:2], [FRAMES[2]], size)
+
+    @pytest.mark.parametrize("size", [None, "at most 24x32", "original", (30, 20)])
+    def test_all_are_judged_at_one_size_but_where_a_size_crops(self, lerf, tmp_path, size):
+        ref = self.ingested(lerf / "ramen", tmp_path, FRAMES[1:4:2], [FRAMES[2]], size)
+        sample = sample_from_arrays(ArtifactStore(str(tmp_path / "store")).get(ref))
+        width, height = Image.open(lerf / "ramen" / "images" / FRAMES[2]).size
+        judged = {view.image.shape[:2] for view in sample.targets}
+        assert judged == {size if isinstance(size, tuple) else (height, width)}
+        if size == "at most 24x32":
+            assert 2 * sample.context[0].image[..., 0].size < height * width
 
 
 class TestFileHashes:

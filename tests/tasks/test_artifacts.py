@@ -82,10 +82,23 @@ def test_a_truth_that_only_some_views_have_stays_theirs(sample, store):
     assert "depth" not in sample_to_arrays(without)
 
 
-def test_views_of_two_sizes_are_refused_in_words(sample):
+def test_targets_have_a_size_of_their_own(store):
+    scene = datasets.load("procedural", seed=3, objects=2, views=3, height=32, width=48)
+    small = scene.sample(["view_00", "view_02"], ["view_01"], (16, 24), judged="auto")
+    assert small.context[0].image.shape == (16, 24, 3)
+    back = sample_from_arrays(through(store, "sample", sample_to_arrays(small)))
+    (target,), full = back.targets, scene.sample(["view_00", "view_02"], ["view_01"]).targets[0]
+    np.testing.assert_array_equal(target.image, full.image)
+    np.testing.assert_array_equal(target.camera.K, full.camera.K)
+    truth = truth_from_instances(small)
+    stored = truth_from_arrays(through(store, "truth", truth_to_arrays(truth, small)))
+    assert {m.shape for m in stored.masks["view_01"].values()} == {(32, 48)}
+
+
+def test_targets_of_two_sizes_are_refused_in_words(sample):
     (target,) = sample.targets
-    other = replace(sample, targets=(target.resized(16, 24),))
-    with pytest.raises(InputError, match="'view_01' is 24x16 and 'view_00' is 48x32; give a size"):
+    other = replace(sample, targets=(target, replace(target.resized(16, 24), name="b")))
+    with pytest.raises(InputError, match="'b' is 24x16 and 'view_01' is 48x32; give a size"):
         sample_to_arrays(other)
 
 
