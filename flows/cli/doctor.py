@@ -13,7 +13,6 @@ import tempfile
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, metadata, version
@@ -28,6 +27,8 @@ from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.kernels import threads
 from slgaussian.parts.extras import PACKAGE, install_line, requirements
+from slgaussian.parts.finding import Finding, Findings
+from slgaussian.parts.hub_cache import local_place
 from slgaussian.parts.registry import KINDS, find_part
 from slgaussian.parts.settings import Setting, settings_of
 from slgaussian.storage.remote import redacted
@@ -45,18 +46,6 @@ ROOM = 2**30
 
 ANSWER = 10.0
 """Seconds to wait for a server that is said to run."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What a check found; ``good`` is None for what is neither good nor bad."""
-
-    name: str
-    said: str
-    good: bool | None = True
-
-
-Findings = Iterator[Finding]
 
 
 def examine(settings: Settings, runner: bool = False) -> Findings:
@@ -268,10 +257,10 @@ def _file(part: str, setting: Setting, place: str | Path) -> Findings:
     elif setting.content is pretrained.model_digest:
         import transformers  # noqa: F401  that it is there
 
-        files = list(pretrained.find_model(_here(place)).files)
+        files = list(pretrained.find_model(local_place(place)).files)
         said = "a model"
     elif setting.content is pretrained.tokenizer_digest:
-        pretrained.find_tokenizer(_here(place))
+        pretrained.find_tokenizer(local_place(place))
         files, said = [], "a tokenizer"
     elif setting.content is folder_digest:
         files = [file for file in Path(place).iterdir() if file.is_file()][:1]
@@ -283,21 +272,6 @@ def _file(part: str, setting: Setting, place: str | Path) -> Findings:
     read = sum(_readable(file) for file in files)
     amount = f", {read / 2**20:.0f} MiB" if read >= 2**20 else ""
     yield Finding(part, f"{name} {place}: {said}{amount}", good)
-
-
-def _here(place: str) -> str:
-    """A place that needs no network: of a name on the hub, its folder in the hub's cache."""
-    if Path(place).exists() or place.count("/") != 1:
-        return place
-    from huggingface_hub import snapshot_download
-
-    try:
-        return snapshot_download(place, local_files_only=True)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{place}: is no folder here, and not in the cache of the hub yet; it is downloaded "
-            f"when it is first used, or now with `hf download {place}`"
-        ) from error
 
 
 def _readable(file: Path) -> int:

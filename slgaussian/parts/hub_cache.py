@@ -1,0 +1,65 @@
+"""The Hugging Face hub's cache on this machine: what it holds, without asking the network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from slgaussian.errors import InputError
+from slgaussian.parts.extras import install_line
+
+
+def local_place(place: str | Path) -> str:
+    """Where a model or tokenizer is on this machine.
+
+    Parameters
+    ----------
+    place : path or str
+        File, folder, or name on the hub.
+
+    Returns
+    -------
+    str
+        The folder in the hub's cache of a name, which its revision ``main`` stands for; any other
+        place as it is.
+
+    Raises
+    ------
+    InputError
+        If the cache does not hold the name.
+    """
+    name = str(place)
+    if Path(name).exists() or name.count("/") != 1 or name.startswith((".", "~", "/")):
+        return name
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError as problem:
+        raise InputError(
+            f"{name}: is no folder here, and the hub needs the package huggingface_hub "
+            f"({problem}); install it with {install_line('models')}"
+        ) from None
+    try:
+        return snapshot_download(name, local_files_only=True)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{name}: is no folder here, and not in the cache of the hub yet; it is downloaded "
+            f"when it is first used, or now with `hf download {name}`"
+        ) from error
+
+
+def cached_models() -> Iterator[tuple[str, Path]]:
+    """Name and folder of every model in the hub's cache, in alphabetical order.
+
+    The cache is where ``HF_HUB_CACHE`` or ``HF_HOME`` say, else ``~/.cache/huggingface/hub``. Of
+    each name the revision that ``main`` stands for.
+    """
+    try:
+        from huggingface_hub import constants
+    except ImportError:
+        return
+    for entry in sorted(Path(constants.HF_HUB_CACHE).glob("models--*--*")):
+        name = entry.name.removeprefix("models--").replace("--", "/", 1)
+        try:
+            yield name, Path(local_place(name))
+        except InputError:  # nothing of it was downloaded, or another revision
+            continue
