@@ -22,6 +22,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from flows.encoder_choice import AUTO, CANDIDATES, settled
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
@@ -432,7 +433,7 @@ def make_settings(values: dict[str, Any], source: str) -> Settings:
     """
     settings = _validated(values, source)
     refuse_idle(values, settings, source)
-    return settings
+    return settled(settings)
 
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
@@ -469,7 +470,7 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     """
     settings = _validated(read_values(path, overrides), str(path))
     refuse_idle(overrides, settings, "run")
-    return settings
+    return settled(settings)
 
 
 def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
@@ -544,6 +545,8 @@ def _settings_in(table: str) -> dict[str, Setting]:
 def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """InputError if ``given`` has the table of a part that the settings do not choose."""
     used = set(map(_table_of, settings.part_settings()))
+    if settings.encoder == AUTO:
+        used |= set(CANDIDATES)
     for name in TABLES:
         if name in given and name not in used:
             chosen = ", ".join(f"{part} {name!r}" for part, name in settings.part_names().items())

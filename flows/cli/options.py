@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from flows.encoder_choice import AUTO
 from flows.settings import TABLES, Settings
 from slgaussian.parts.registry import KINDS, names_of
 
@@ -78,7 +79,7 @@ def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> ins
     help_text = field.description or ""
     choices: Sequence[str] = field.examples or ()
     if name in KINDS and not choices:
-        choices = names_of(name)
+        choices = (*names_of(name), *((AUTO,) if name == "encoder" else ()))
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
     value = field.default
     if value is not None and value is not False and value is not PydanticUndefined:
