@@ -46,7 +46,8 @@ def ask(
     -------
     list of dict
         One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``verdict`` (``found``,
-        ``not sure``, ``not here``), ``confidence`` (``mask``, ``point``) or None, ``score``,
+        ``not sure``, ``not here``), ``confidence`` (``mask``, ``point``) or None, for what that is
+        ``uncalibrated`` or None, ``score``,
         ``point`` [x, y], None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels``
         in the mask, what
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
@@ -213,6 +214,7 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "found": hit.found,
         "verdict": hit.verdict,
         "confidence": None if hit.confidence is None else asdict(hit.confidence),
+        "uncalibrated": hit.uncalibrated or None,
         "score": hit.score,
         "point": list(hit.point) if hit.found and hit.point is not None else None,
         "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
@@ -230,17 +232,18 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
 
 def _refusal(text: str, why: str) -> dict[str, Any]:
     answer: dict[str, Any] = {"text": text, "found": False, "verdict": "not here"}
-    answer |= {"confidence": None, "score": None, "point": None}
+    answer |= {"confidence": None, "uncalibrated": None, "score": None, "point": None}
     answer |= {"objects": [], "pixels": 0, "read_as": None}
     answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
     return answer | {"examples": [0, 0], "instead_of": None, "refused": why}
 
 
 def _how_sure(answer: Mapping[str, Any]) -> list[str]:
-    """How likely an answer is right, in a line; none where that is not known."""
+    """How likely an answer is right, in a line; none where nothing is to be doubted."""
     sure = answer["confidence"]
     if sure is None:
-        return []
+        why = answer["uncalibrated"]
+        return [f"uncalibrated: how likely it is right was not measured for {why}"] if why else []
     point = f"{sure['point']:.2f} that the point is on it"
     if answer["verdict"] == "not here":
         return [f"probably not here: {point}; what is most like it:"]

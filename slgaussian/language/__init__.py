@@ -31,7 +31,9 @@ class Encoder(Protocol):
 
     ``name`` says what ran; it is written into every artifact and report row. ``canonical`` are the
     phrases that a query competes with (the paper's "object", "things", "stuff", "texture").
-    ``calibration`` says how likely its answers are right, None where that was not measured.
+    ``calibration`` says how likely its answers are right, None where that was not measured. One
+    whose cosines lie closer together than the lexicon's may have a number ``soft``, as
+    :class:`slgaussian.language.relevancy.Scorer` takes it.
     """
 
     name: str

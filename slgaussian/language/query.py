@@ -18,7 +18,7 @@ from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import Confidence, confidence
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.relevancy import ABSENT, Scorer, check_temperature
+from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature
 from slgaussian.language.taught import TaughtWords, normal, spelled
 
 NEAR_BEST = 0.6
@@ -284,7 +284,8 @@ class BankReader(TextReader):
 
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
         canonical = self.vectors(phrases)
-        return Scorer(*self.bank.nodes, canonical, absent, self.bank.levels)
+        soft = getattr(self.encoder, "soft", SOFT)
+        return Scorer(*self.bank.nodes, canonical, absent, self.bank.levels, soft)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +316,9 @@ class QueryResult:
     """How likely mask and point are right; None where that was not measured: of an encoder without
     a calibration, with canonical phrases of one's own, or by the protocol ``langsplat``. And of a
     name, of which nothing is to be doubted."""
+    uncalibrated: str = ""
+    """For what that was not measured, such as ``the encoder clip``; empty where it was, or where
+    nothing is to be doubted."""
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
@@ -444,8 +448,7 @@ def ask(
     """
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
-    if rules.canonical is not None or rules.protocol != "slgaussian":
-        calibration = None
+    unmeasured = _unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
     results = []
     for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True):
@@ -456,11 +459,21 @@ def ask(
         chosen = _chosen(gaps, best, rules)
         scores = expit(rules.temperature * gaps)
         read, sure = reader.understood(text), None
-        if calibration is not None and len(ranked) and read.kind != "named":
+        why = "" if read.kind == "named" else unmeasured
+        if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
             sure = confidence(calibration, gaps[ranked], chosen[ranked])
-        found = ranked, as_good, chosen, sure
+        found = ranked, as_good, chosen, sure, why
         results.append(kind(text, scores, read, reader.bank.ids, seen, *found))
     return results
+
+
+def _unmeasured(encoder: Encoder, rules: Rules) -> str:
+    """For what it was not measured how often answers are right; empty if it was."""
+    if encoder.calibration is None:
+        return f"the encoder {encoder.name}"
+    if rules.canonical is not None:
+        return "canonical phrases of your own"
+    return "" if rules.protocol == "slgaussian" else f"the protocol {rules.protocol}"
 
 
 def _chosen(gaps: np.ndarray, best: float, rules: Rules) -> np.ndarray:

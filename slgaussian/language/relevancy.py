@@ -13,9 +13,10 @@ Where it is known what objects are part of, a text may mean the whole: of a sofa
 cushions and arms, no piece looks like one. Then j runs over the object itself and the groups that
 hold it, in every view, and the greatest lead gives way to a soft one,
 
-    gap = sum_j w_j lead_j / sum_j w_j,   w_j = exp(lead_j / 0.05):
+    gap = sum_j w_j lead_j / sum_j w_j,   w_j = exp(lead_j / s):
 
-one look that fits by chance counts less than several that agree.
+one look that fits by chance counts less than several that agree. s is 0.05, or what suits the
+cosines of an encoder (its ``soft``).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ that; features that were never normalised do not pass."""
 
 SOFT = 0.05
 """How much greater one lead in cosine is than another if it counts e times as much, where there
-are groups. From 0.02 to 0.1 the answers are about as good."""
+are groups, if the encoder says nothing else. From 0.02 to 0.1 the answers are about as good."""
 
 ABSENT = ("skip", "zero")
 """What a view says about an object that it does not hold. ``skip``: nothing. ``zero``: what the
@@ -58,6 +59,9 @@ class Scorer:
     levels : int [L, N], optional
         Of the first N rows, the objects, the row of the group that holds each at L levels, or its
         own. Without, all rows are objects and there are no groups.
+    soft : float
+        How much greater one lead is than another if it counts e times as much, where there are
+        groups; positive.
 
     Attributes
     ----------
@@ -79,6 +83,7 @@ class Scorer:
         canonical: np.ndarray,
         absent: str = "skip",
         levels: np.ndarray | None = None,
+        soft: float = SOFT,
     ) -> None:
         if features.ndim != 3 or present.shape != features.shape[:2]:
             raise InputError(
@@ -95,6 +100,7 @@ class Scorer:
         self.looks = _unit_vectors(features[present], "features")
         self._rival = self._cosines(canonical, "canonical").max(0)
         self._unseen = -np.inf if absent == "skip" else 0.0
+        self._soft = soft
         self._rows = None
         if levels is not None:
             self._rows = np.concatenate([np.arange(levels.shape[1])[None], levels])
@@ -113,7 +119,7 @@ class Scorer:
         if self._rows is None:
             return gaps.max(2, initial=-np.inf)
         nodes = gaps[:, self._rows.T].reshape(len(leads), self._rows.shape[1], -1)
-        return _soft_greatest(nodes)
+        return _soft_greatest(nodes, self._soft)
 
     def _cosines(self, texts: np.ndarray, name: str) -> np.ndarray:
         if texts.ndim != 2 or texts.shape[1] != self._width or len(texts) == 0:
@@ -125,12 +131,12 @@ class Scorer:
         return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self.looks)
 
 
-def _soft_greatest(leads: np.ndarray) -> np.ndarray:
+def _soft_greatest(leads: np.ndarray, soft: float) -> np.ndarray:
     """The soft greatest of leads [Q, N, J], the last axis: [Q, N], -inf where all are -inf."""
     top = leads.max(2, initial=-np.inf, keepdims=True)
     known = leads > -np.inf
     above = np.where(known, leads, 0) - np.where(known.any(2, keepdims=True), top, 0)
-    weights = np.where(known, np.exp(above / SOFT), 0)
+    weights = np.where(known, np.exp(above / soft), 0)
     # The deviation from the greatest is averaged, so that equal leads give themselves exactly.
     deviation = (weights * above).sum(2) / np.maximum(weights.sum(2), 1)
     return top[..., 0] + deviation

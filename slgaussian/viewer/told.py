@@ -110,9 +110,9 @@ def swatch(colour: Sequence[int] | np.ndarray) -> str:
 
 
 def _how_sure(hit: QueryResult) -> str:
-    """How likely an answer is right; nothing where that is not known."""
+    """How likely an answer is right; nothing where nothing is to be doubted."""
     if hit.confidence is None:
-        return ""
+        return f"uncalibrated for {plain(hit.uncalibrated)}; " if hit.uncalibrated else ""
     if hit.verdict == "not here":
         return f"probably not here ({hit.confidence.point:.2f}); most like it: "
     return f"{hit.verdict}, {hit.confidence.mask:.2f} that this is right; "

@@ -275,6 +275,8 @@ def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
     status, (other,) = ask("query", field, "red", "--protocol", "langsplat")
     assert (other["confidence"], other["verdict"]) == (None, "found")
     assert run(monkeypatch, "query", field, "red", "--protocol", "langsplat") == 0
-    assert "right" not in capsys.readouterr().out
+    assert other["uncalibrated"] == "the protocol langsplat" and answer["uncalibrated"] is None
+    said_so = "uncalibrated: how likely it is right was not measured for the protocol langsplat\n"
+    assert capsys.readouterr().out.startswith(said_so)
     # Nothing selected is nothing here, however sure.
     assert ask("query", field, "yellow")[1][0]["verdict"] == "not here"

@@ -88,6 +88,12 @@ def test_a_region_is_shown_on_a_black_square(i):
     assert np.abs(double[1:-1:2, 1:-1:2] - mixed).max() <= 1
 
 
+def test_looks_count_by_the_temperature_that_the_model_learnt(clip):
+    """0.07, with which CLIP begins; the published ones end at 0.01."""
+    assert clip.soft == pytest.approx(np.exp(-float(clip.network.logit_scale)))
+    assert clip.soft == pytest.approx(0.07, abs=0.001)
+
+
 def test_context_keeps_the_box():
     image, mask = picture(), regions()[3]
     rows, columns = np.nonzero(mask)

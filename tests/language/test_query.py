@@ -415,9 +415,35 @@ def test_an_answer_says_how_sure_it_is(scene, lexicon):
     assert not nothing.found and nothing.verdict == "not here"
 
 
-@pytest.mark.parametrize("rules", [{"canonical": "object"}, {"protocol": "langsplat"}])
-def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon, rules):
+@pytest.mark.parametrize(
+    ("rules", "what"),
+    [
+        ({"canonical": "object"}, "canonical phrases of your own"),
+        ({"protocol": "langsplat"}, "the protocol langsplat"),
+    ],
+)
+def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon, rules, what):
     ids, bank = scene
     hit = find("red ball", ids, bank, lexicon, **rules)
     assert hit.confidence is None
+    assert hit.uncalibrated == what
     assert hit.verdict == "found"
+    assert find("red ball", ids, bank, lexicon).uncalibrated == ""
+
+
+def test_an_encoder_without_calibration_does_not_show_the_lexicons(scene, lexicon, monkeypatch):
+    ids, bank = scene
+    monkeypatch.setattr(type(lexicon), "calibration", None)
+    hit = find("red ball", ids, bank, lexicon)
+    assert hit.confidence is None and hit.uncalibrated == "the encoder lexicon"
+
+
+def test_looks_count_by_the_scale_of_the_encoder(scene, lexicon, monkeypatch):
+    """A group is as good as its best look where one that leads by little counts much more."""
+    _, bank = scene
+    every = np.full((1, len(bank)), len(bank), np.int32)
+    grouped = replace(bank, levels=every, group_features=bank.features[:1])
+    usual = BankReader(grouped, lexicon).gaps(["red ball"], Rules())
+    monkeypatch.setattr(type(lexicon), "soft", 1e-4, raising=False)
+    sharp = BankReader(grouped, lexicon).gaps(["red ball"], Rules())
+    assert (sharp >= usual).all() and (sharp > usual + 1e-3).any()

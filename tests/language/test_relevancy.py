@@ -212,6 +212,17 @@ def test_of_two_leads_the_greater_by_a_twentieth_counts_e_times_as_much():
     assert scorer.gaps(axes[:1])[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_how_much_greater_counts_e_times_as_much_may_be_said():
+    """As above, with a hundredth: the published temperature of CLIP's own softmax."""
+    axes = np.eye(4)
+    leads = np.array([0.30, 0.29])
+    features = leads[:, None] * axes[0] + np.sqrt(1 - leads**2)[:, None] * axes[2]
+    level = np.array([[1]])
+    scorer = Scorer(features[:, None], np.ones((2, 1), bool), axes[1:2], levels=level, soft=0.01)
+    expected = (np.e * 0.30 + 0.29) / (np.e + 1)
+    assert scorer.gaps(axes[:1])[0, 0] == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_group_in_which_all_is_alone_or_the_same_changes_nothing(nested):
     features, present, queries, canonical, _ = nested
     one = present & (present.cumsum(1) == 1)

@@ -19,6 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
+from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import QueryResult, Rules
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
@@ -258,6 +259,18 @@ def test_taught_words_and_names_are_answered(browser, field, tmp_path):
         said = ask(tab, "anna's  BALL")
         assert "(a name that was given)" in said and taken(tab) == {ball}
         assert "right" not in said, "of a name nothing is to be doubted"
+
+
+def test_answers_that_nobody_measured_say_so(browser, field, tmp_path, monkeypatch):
+    """As those of CLIP: no numbers of the lexicon's."""
+    monkeypatch.setattr(Lexicon, "calibration", None)
+    (tmp_path / "a.html").write_text(scene_page(field), "utf-8")
+    with shown(browser, tmp_path / "a.html") as tab:
+        said = ask(tab, "ball")
+        assert ": uncalibrated score 0." in said and "right" not in said
+        assert taken(tab)
+        ask(tab, "ball, floor")
+        assert "uncalibrated" in tab.evaluate("document.getElementById('legend').textContent")
 
 
 def test_depth_is_painted_as_in_pictures(page, field):

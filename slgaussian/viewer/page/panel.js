@@ -20,9 +20,9 @@ const css = ([r, g, b]) => `rgb(${r}, ${g}, ${b})`;
 const percent = (share) => `${Math.round(100 * share)}%`;
 
 /** How sure an answer is, in a word or two, for a legend. */
-function verdict({ taken, sure }) {
+function verdict({ taken, sure, uncalibrated }) {
   if (!taken.includes(true)) return "not found";
-  if (!sure) return "";
+  if (!sure) return uncalibrated ? "uncalibrated" : "";
   const [how, chance] = sure.verdict === "not here"
     ? ["probably not here", sure.point] : [sure.verdict, sure.mask];
   return `${how} ${chance.toFixed(2)}`;
@@ -34,7 +34,7 @@ class Page {
     this.stand = new Standpoint(about.views[0], about.views[0].distance, about.up);
     this.mode = 0;
     this.picked = 0;
-    this.asked = []; // of {text, scores, taken, best, sure, hue}
+    this.asked = []; // of {text, scores, taken, best, sure, uncalibrated, hue}
     this.typed = "";
     this.held = new Set();
     this.moved = -Infinity;
@@ -216,7 +216,7 @@ class Page {
   }
 
   /** What one text found, in a sentence. */
-  said({ text, scores, taken, best, sure }) {
+  said({ text, scores, taken, best, sure, uncalibrated }) {
     if (best < 0) return "There are no objects in this file.";
     const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
     const asked = `“${text}”${kinds[this.words.kinds.get(text)] || ""}`;
@@ -225,7 +225,8 @@ class Page {
     if (!found.length) return `${asked}: nothing found; the best object scores ${score}.`;
     const objects = `${found.length === 1 ? "object" : "objects"} `
       + found.map((k) => this.called(k + 1)).join(", ");
-    if (!sure) return `${asked}: score ${score}, ${objects}.`;
+    const doubt = uncalibrated ? "uncalibrated " : "";
+    if (!sure) return `${asked}: ${doubt}score ${score}, ${objects}.`;
     if (sure.verdict === "not here") {
       return `${asked} is probably not here: ${sure.point.toFixed(2)} that the best object is it; `
         + `score ${score}; most like it: ${objects}.`;

@@ -54,19 +54,22 @@ class Words {
 
   /**
    * What `text` takes by the rule of a query: all whose gap is above 0 and at least this.share of
-   * the best. {scores, taken, best, sure}; sure as of confidence(), null where that is not known.
+   * the best. {scores, taken, best, sure, uncalibrated}; sure as of confidence(), null where that is
+   * not known: of a name, or where it was not measured, which is uncalibrated.
    */
   ask(text) {
     const count = about.things.length, row = this.rows.get(text);
     const gaps = Array.from(this.gaps.subarray(row * count, (row + 1) * count));
     const top = Math.max(-Infinity, ...gaps);
     const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
-    const doubted = about.calibration && this.kinds.get(text) !== "named" && top > -Infinity;
+    const named = this.kinds.get(text) === "named";
+    const doubted = about.calibration && !named && top > -Infinity;
     return {
       scores: gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap))),
       taken,
       best: gaps.indexOf(top),
       sure: doubted ? confidence(gaps, taken, top) : null,
+      uncalibrated: !about.calibration && !named,
     };
   }
 }
