@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -41,6 +42,7 @@ from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import Times
 from slgaussian.benchmark.view_counts import Counts
 from slgaussian.errors import InputError
+from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
@@ -204,13 +206,14 @@ def _write(
     if made.report is not None:
         host = {
             "machine": platform.platform(),
+            "processor": threads.processor(),
             "processors": str(os.cpu_count()),
             "workers": str(settings.workers),
         }
-        took = Times(made.seconds, times, host)
+        took = Times(made.seconds, times, host, made.machines)
         stored = store.get(made.report)
         forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
-        report = with_times(Report(*forms), took)
+        report = with_times(Report(*forms), took, rows)
         files["report.html"], files["report.md"] = report.html.encode(), report.markdown.encode()
         files["times.json"] = _json(took.as_json())
     for name in LEFT:
@@ -255,7 +258,8 @@ class _Made:
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
     ``others`` by method those of baselines, ``truths`` what they were scored against, ``lost``
     what lost ours, and ``costs`` what their fields cost. ``seconds`` are those that all took by
-    stage when they were made, which for cached ones is long ago.
+    stage when they were made, which for cached ones is long ago, and ``machines`` says on which
+    processors, with the number of artifacts.
     """
 
     fields: dict[str, ArtifactRef]
@@ -267,6 +271,7 @@ class _Made:
     costs: dict[str, Cost]
     failures: list[Failure]
     seconds: dict[str, float]
+    machines: dict[str, int]
     manifest: dict[str, Any]
     report: ArtifactRef | None = None
 
@@ -339,8 +344,15 @@ def _gathered(
         {scene: _cost(outcome.refs[scene]) for scene in through},
         [*outcome.failures, *more.failures],
         seconds,
+        _machines(outcome, more),
         manifest(settings, scenes, stages, outcome.refs, rows),
     )
+
+
+def _machines(*outcomes: Outcome) -> dict[str, int]:
+    """On which processors the artifacts of jobs that went through were made."""
+    refs = (ref for one in outcomes for by_stage in one.refs.values() for ref in by_stage.values())
+    return dict(Counter(ref.meta.get("processor", "an unknown processor") for ref in refs))
 
 
 def _cost(refs: Mapping[str, ArtifactRef]) -> Cost:

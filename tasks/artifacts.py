@@ -48,9 +48,8 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
     found = json.loads(str(arrays["found"])) if "found" in arrays else {}
     cut = len(TARGET)
     of_targets = {name[cut:]: array for name, array in arrays.items() if name.startswith(TARGET)}
-    context, targets = _views_from_arrays(arrays), ()
-    if of_targets:
-        targets = _views_from_arrays(of_targets)
+    context = _views_from_arrays(arrays)
+    targets = _views_from_arrays(of_targets) if of_targets else ()
     return Sample(str(arrays["scene"]), context, targets, phrases_by_id, found)
 
 

@@ -99,7 +99,8 @@ class Stage:
     It is called with all parameters of the function but the first, which is the
     :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
     method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
-    made, whose ``meta`` says what settings made it and how many ``seconds`` that took.
+    made, whose ``meta`` says what settings made it, how many ``seconds`` that took and on which
+    ``processor``.
     """
 
     def __init__(
@@ -171,8 +172,8 @@ class Stage:
             for name, value in arguments.items()
             if name not in self.unkeyed and not isinstance(value, ArtifactRef)
         }
-        seconds = time.perf_counter() - start
-        ref = replace(ref, meta={**ref.meta, "settings": settings, "seconds": seconds})
+        took = {"seconds": time.perf_counter() - start, "processor": threads.processor()}
+        ref = replace(ref, meta={**ref.meta, "settings": settings, **took})
         records.keep(site.key, ref)
         site.made[self.name] = ref
         return None

@@ -27,6 +27,8 @@ def compare(first: Path, second: Path, out: Path | None) -> str:
     found = compare_reports(read_made(first), read_made(second))
     blocks = [_settings(found)] if found.settings else []
     blocks += [gains_table(table) for table in found.tables]
+    if found.costs:
+        blocks.append(_costs(found))
     if found.changes:
         blocks.append(_changes(found))
     if out is not None:
@@ -39,6 +41,12 @@ def compare(first: Path, second: Path, out: Path | None) -> str:
 def _settings(found: Reports) -> str:
     return "\n".join(
         ["differs:", *(f"  {name}: {one} -> {other}" for name, one, other in found.settings)]
+    )
+
+
+def _costs(found: Reports) -> str:
+    return "\n".join(
+        ["cost:", *(f"  {name}: {one} -> {other}" for name, one, other in found.costs)]
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +38,26 @@ BOTH, FIRST, SECOND, NEITHER = (236, 239, 244), (230, 126, 34), (0, 114, 178), (
 """Colours of the pixels of two masks: in both, in that of the first report alone, of the second."""
 
 
+COSTS = {
+    "prepare": ("to prepare a scene, s", 1.0, 4),
+    "first_query": ("a query in a new view, s", 1.0, 4),
+    "further_query": ("one more in it, s", 1.0, 4),
+    "memory": ("memory, MB", 1e6, 0),
+}
+"""What is compared of each method in ``times.json``: in words, its unit, and digits."""
+
+HOST = "machine", "processor", "workers"
+"""What is said of where both were measured."""
+
+
 @dataclass(frozen=True)
 class Made:
-    """What a run left in a folder: its samples, and its manifest, empty where there is none."""
+    """What a run left in a folder: its samples, manifest and times, empty where there are none."""
 
     folder: Path
     rows: list[Row]
     manifest: Mapping[str, Any]
+    times: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def by_method(self) -> dict[str, list[Row]]:
@@ -82,6 +95,8 @@ class Reports:
         Paired differences by data set, a line a method: of the main scores, and of the others.
     changes : list of Change
         Most changed first; what became worse before what became better.
+    costs : list of (name, first, second)
+        Seconds and memory of both, and where they were measured.
     """
 
     first: str
@@ -91,6 +106,7 @@ class Reports:
     tables: list[Table]
     more: list[Table]
     changes: list[Change]
+    costs: list[tuple[str, str, str]]
 
 
 def read_made(folder: str | Path) -> Made:
@@ -112,7 +128,8 @@ def read_made(folder: str | Path) -> Made:
         why = " ".join(str(error).split())
         raise InputError(f"{file}: cannot be read ({why}); {expected}") from error
     load_spec("samples").check_table(table, str(file))
-    return Made(folder, table.to_pylist(), _manifest(folder / "manifest.json"))
+    found = (_mapping(folder / name) for name in ("manifest.json", "times.json"))
+    return Made(folder, table.to_pylist(), *found)
 
 
 def compare_reports(first: Made, second: Made) -> Reports:
@@ -127,6 +144,7 @@ def compare_reports(first: Made, second: Made) -> Reports:
         difference_tables(gains, MAIN),
         difference_tables(gains, MORE),
         _changes(first.folder, second.folder, pairs),
+        _costs(first.times, second.times),
     )
 
 
@@ -147,7 +165,7 @@ def mask_change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return colors[first.astype(int) + 2 * second.astype(int)]
 
 
-def _manifest(file: Path) -> dict[str, Any]:
+def _mapping(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_text("utf-8"))
     except FileNotFoundError:
@@ -155,7 +173,7 @@ def _manifest(file: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read ({error}); run the benchmark again") from error
     if not isinstance(content, dict):
-        raise InputError(f"{file}: found no table of settings; run the benchmark again")
+        raise InputError(f"{file}: found no JSON object; run the benchmark again")
     return content
 
 
@@ -248,6 +266,32 @@ def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple
         mine, theirs = (dict(flatten(own[scene])) for own in data)
         names = [n for n in dict.fromkeys([*mine, *theirs]) if mine.get(n) != theirs.get(n)]
         found += [(f"data.{scene}.{n}", mine.get(n, "–"), theirs.get(n, "–")) for n in names]
+    return found
+
+
+def _costs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What both cost, side by side; nothing where one has no times."""
+    if not first or not second:
+        return []
+    found = []
+    by_method = [
+        {speed["method"]: speed for speed in times.get("seconds_a_query", [])}
+        for times in (first, second)
+    ]
+    for method, speed in by_method[0].items():
+        other = by_method[1].get(method, {})
+        for key, (what, unit, digits) in COSTS.items():
+            one, another = speed.get(key), other.get(key)
+            if one is not None and another is not None:
+                shown = f"{one / unit:.{digits}f}", f"{another / unit:.{digits}f}"
+                found.append((f"{method}: {what}", *shown))
+    stages = [times.get("seconds_by_stage", {}) for times in (first, second)]
+    for stage in (name for name in stages[0] if name in stages[1]):
+        seconds, others = (f"{one[stage]:.2f}" for one in stages)
+        found.append((f"{stage} of all scenes, s", seconds, others))
+    for what in HOST:
+        here, there = (str(times.get("host", {}).get(what, "–")) for times in (first, second))
+        found.append((what, here, there))
     return found
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
 from slgaussian.benchmark.scores import Reliability
@@ -115,6 +116,42 @@ def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
         axes.set(xlim=(0, 1), ylim=(-0.03, 1.03), xlabel="best relevancy", ylabel="share of hits")
         axes.grid()
         _name_lines(figure)
+        return figure
+
+    return as_svg(draw)
+
+
+def plot_worth(points: Sequence[tuple[str, float, float, float | None]], ours: str) -> str:
+    """IoU over seconds of a query and, where known, over memory; the best of each price joined.
+
+    ``points`` are (method, IoU, seconds, bytes or None).
+    """
+
+    def draw() -> Figure:
+        seconds: list[float | None] = [p[2] for p in points]
+        costs = [("seconds of a query in a new view", seconds)]
+        if any(p[3] for p in points):
+            costs.append(("memory beyond the scene, MB", [p[3] and p[3] / 1e6 for p in points]))
+        figure = Figure((5.6 * len(costs), 3.8), layout="constrained")
+        for axes, (label, prices) in zip(
+            np.atleast_1d(figure.subplots(1, len(costs), sharey=True)), costs, strict=True
+        ):
+            known = [(x, p[1], p[0]) for x, p in zip(prices, points, strict=True) if x]
+            best, steps = -np.inf, []
+            for x, y, _ in sorted(known, key=lambda one: (one[0], -one[1])):
+                if y > best:
+                    best = y
+                    steps.append((x, y))
+            axes.plot(*zip(*steps, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post")
+            for x, y, method in known:
+                own = method == ours
+                axes.plot(x, y, "o", color=ACCENT if own else SOFT, ms=8 if own else 5, mec="white")
+                if own or (x, y) in steps:
+                    axes.annotate(method, (x, y), (5, 5), textcoords="offset points", fontsize=8)
+            axes.set(xscale="log", xlabel=label)
+            axes.margins(0.12, 0.12)
+            axes.grid()
+        figure.axes[0].set_ylabel("IoU")
         return figure
 
     return as_svg(draw)

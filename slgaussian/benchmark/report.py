@@ -28,6 +28,7 @@ from slgaussian.benchmark.score_tables import (
 )
 from slgaussian.benchmark.scores import reliability, score_table
 from slgaussian.benchmark.showcase import Key, key_of
+from slgaussian.benchmark.speed_error import tradeoffs
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.benchmark.summary import Summary, summarize
 from slgaussian.benchmark.timings import Times
@@ -205,13 +206,32 @@ def render_report(
     return Report(html, template("report.md.j2").render(**common))
 
 
-def with_times(report: Report, times: Times) -> Report:
-    """The report of :func:`render_report` with what is true of one run on one machine only."""
+def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report:
+    """The report of :func:`render_report` with what is true of one run on one machine only.
+
+    ``rows`` of the spec ``samples`` are set against the times; those of the first protocol count.
+    """
+    leading = showcase.leading(rows)
+    sizes: dict[str, dict[str, None]] = {}
+    for row in leading:
+        sizes.setdefault(row["dataset"], {})[f"{row['height']} x {row['width']}"] = None
+    scores = [
+        score
+        for by in dict.fromkeys(row["method"] for row in leading)
+        for score in score_table([row for row in leading if row["method"] == by]).to_pylist()
+    ]
     shown = {
         "times": times,
         "speeds": times.speeds(),
+        "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.speeds()),
         "claim": times.claim(),
         "host": flatten(times.host),
+        "elsewhere": {
+            name: count
+            for name, count in times.machines.items()
+            if name != times.host.get("processor")
+        },
+        "level": LEVEL,
         "paper_seconds": any(speed.paper is not None for speed in times.speeds()),
     }
     forms = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
 
@@ -20,14 +20,18 @@ class Times:
         Of making the artifacts, summed, whenever they were made.
     answers : sequence of (method, scene, {name: float})
         What :func:`slgaussian.benchmark.evaluate.evaluate` measured, and ``prepare`` where a
-        method prepares a scene on top of what it shares with ours.
+        method prepares a scene on top of what it shares with ours, and ``memory``, bytes.
     host : {name: text}
         Where it ran.
+    machines : {processor: int}
+        How many of the artifacts were made on which processor; earlier runs may have made some
+        elsewhere.
     """
 
     stages: Mapping[str, float]
     answers: Sequence[tuple[str, str, Mapping[str, float]]]
     host: Mapping[str, str]
+    machines: Mapping[str, int] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, for a file."""
@@ -39,6 +43,7 @@ class Times:
                 for method, scene, times in self.answers
             ],
             "host": dict(self.host),
+            "artifacts_by_machine": dict(self.machines),
         }
 
     def speeds(self) -> list[Speed]:
@@ -73,31 +78,39 @@ class Times:
         return Speed(
             method,
             prepare=middle("prepare"),
+            cold_query=middle("cold_query"),
             first_query=middle("first_query"),
             further_query=middle("further_query"),
+            memory=middle("memory"),
             paper=SECONDS.get(method),
         )
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Seconds of a method, medians over scenes; None where it was not measured.
+    """Seconds and memory of a method, medians over scenes; None where it was not measured.
 
     Attributes
     ----------
     method : str
     prepare : float or None
         Of a scene, on top of what all methods share.
+    cold_query : float or None
+        The very first of a scene, with all that is done once: kernels compiled, models loaded.
     first_query : float or None
         In a view that was not seen before, its rendering included.
     further_query : float or None
         One more text in the same view.
+    memory : float or None
+        Bytes that the process came to hold beyond what it held before.
     paper : float or None
         What the paper says of a query in a new view, on its GPU.
     """
 
     method: str
     prepare: float | None
+    cold_query: float | None
     first_query: float | None
     further_query: float | None
+    memory: float | None
     paper: float | None

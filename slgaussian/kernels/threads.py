@@ -21,6 +21,7 @@ import platform
 import sys
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +69,18 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     with contextlib.suppress(OSError):
         kernel_folder().mkdir(parents=True, exist_ok=True)
         os.environ["NUMBA_CACHE_DIR"] = str(kernel_folder())
+
+
+@cache
+def processor() -> str:
+    """What the processor calls itself, and how many of its cores can be used."""
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):  # not Linux
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                name = line.partition(":")[2].replace("(R)", "").replace("(TM)", "").strip()
+                break
+    return f"{name}, {cores()} cores"
 
 
 def limit(workers: int = 1) -> int:

@@ -120,6 +120,28 @@ def test_samples_judged_at_two_sizes_are_not_compared(tmp_path, result):
     assert "no query of the same frame, judged at the same size, is in both" in found.said
 
 
+def test_what_both_cost_stands_side_by_side(tmp_path, result):
+    folders = leave(tmp_path / "a", result), leave(tmp_path / "b", result)
+    assert compared(*folders).costs == []
+    for folder, seconds in zip(folders, (0.5, 0.25), strict=True):
+        speed = {"method": "slgaussian", "first_query": seconds, "prepare": None, "memory": 2e8}
+        stages, host = {"field": 4 * seconds}, {"processor": f"P{seconds}", "workers": "2"}
+        times = {"seconds_a_query": [speed], "seconds_by_stage": stages, "host": host}
+        write_file(folder / "times.json", json.dumps(times).encode())
+    found = compared(*folders)
+    assert found.costs == [
+        ("slgaussian: a query in a new view, s", "0.5000", "0.2500"),
+        ("slgaussian: memory, MB", "200", "200"),
+        ("field of all scenes, s", "2.00", "1.00"),
+        ("machine", "–", "–"),
+        ("processor", "P0.5", "P0.25"),
+        ("workers", "2", "2"),
+    ]
+    page, markdown = render_comparison(found)
+    for text in (Page(page).text, markdown):
+        assert "0.2500" in text and "P0.25" in text
+
+
 def test_nothing_in_common_is_one_sentence(tmp_path, result):
     second = leave(tmp_path / "b", result, lambda row: {**row, "dataset": "attic", "scene": "x"})
     found = compared(leave(tmp_path / "a", result), second)
@@ -177,7 +199,7 @@ def test_what_is_no_report_is_named(tmp_path, result):
         read_made(tmp_path)
     folder = leave(tmp_path / "a", result)
     (folder / "manifest.json").write_text("[1]")
-    with pytest.raises(InputError, match=r"manifest\.json: found no table of settings"):
+    with pytest.raises(InputError, match=r"manifest\.json: found no JSON object"):
         read_made(folder)
     (folder / "manifest.json").unlink()
     assert read_made(folder).manifest == {}

@@ -165,10 +165,11 @@ def test_only_one_section_depends_on_time_and_machine(both):
     times = Times(
         {"field": 1.25},
         [
-            ("slgaussian", "room", {"first_query": 0.5}),
+            ("slgaussian", "room", {"cold_query": 3.5, "first_query": 0.5}),
             ("query-2d", "room", {"prepare": 2.0, "first_query": 6.0}),
         ],
-        {"machine": "a machine"},
+        {"machine": "a machine", "processor": "this"},
+        {"this": 5, "another machine": 12},
     )
     whole = with_times(both, times)
     assert with_times(both, times) == whole
@@ -186,9 +187,36 @@ def test_only_one_section_depends_on_time_and_machine(both):
         t for t in tables_of(whole.markdown) if any("First query" in head for head in t[0])
     )
     assert speeds[1:] == [
-        ["slgaussian", "–", "0.5000", "–", "0.011"],
-        ["query-2d", "2.0000", "6.0000", "–", "18"],
+        ["slgaussian", "–", "3.5000", "0.5000", "–", "0.011"],
+        ["query-2d", "2.0000", "–", "6.0000", "–", "18"],
     ]
+    assert "12 on another machine: their seconds" in Page(whole.html).text
+
+
+def test_what_methods_get_right_is_set_against_what_they_cost(both, result):
+    times = Times(
+        {},
+        [
+            ("slgaussian", "room", {"first_query": 0.5, "memory": 3e8}),
+            ("nearest-view", "room", {"first_query": 0.1, "memory": 5e8}),
+        ],
+        {},
+    )
+    rows = [*result.rows, *({**row, "iou": 0.0} for row in named(result, "nearest-view").rows)]
+    whole = with_times(both, times, rows)
+    own = next(t for t in tables_of(whole.markdown) if t[0][-1] == "Front")
+    assert [line[0] for line in own[1:]] == ["slgaussian", "nearest-view"]
+    assert own[1][1] == f"{result.scene_metrics['iou']:.3f}" and own[2][1] == "0.000"
+    assert [line[-3:] for line in own[1:]] == [
+        ["0.5000", "300", "time, memory"],
+        ["0.1000", "500", "time"],
+    ]
+    height, width = result.rows[0]["height"], result.rows[0]["width"]
+    text = Page(whole.html).text
+    assert f"judged at {height} x {width} pixels (height x width)" in text
+    assert "seconds of a query in a new view" not in text  # that is drawn
+    assert whole.html.count("<svg") == both.html.count("<svg") + 1
+    check_alone(whole.html)
 
 
 def test_left_out_scenes_come_before_everything(result, page_of):

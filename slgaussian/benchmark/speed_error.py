@@ -1,0 +1,103 @@
+"""What each method got right against what it cost: one table and one plot for each data set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from slgaussian.benchmark.plots import plot_worth
+from slgaussian.benchmark.timings import Speed
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Worth:
+    """A method on a data set.
+
+    Attributes
+    ----------
+    method : str
+    iou, low, high : float
+        Mean IoU, 0 to 1, and its interval; no interval with a single place.
+    hit : float or None
+        Share of the points that are on the thing.
+    speed : Speed
+    quickest, smallest : bool
+        Whether no other method of a higher or the same IoU answers quicker, or takes less memory:
+        the Pareto front.
+    """
+
+    method: str
+    iou: float
+    low: float | None
+    high: float | None
+    hit: float | None
+    speed: Speed
+    quickest: bool
+    smallest: bool
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """The methods of a data set, best IoU first, the judging sizes, and the plot as SVG."""
+
+    dataset: str
+    sizes: Sequence[str]
+    lines: Sequence[Worth]
+    plot: str
+
+
+def tradeoffs(
+    scores: Sequence[Row], sizes: Mapping[str, Sequence[str]], speeds: Sequence[Speed]
+) -> list[Tradeoff]:
+    """One a data set of which something is scored and timed.
+
+    Parameters
+    ----------
+    scores : rows of the spec ``scores``
+        Those of one protocol.
+    sizes : {dataset: texts}
+        At which it was judged.
+    speeds : sequence of Speed
+        Of the methods, our own first.
+    """
+    found = []
+    for dataset in dict.fromkeys(score["dataset"] for score in scores):
+        own = {(s["method"], s["metric"]): s for s in scores if s["dataset"] == dataset}
+        known = [speed for speed in speeds if (speed.method, "iou") in own and speed.first_query]
+        if not known:
+            continue
+        ious = [own[speed.method, "iou"]["value"] for speed in known]
+        quick = front([speed.first_query for speed in known], ious)
+        small = front([speed.memory for speed in known], ious)
+        lines = []
+        for speed, quickest, smallest in zip(known, quick, small, strict=True):
+            iou, hit = own[speed.method, "iou"], own.get((speed.method, "hit_mask"))
+            value, low, high = (iou[name] for name in ("value", "low", "high"))
+            point = None if hit is None else hit["value"]
+            lines.append(Worth(speed.method, value, low, high, point, speed, quickest, smallest))
+        lines.sort(key=lambda line: -line.iou)
+        points = [(w.method, w.iou, w.speed.first_query or 0.0, w.speed.memory) for w in lines]
+        plot = plot_worth(points, speeds[0].method)
+        found.append(Tradeoff(dataset, sizes.get(dataset, ()), lines, plot))
+    return found
+
+
+def front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
+    """Which have no other that costs no more and is worth no less, and is better in one of both.
+
+    A cost of None is on no front.
+    """
+    return [
+        cost is not None
+        and not any(
+            other is not None
+            and other <= cost
+            and worth >= value
+            and (other < cost or worth > value)
+            for other, worth in zip(costs, values, strict=True)
+        )
+        for cost, value in zip(costs, values, strict=True)
+    ]
