@@ -47,7 +47,7 @@ from tasks.views import views
 INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")
 
-FILES = {"views": "views.parquet", "pairs": "samples.parquet", "lessons": "lessons.parquet"}
+FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons.parquet"}
 """The tables that the output folder gets, by the stage whose artifacts are joined in it."""
 
 
@@ -61,7 +61,7 @@ class Prepared:
 
 
 def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
-    """Views and samples of all chunks, as ``views.parquet`` and ``samples.parquet``.
+    """Views and samples of all chunks, as ``views.parquet`` and ``pairs.parquet``.
 
     What could not be used is in ``failures.parquet``: chunks, clips and frames, each with a
     sentence. Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).

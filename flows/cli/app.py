@@ -842,7 +842,7 @@ def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -
     """Choose samples to learn from in a corpus of chunks.
 
     Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
-    samples.parquet (two context and three target views each) and failures.parquet (what could not
+    pairs.parquet (two context and three target views each) and failures.parquet (what could not
     be used, and why). After new chunks were added, only those are read.
 
     \b

@@ -118,7 +118,7 @@ def test_every_view_and_sample_is_in_a_table(supervised, clips):
     first = np.array([views[0][name] for name in ("fx", "fy", "cx", "cy", "w2c_00", "w2c_23")])
     np.testing.assert_array_equal(first, clips[0].cameras[0, [0, 1, 2, 3, 6, 17]])
     assert all(2 < view["depth"] < 5 for view in views)
-    samples = table(folder, "samples")
+    samples = table(folder, "pairs")
     assert {sample["clip"] for sample in samples} == {clip.key for clip in clips[:2]}
     for sample in samples:
         between = [sample[f"target_{i}"] for i in range(3)]
@@ -131,7 +131,7 @@ def test_every_view_and_sample_is_in_a_table(supervised, clips):
 def test_every_sample_has_a_lesson_and_every_chunk_a_sheet(supervised):
     folder, store, _ = supervised
     rows = table(folder, "lessons")
-    assert [row["sample"] for row in rows] == [row["sample"] for row in table(folder, "samples")]
+    assert [row["sample"] for row in rows] == [row["sample"] for row in table(folder, "pairs")]
     for row in rows:
         lesson = Lesson.from_arrays(store.get(ArtifactRef("lesson", row["uri"], row["digest"])))
         assert lesson.sample == row["sample"]
@@ -224,7 +224,7 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     assert "clip 'dead': none of its 4 frames can be used" in reasons
     assert "clip 'new' of 000009.torch is in 000002.torch too" in said["new", "views"]
     assert len(made.failures) == 11  # three more of the four frames of "dead", and the last of all
-    assert {sample["clip"] for sample in table(tmp_path, "samples")} == {good.key, "new"}
+    assert {sample["clip"] for sample in table(tmp_path, "pairs")} == {good.key, "new"}
     assert {view["frame"] for view in table(tmp_path, "views") if view["clip"] == bad.key} == {
         0, 2, 3, 4
     }  # fmt: skip
