@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,34 +39,48 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
         If the data cannot be read, nothing is labelled, or no labelled frame has a pair.
     """
     rule = Rule(Bounds(**settings.bounds()), settings.min_cover, settings.max_aside)
-    datasets.check_format(settings.format)
-    if labels is None and settings.format not in PLACES:
-        raise InputError(
-            f"data format {settings.format!r} has no labels of its own; give their folder with "
-            "--labels"
-        )
     pairs: list[ScenePair] = []
     left_out: dict[str, str] = {}
-    for name, options in datasets.scenes(settings.format, data).items():
-        if labels is None:
-            place = PLACES[settings.format].format(scene=name)
-        else:
-            place = name if settings.format in datasets.SETS else ""
-        folder = (labels or data) / place
-        if folder.is_dir():
-            scene = datasets.load(settings.format, data, **options)
-            found = _surrounded(scene, name, labelled_frames(folder), rule)
-            for called, one in found.items():
-                if isinstance(one, str):
-                    left_out[called] = one
-                else:
-                    pairs.append(ScenePair(called, *one[:3], place, options, one[3]))
+    for name, options, place in label_places(data, labels, settings.format):
+        scene = datasets.load(settings.format, data, **options)
+        found = _surrounded(scene, name, labelled_frames((labels or data) / place), rule)
+        for called, one in found.items():
+            if isinstance(one, str):
+                left_out[called] = one
+            else:
+                pairs.append(ScenePair(called, *one[:3], place, options, one[3]))
     if not pairs:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InputError(f"{labels or data}: no labelled frame has a pair ({why or 'no labels'})")
     index = Index(tuple(pairs), settings.format, rule.described(), left_out)
     write_index(out, index)
     return index
+
+
+def label_places(
+    data: Path, labels: Path | None, format: str
+) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """The scenes of a folder that have labels: name, settings of the reader, and where they are.
+
+    That is a folder below ``labels``, or below ``data`` where the format has its own.
+
+    Raises
+    ------
+    InputError
+        If the format reads no folder, or has no labels of its own and none are given.
+    """
+    datasets.check_format(format)
+    if labels is None and format not in PLACES:
+        raise InputError(
+            f"data format {format!r} has no labels of its own; give their folder with --labels"
+        )
+    for name, options in datasets.scenes(format, data).items():
+        if labels is None:
+            place = PLACES[format].format(scene=name)
+        else:
+            place = name if format in datasets.SETS else ""
+        if ((labels or data) / place).is_dir():
+            yield name, options, place
 
 
 Chosen = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, float]]

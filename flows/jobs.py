@@ -13,6 +13,7 @@ from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language.query import Rules
 from slgaussian.parts.method import Method
+from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.baselines import baselines
 from tasks.ingest import Photographs
@@ -24,10 +25,22 @@ JUDGED = "auto"
 """Size of the targets of every run, whatever it works at: scores of other sizes do not compare."""
 
 
+def judged_at(size: Size) -> Size:
+    """The size of targets where scenes are worked on at ``size``: a pair crops, and so they too."""
+    return JUDGED if isinstance(size, str) else size
+
+
 def scene_job(settings: Settings, method: Method, scene: SceneSettings) -> Job:
     """From the photographs of a scene to its scores."""
+    asked = evaluation(settings, scene)
+    given = photographs(settings, scene), labels(scene), method, settings.trust_cameras, asked
+    return Job(scene.name, score_scene, given)
+
+
+def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
+    """Which photographs of a scene are read in a run."""
     size = scene.size or settings.size
-    photographs = Photographs(
+    return Photographs(
         scene.name,
         scene.format,
         scene.path,
@@ -37,12 +50,13 @@ def scene_job(settings: Settings, method: Method, scene: SceneSettings) -> Job:
         size,
         scene.near or settings.near,
         scene.far or settings.far,
-        judged=JUDGED if isinstance(size, str) else size,  # a pair crops
+        judged=judged_at(size),
     )
-    labels = Labels(scene.labels, tuple(scene.targets), tuple(scene.categories))
-    asked = evaluation(settings, scene)
-    given = photographs, labels, method, settings.trust_cameras, asked
-    return Job(scene.name, score_scene, given)
+
+
+def labels(scene: SceneSettings) -> Labels:
+    """Where its truth comes from."""
+    return Labels(scene.labels, tuple(scene.targets), tuple(scene.categories))
 
 
 def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
@@ -95,7 +109,8 @@ def baseline_jobs(
         for name, row in chosen_baselines(settings.against).items():
             rules = replace(asked.rules, **row.rules)
             own = replace(asked, method=name, rules=rules, drawn=False)
-            given = dict(refs[scene.name]), method, own, row.method, dict(row.settings)
+            made_of = row.method, dict(row.settings), row.brought_by
+            given = dict(refs[scene.name]), method, own, *made_of
             called = baseline_job_name(scene.name, name)
             made.append(Job(called, score_baseline, given, baselines.name))
     return made

@@ -67,7 +67,8 @@ def manifest(
 
 def _described(row: Row) -> str:
     own = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
-    return f"{row.method} ({own})" if own else row.method
+    name = f"{row.method} of {row.brought_by}" if row.brought_by else row.method
+    return f"{name} ({own})" if own else name
 
 
 def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.outputs import (
     clear_predictions,
+    write_costs,
     write_predictions,
     write_samples,
     write_table,
@@ -188,16 +189,20 @@ def _write(
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
     write_atomic(out / "failures.parquet", encode_table(failures_table(made.failures)))
-    results, times = [], []
+    results, times, costs = [], [], []
     for scene, ref in made.results():
         arrays = store.get(ref)
         result = result_from_arrays(arrays, ref.meta["times"], with_images=False)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
         times.append((result.method, scene, result.times))
+        build = {"build_seconds": made.costs[scene].seconds}
+        # Results that a store has from an earlier version say nothing of it.
+        costs += [{**row, **build} for row in ref.meta.get("costs", ())]
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
+    write_costs(costs, out)
     lost = [load_spec("attribution").schema.empty_table(), *map(store.get, made.lost.values())]
     write_table("attribution", pa.concat_tables(lost), out)
     files = {"manifest.json": _json(made.manifest)}

@@ -54,10 +54,11 @@ def score_baseline(
     settings: EvaluationSettings,
     name: str,
     own: Mapping[str, Any],
+    brought_by: str,
 ) -> None:
     """Ask the baseline of a name, with settings of its own, what the field of a scene was asked.
 
     ``refs`` are what the stages of :func:`score_scene` made of the scene.
     """
     made = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
-    baselines(*made, method, settings, name, own)
+    baselines(*made, method, settings, name, own, brought_by)

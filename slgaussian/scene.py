@@ -468,15 +468,29 @@ class Scene:
                     f"scene {self.name!r}: the context names {name!r} twice; depth needs "
                     "photographs taken from different positions"
                 )
-        cameras = [self.cameras[name] for name in names]
-        least = min(c.height for c in cameras), min(c.width for c in cameras)
-        views, n = [], len(context)
+        least, n = self._least(names), len(context)
+        views = []
         for k, name in enumerate(names):  # and not all at once: photographs are large
-            wanted = size if k < n or judged is None else judged
-            view = self.read(name)
-            view = view if wanted == "original" else view.resized(*_fit(*least, wanted))
+            view = self._fitted(name, size if k < n or judged is None else judged, least)
             views.append(replace(view, camera=view.camera.ranged(near, far)))
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
+
+    def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
+        """Read the named views and bring them to a size, as :meth:`sample` does.
+
+        InputError if one cannot be found or read.
+        """
+        names = [self.find(name) for name in names]
+        least = self._least(names)
+        return [self._fitted(name, size, least) for name in names]
+
+    def _least(self, names: Sequence[str]) -> tuple[int, int]:
+        cameras = [self.cameras[name] for name in names]
+        return min(c.height for c in cameras), min(c.width for c in cameras)
+
+    def _fitted(self, name: str, size: Size, least: tuple[int, int]) -> View:
+        view = self.read(name)
+        return view if size == "original" else view.resized(*_fit(*least, size))
 
 
 def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:

@@ -213,7 +213,9 @@ def result_from_arrays(
     if with_images:
         masks, pictures = dict(Decoded(predictions_of(arrays))), dict(Decoded(pictures_of(arrays)))
     return SceneResult(
-        **{name: str(arrays[name]) for name in ("scene", "dataset", "method")},
+        scene=str(arrays["scene"]),
+        dataset=str(arrays["dataset"]),
+        method=str(arrays["method"]),
         rows=json.loads(str(arrays["rows"])),
         scene_metrics=json.loads(str(arrays["metrics"])),
         predictions=masks,

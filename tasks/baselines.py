@@ -9,6 +9,7 @@ from typing import Any
 from slgaussian.benchmark.baselines import load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
+from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.gaussians import Gaussians
 from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactRef
@@ -34,11 +35,13 @@ def baselines(
     settings: EvaluationSettings,
     of: str,
     own: Mapping[str, Any],
+    brought_by: str,
 ) -> ArtifactRef:
     """What a baseline answers, with scores and without pictures: spec ``scene_result``.
 
     ``gaussians`` are those that were predicted, and ``method`` is what made the field; ``of`` is
-    the baseline's name in the registry, and ``own`` are its settings.
+    the baseline's name in the registry, and ``own`` are its settings. One that another package
+    brings is also known by that package's content, ``brought_by``.
     """
     shown = site.read(sample, sample_from_arrays)
     found = site.read(labels, labels_from_arrays)
@@ -54,8 +57,10 @@ def baselines(
         settings={part.name: part.values() for part in (method.proposer, method.lifting)},
         classes=tuple(dict.fromkeys([*asked, *settings.queries])),
     )
+    peak = Peak()
     begun = time.perf_counter()
-    answering = load_method(of, **own)(inputs)
+    with peak.watched():
+        answering = load_method(of, **own)(inputs)
     prepared = time.perf_counter() - begun
     result = evaluate(
         answering,
@@ -63,6 +68,8 @@ def baselines(
         found,
         known,
         settings,
+        peak=peak,
     )
-    times = {"prepare": prepared, **result.times}
-    return site.store.put("scene_result", result_to_arrays(result), {"times": times})
+    costs = [{**row, "prepare_seconds": prepared} for row in result.costs]
+    meta = {"times": {"prepare": prepared, **result.times}, "costs": costs}
+    return site.store.put("scene_result", result_to_arrays(result), meta)

@@ -50,7 +50,7 @@ def benchmark(
         gaussians=site.read(gaussians, Gaussians.from_arrays),
         bank=asked.bank,
     )
-    meta = {"times": result.times, "example": example(result, asked)}
+    meta = {"times": result.times, "costs": result.costs, "example": example(result, asked)}
     return site.store.put("scene_result", result_to_arrays(result), meta)
 
 

@@ -7,8 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from slgaussian.benchmark.annotations import label_files, read_truth
+from slgaussian.benchmark.annotations import Truth, label_files, read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
+from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
 from tasks.stage import Worksite, stage
@@ -37,13 +38,16 @@ class Labels:
         """What truth depends on: not where the files are, but what is in them."""
         return {"categories": self.categories, "files": self.files}
 
+    def read(self, sample: Sample) -> Truth:
+        """What should be found in the targets of a sample; InputError if labels cannot be read."""
+        if self.folder is None:
+            return truth_from_instances(sample)
+        return read_truth(self.folder, self.categories, sample.targets)
+
 
 @stage("truth", version=2)
 def truth(site: Worksite, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     """What should be found in the targets: spec ``truth``."""
     shown = site.read(sample, sample_from_arrays)
-    if labels.folder is None:
-        found = truth_from_instances(shown)
-    else:
-        found = read_truth(labels.folder, labels.categories, shown.targets)
+    found = labels.read(shown)
     return site.store.put("truth", truth_to_arrays(found, shown))

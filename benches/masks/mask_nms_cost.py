@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import torch
 
-from benches.common.resident_memory import held
+from slgaussian.benchmark.resident_memory import held
 from slgaussian.kernels import threads
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_intersections, mask_nms, mostly_visible
 

@@ -22,7 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benches.common.pages import publish
-from benches.common.resident_memory import held
+from slgaussian.benchmark.resident_memory import held
 
 COPIES = 10
 """Of the walk, which make about 100 MB."""

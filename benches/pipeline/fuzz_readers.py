@@ -41,10 +41,10 @@ import pyarrow as pa
 import torch
 from PIL import ExifTags, Image
 
-from benches.common.resident_memory import forget_peak, held
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
+from slgaussian.benchmark.resident_memory import forget_peak, held
 from slgaussian.datasets import colmap, llff, nerfstudio, re10k, unposed
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SLGaussianError

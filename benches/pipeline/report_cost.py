@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from benches.common.machine import machine
-from benches.common.resident_memory import held
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
+from slgaussian.benchmark.resident_memory import held
 from slgaussian.labels import LabelMaps
 from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec

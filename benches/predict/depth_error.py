@@ -21,8 +21,8 @@ import numpy as np
 
 import slgaussian.kernels.threads
 from benches.common.photograph_pairs import photographs
-from benches.common.resident_memory import held
 from slgaussian import datasets
+from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
 from slgaussian.predict import links, sweep

@@ -20,9 +20,9 @@ import torch
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import SIZE
-from benches.common.resident_memory import held
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
+from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.trajectories import between
 from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor

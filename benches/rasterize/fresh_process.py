@@ -141,7 +141,7 @@ def memory(_: float, scene: str, job: str) -> dict[str, float]:
     """``peak`` and ``kept``: MB of resident memory more than before, at most and at the end."""
     import gc
 
-    from benches.common.resident_memory import forget_peak, held
+    from slgaussian.benchmark.resident_memory import forget_peak, held
     from slgaussian.gaussians import Gaussians
 
     gaussians, values, camera = load_scene(scene)

@@ -17,12 +17,12 @@ import pyarrow.parquet as pq
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
-from benches.common.resident_memory import forget_peak, give_back, held
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.errors import InputError
 from slgaussian.geometry import SceneGeometry

@@ -31,7 +31,6 @@ import torch
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
-from benches.common.resident_memory import forget_peak, give_back, held
 from benches.scores.tradeoff_chart import chart
 from benches.scores.tradeoff_summary import DEFAULT, NOISE, PRUNED, results
 from flows.settings import PRESETS, Method, Settings, make_settings
@@ -40,6 +39,7 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.cameras import trajectories
 from slgaussian.errors import InputError

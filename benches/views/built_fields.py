@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from benches.common.markdown_tables import table
-from benches.common.resident_memory import forget_peak, give_back, held
 from slgaussian import datasets
 from slgaussian.benchmark.metrics import depth_errors, psnr, ssim
+from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.errors import SLGaussianError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict.planesweep import PlaneSweep

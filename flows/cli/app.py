@@ -237,6 +237,58 @@ def benchmark(
     _run("benchmark", make_settings(given, "benchmark"), verbose)
 
 
+def _protocols() -> list[str]:
+    """The protocols by which masks are scored."""
+    from slgaussian.benchmark.given import GIVEN
+
+    return list(GIVEN)
+
+
+@app.command(rich_help_panel=SCORES)
+@with_options("data", "pairs", "labels", "format", "rooms", "size")
+def score(
+    settings: dict,
+    predictions: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PREDICTIONS", help="Folder of masks as `benchmark` writes it, or a JSON file."
+        ),
+    ],
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="<name>",
+            autocompletion=_protocols,
+            help="What scores mean: slgaussian, langsplat, langsplat-rescaled or 3d-ovs; may be "
+            "repeated. [default: all that the folder has]",
+        ),
+    ] = None,
+    out: Out = Path("slg-score"),
+) -> None:
+    """Score masks that you made yourself, as `benchmark` scores its own.
+
+    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO's run
+    lengths. One that is missing counts as empty. Without --pairs every labelled frame is asked what
+    is labelled in it. Leaves tables and masks as `benchmark` does, which `compare` reads.
+
+    \b
+    slgaussian score masks --data office --pairs office/pairs.json \\
+        --labels office/labels -o mine
+    slgaussian score masks.json --rooms 0-19 --size 416x576 --protocol 3d-ovs
+    slgaussian compare scores mine
+    """
+    from flows.settings import make_settings
+
+    chosen = make_settings({**settings, "out": out}, "score")
+    from flows.cli.scoring import score as scored
+
+    table, said = scored(chosen, predictions, protocol or [], out)
+    for text in said:
+        typer.echo(text, err=True)
+    typer.echo(table)
+    typer.echo(out)
+
+
 @app.command(rich_help_panel=SCORES)
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Folder that a run wrote.")],

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.score_tables import Table, conditions
+from slgaussian.benchmark.score_tables import MAIN, MORE, Table, conditions, method_tables
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.statistics import LEVEL
 from slgaussian.benchmark.summary import METRICS
@@ -120,6 +120,30 @@ def gains_table(table: Table) -> str:
         told = (f"{c.value} ({c.interval})" if c.interval else c.value for c in cells)
         rows.append([line.method, *told])
     return _aligned(rows)
+
+
+def given_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table a data set and protocol of samples, one line a method: each score and its interval.
+
+    Below is what the scores go by.
+    """
+    tables = []
+    for table in method_tables(score_table(rows).to_pylist(), (*MAIN, *MORE)):
+        start = 0
+        for group in table.groups:
+            end = start + len(group.columns)
+            lines = [[table.dataset, *(column.title for column in group.columns)]]
+            for line in table.lines:
+                cells = line.cells[start:end]
+                told = (f"{c.value} ({c.interval})" if c.interval else c.value for c in cells)
+                lines.append([line.method, *told])
+            notes = [cell.note for line in table.lines for cell in line.cells[start:end]]
+            of = f"{table.scenes} scene" + ("s" if table.scenes > 1 else "")
+            said = [group.counts[0], of, *dict.fromkeys(filter(None, notes))]
+            by = f"by {group.protocol} ({group.conditions}); {'; '.join(said)}"
+            tables.append(f"{_aligned(lines)}\n{by}")
+            start = end
+    return "\n\n".join(tables)
 
 
 def judgements_table(judgements: pa.Table) -> str:

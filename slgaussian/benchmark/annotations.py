@@ -98,6 +98,16 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     return Truth(masks, {} if dense else boxes)
 
 
+def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
+    """The annotated boxes [n, 4], or that of the mask if it has a pixel."""
+    if annotated is not None:
+        return annotated
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    if not len(rows):
+        return np.zeros((0, 4))
+    return np.array([[columns[0], rows[0], columns[-1], rows[-1]]], np.float64)
+
+
 def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     """What is labelled in a folder: the categories of each frame, in the order of the frames.
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as dataclass_field
+from functools import partial
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 from slgaussian.benchmark import metrics, pictures
-from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result
 from slgaussian.benchmark.protocols import (
     PROTOCOLS,
@@ -23,6 +24,7 @@ from slgaussian.benchmark.protocols import (
     ScoringProtocol,
     load_protocol,
 )
+from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.cameras.trajectories import between
 from slgaussian.errors import InputError
@@ -75,7 +77,11 @@ class SceneResult:
         Seconds, summed over the scene: ``render``, ``query``, ``segment`` by the method, and
         ``score`` by the protocols. Where something was asked also ``first_query``, that of one
         query in a new view with its rendering, and ``further_query``, of one more in it: medians
-        over the views. Volatile.
+        over the views, without what is done once a scene; and ``cold_query``, the very first, with
+        that. Volatile.
+    costs : list of dict
+        One a (frame, query), with the columns of the data spec ``times`` that are known of the
+        scene and method alone. Volatile too.
     """
 
     scene: str
@@ -86,6 +92,7 @@ class SceneResult:
     times: dict[str, float]
     dataset: str = "scenes"
     method: str = "slgaussian"
+    costs: Sequence[Mapping[str, Any]] = ()
 
     __repr__ = brief
 
@@ -160,6 +167,7 @@ def evaluate(
     *,
     gaussians: Gaussians | None = None,
     bank: MemoryBank | None = None,
+    peak: Peak | None = None,
 ) -> SceneResult:
     """Ask a method everything the truth knows, in every target view, and score its answers.
 
@@ -182,6 +190,8 @@ def evaluate(
         Of the context views' pixels: their depths are scored and drawn.
     bank : MemoryBank, optional
         Its objects are drawn.
+    peak : Peak, optional
+        Of the memory that the method took until now, if it has prepared the scene.
 
     Returns
     -------
@@ -197,12 +207,13 @@ def evaluate(
     _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
-    record = _Record(sample.scene, settings)
+    record = _Record(sample.scene, settings, peak or Peak())
     for target in sample.targets:
         with record.stage("render"):
             view = field.render(target.camera)
         masks, boxes = (known.get(target.name, {}) for known in (truth.masks, truth.boxes))
         record.ask(view, target.name, target.image, masks, boxes)
+        record.ask_again(partial(field.render, target.camera))
         record.measure("psnr", metrics.psnr(view.rgb, target.image))
         record.measure("ssim", metrics.ssim(view.rgb, target.image))
         if view.depth.any():
@@ -215,13 +226,15 @@ def evaluate(
     for frame, step in ALONG_THE_WAY.items():
         if not drawn and not (queries and frame == "halfway"):
             continue
+        camera = between(first, second, step)
         with record.stage("render"):
-            view = field.render(between(first, second, step))
+            view = field.render(camera)
         if drawn:
             record.draw_view(view, frame)
         if frame == "halfway" and queries:
             nothing = np.zeros(view.rgb.shape[:2], bool)
             record.ask(view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, told=False)
+            record.ask_again(partial(field.render, camera))
 
     if gaussians is not None:
         record.look_at_depths(sample, gaussians)
@@ -241,7 +254,8 @@ def evaluate(
 class _Record:
     """What has been found out so far."""
 
-    def __init__(self, scene: str, settings: EvaluationSettings):
+    def __init__(self, scene: str, settings: EvaluationSettings, peak: Peak):
+        self.peak = peak
         rules, self.drawn = settings.rules, settings.drawn
         self._named = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
@@ -253,8 +267,7 @@ class _Record:
         self.pictures: dict[str, np.ndarray] = {}
         self.seconds = {"render": 0.0, "query": 0.0, "segment": 0.0, "score": 0.0}
         self.latest = 0.0
-        self._first: list[float] = []
-        self._further: list[float] = []
+        self._asked: list[_Asked] = []
         self._measured: dict[str, list[float]] = {}
         self._constants: dict[str, float] = {}
         self._common = {
@@ -267,9 +280,10 @@ class _Record:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.latest = time.perf_counter() - start
+        with self.peak.watched():
+            start = time.perf_counter()
+            yield
+            self.latest = time.perf_counter() - start
         self.seconds[name] += self.latest
 
     def measure(self, name: str, value: float) -> None:
@@ -306,11 +320,11 @@ class _Record:
         An empty mask is no truth; unless ``told``, there never was any.
         """
         texts = [text for text in masks if _understands(text, view)]
-        hits = self._query(view, texts)
+        hits = self._query(view, frame, list(masks), texts)
         asked = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
             list(masks.values()),
-            [_boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
+            [boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
             self._segment(view, texts, masks),
         )
         for protocol in self.protocols:
@@ -330,18 +344,35 @@ class _Record:
                 if leads and self.drawn:
                     self._draw_query(f"{frame}/{text}", hits.get(text), one, mask, ground)
 
-    def _query(self, view: AnsweringView, texts: Sequence[str]) -> dict[str, Result]:
+    def _query(
+        self, view: AnsweringView, frame: str, asked: Sequence[str], texts: Sequence[str]
+    ) -> dict[str, Result]:
+        """What the view answers to ``texts``, those of ``asked`` that it understands."""
         if not texts:
+            self._asked.append(_Asked(frame, asked, texts))
             return {}
         rendered = self.latest
         with self.stage("query"):
             self._answers(view, texts[:1])
-        self._first.append(rendered + self.latest)
+        first = rendered + self.latest
         # Asked again with the others: answers must not depend on what is timed.
         with self.stage("query"):
             hits = self._answers(view, texts)
-        self._further.append(self.latest / len(texts))
+        self._asked.append(_Asked(frame, asked, texts, first, self.latest / len(texts)))
         return dict(zip(texts, hits, strict=True))
+
+    def ask_again(self, render: Callable[[], AnsweringView]) -> None:
+        """If it was the first of the scene, time the last view's first answer again, drawn anew.
+
+        Then what is made once a scene, or once a process, is there.
+        """
+        *before, last = self._asked
+        if last.seconds is None or any(one.seconds is not None for one in before):
+            return
+        start = time.perf_counter()
+        self._answers(render(), last.texts[:1])
+        warm = time.perf_counter() - start
+        self._asked[-1] = replace(last, cold=last.seconds, seconds=warm)
 
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
         hits = view.query_all(texts, **self.asked)
@@ -390,8 +421,13 @@ class _Record:
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
         means = {name: float(np.mean(values)) for name, values in self._measured.items()}
-        asked = {"first_query": self._first, "further_query": self._further}
-        medians = {name: median(seconds) for name, seconds in asked.items() if seconds}
+        times = {
+            "cold_query": [one.cold for one in self._asked if one.cold is not None],
+            "first_query": [one.seconds for one in self._asked if one.seconds is not None],
+            "further_query": [one.further for one in self._asked if one.further is not None],
+        }
+        medians = {name: median(seconds) for name, seconds in times.items() if seconds}
+        held = {"held_bytes": self.peak.before, "peak_bytes": self.peak.most}
         return SceneResult(
             **self._named,
             rows=self.rows,
@@ -399,7 +435,35 @@ class _Record:
             predictions=self.predictions,
             pictures=self.pictures,
             times=self.seconds | medians,
+            costs=[{**self._named, **row, **held} for one in self._asked for row in one.rows()],
         )
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How long the answers in one view took: ``texts`` are those of ``asked`` that were understood.
+
+    ``seconds`` are those of the first with drawing the view, ``cold`` the same if it was the first
+    of the scene, and ``further`` those of one more.
+    """
+
+    frame: str
+    asked: Sequence[str]
+    texts: Sequence[str]
+    seconds: float | None = None
+    further: float | None = None
+    cold: float | None = None
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """A row a text, by columns of the data spec ``times``."""
+        for text in self.asked:
+            yield {
+                "frame": self.frame,
+                "query": text,
+                "query_seconds": self.further if text in self.texts else None,
+                "view_seconds": self.seconds,
+                "cold_seconds": self.cold,
+            }
 
 
 def _depth_pictures(
@@ -450,16 +514,6 @@ def _understands(text: str, view: AnsweringView) -> bool:
     except InputError:
         return False
     return True
-
-
-def _boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
-    """The annotated boxes [n, 4], or that of the mask if it has a pixel."""
-    if annotated is not None:
-        return annotated
-    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
-    if not len(rows):
-        return np.zeros((0, 4))
-    return np.array([[columns[0], rows[0], columns[-1], rows[-1]]], np.float64)
 
 
 def _disparity_scale(sample: Sample) -> float | None:

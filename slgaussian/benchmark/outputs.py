@@ -1,6 +1,7 @@
 """The tables and masks that a benchmark leaves, for anyone to score again.
 
-Everything written here depends on its arguments alone: same results, same bytes.
+Everything written here depends on its arguments alone: same results, same bytes. What answers cost,
+which no run repeats, is in a table of its own.
 """
 
 from __future__ import annotations
@@ -37,6 +38,16 @@ def write_samples(rows: Sequence[Row], out: str | Path) -> None:
     samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
     write_table("samples", samples, out)
     write_table("scores", score_table(rows), out)
+
+
+def write_costs(rows: Sequence[Row], out: str | Path) -> None:
+    """Write ``times.parquet`` and ``times.csv`` into folder ``out``: what each answer cost.
+
+    Columns are those of the data spec ``times``; what a row does not have is empty.
+    """
+    schema = load_spec("times").schema
+    known = [{name: row.get(name) for name in schema.names} for row in rows]
+    write_table("times", pa.Table.from_pylist(known, schema=schema), out)
 
 
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:

@@ -6,7 +6,8 @@ anything that it computes changes, and every row of scores says ``name@version``
 they are in `docs/reference/protocols.md`.
 
 A method answers a frame once, and each protocol scores these answers: what a protocol needs beyond
-the relevancy image it makes from that image alone, the same for all methods.
+the relevancy image it makes from that image alone, the same for all methods. Where there are masks
+and no relevancy, as those that somebody made elsewhere, it scores what it can of them.
 """
 
 from __future__ import annotations
@@ -80,6 +81,32 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
+class GivenFrame:
+    """Masks that were made elsewhere for one view, and the truth.
+
+    Attributes
+    ----------
+    found, points : sequences
+        Of each query: the mask bool [H, W], and the point (x, y) or None where none is given.
+    masks, boxes : sequences
+        As :class:`Frame` has them.
+    labels : int32 [H, W] or None
+        Likewise; None where it is not known which query wins.
+    """
+
+    found: Sequence[np.ndarray]
+    points: Sequence[tuple[float, float] | None]
+    masks: Sequence[np.ndarray]
+    boxes: Sequence[np.ndarray]
+    labels: np.ndarray | None = None
+
+    @cached_property
+    def accuracy(self) -> float | None:
+        """See :func:`slgaussian.benchmark.metrics.exact_accuracy`; None without ``labels``."""
+        return None if self.labels is None else metrics.exact_accuracy(self.labels, self.masks)
+
+
+@dataclass(frozen=True, eq=False)
 class Scored:
     """The scores of one query of a frame, by the columns of the data spec ``samples``.
 
@@ -99,7 +126,8 @@ class How:
     ----------
     selection : str
         ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.query.Rules`;
-        ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask.
+        ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask;
+        ``given`` masks were made elsewhere.
     threshold, share : float or None
         What the selection goes by.
     filter : int or None
@@ -125,12 +153,15 @@ class ScoringProtocol:
         In images of that many pixels' width, if methods are asked with those rules.
     score_query : function (Frame, int, How) -> Scored
         Query number k of a frame.
+    score_mask : function (GivenFrame, int) -> {column: score}, optional
+        What masks alone say of query number k, by the same definitions; None where it is nothing.
     """
 
     name: str
     version: int
     how: Callable[[Rules, int], How]
     score_query: Callable[[Frame, int, How], Scored]
+    score_mask: Callable[[GivenFrame, int], dict[str, Any]] | None = None
 
     @property
     def label(self) -> str:
@@ -145,17 +176,48 @@ class ScoringProtocol:
             for one, truth in zip(scored, frame.masks, strict=True)
         ]
 
+    def score_given(self, given: GivenFrame) -> list[Scored]:
+        """One a query, as :meth:`score`, of masks that were made elsewhere.
+
+        InputError if masks say nothing by this protocol.
+        """
+        if self.score_mask is None:
+            able = ", ".join(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
+            raise InputError(
+                f"protocol: {self.name!r} scores relevancies, of which masks say nothing; expected "
+                f"one of {able}"
+            )
+        return [
+            Scored(
+                self.score_mask(given, k) if truth.any() else {}, given.found[k], given.points[k]
+            )
+            for k, truth in enumerate(given.masks)
+        ]
+
+
+def _overlap(mask: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
+    return {"iou": metrics.iou(mask, truth), "boundary_iou": boundary_iou(mask, truth)}
+
 
 def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
     answer, truth = frame.answers[k], frame.masks[k]
-    scores = {
-        "iou": metrics.iou(answer.mask, truth),
-        "boundary_iou": boundary_iou(answer.mask, truth),
+    scores = _overlap(answer.mask, truth) | {
         "class_iou": frame.class_ious[k],
         "hit_mask": metrics.point_in_mask(answer.point, truth),
         "hit_box": metrics.point_in_boxes(answer.point, frame.boxes[k]),
     }
     return Scored(scores, answer.mask, answer.point)
+
+
+def _slgaussian_given(given: GivenFrame, k: int) -> dict[str, Any]:
+    truth, point = given.masks[k], given.points[k]
+    scores = _overlap(given.found[k], truth)
+    if given.labels is not None:
+        scores["class_iou"] = metrics.iou(given.labels == k + 1, truth)
+    if point is not None:
+        scores["hit_mask"] = metrics.point_in_mask(point, truth)
+        scores["hit_box"] = metrics.point_in_boxes(point, given.boxes[k])
+    return scores
 
 
 def _langsplat(frame: Frame, k: int, how: How) -> Scored:
@@ -168,13 +230,18 @@ def _langsplat(frame: Frame, k: int, how: How) -> Scored:
         image = np.where(known, relevancy, relevancy.min(where=known, initial=np.inf))
         mask = langsplat.find_mask(image, side)
         point, peak = langsplat.find_point(image, side)
-    scores = {
-        "iou": metrics.iou(mask, truth),
-        "boundary_iou": boundary_iou(mask, truth),
+    scores = _overlap(mask, truth) | {
         "hit_box": metrics.point_in_boxes(point, boxes),
         "hit_peak": metrics.any_in_boxes(peak, boxes),
     }
     return Scored(scores, mask, point)
+
+
+def _langsplat_given(given: GivenFrame, k: int) -> dict[str, Any]:
+    scores = _overlap(given.found[k], given.masks[k])
+    if given.points[k] is not None:
+        scores["hit_box"] = metrics.point_in_boxes(given.points[k], given.boxes[k])
+    return scores
 
 
 def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
@@ -185,6 +252,16 @@ def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
         "accuracy": frame.accuracy,
     }
     return Scored(scores, region)
+
+
+def _three_d_ovs_given(given: GivenFrame, k: int) -> dict[str, Any]:
+    # Masks of which none overlaps another are the regions where their texts win.
+    scores = _overlap(given.found[k], given.masks[k])
+    return {
+        "boundary_iou": scores["boundary_iou"],
+        "class_iou": scores["iou"],
+        "accuracy": given.accuracy,
+    }
 
 
 def _threshold_free(frame: Frame, k: int, how: How) -> Scored:
@@ -219,10 +296,12 @@ def _stretched_rescaled(rules: Rules, width: int) -> How:
 PROTOCOLS: Mapping[str, ScoringProtocol] = {
     protocol.name: protocol
     for protocol in (
-        ScoringProtocol("slgaussian", 1, _by_rules, _slgaussian),
-        ScoringProtocol("langsplat", 1, _stretched, _langsplat),
-        ScoringProtocol("langsplat-rescaled", 1, _stretched_rescaled, _langsplat),
-        ScoringProtocol("3d-ovs", 1, lambda rules, width: How("arg-max"), _three_d_ovs),
+        ScoringProtocol("slgaussian", 1, _by_rules, _slgaussian, _slgaussian_given),
+        ScoringProtocol("langsplat", 1, _stretched, _langsplat, _langsplat_given),
+        ScoringProtocol("langsplat-rescaled", 1, _stretched_rescaled, _langsplat, _langsplat_given),
+        ScoringProtocol(
+            "3d-ovs", 1, lambda rules, width: How("arg-max"), _three_d_ovs, _three_d_ovs_given
+        ),
         ScoringProtocol("threshold-free", 1, lambda rules, width: How("none"), _threshold_free),
     )
 }

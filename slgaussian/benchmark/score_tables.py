@@ -74,6 +74,9 @@ class Cell:
 
 NOTHING = Cell("–")
 
+SELECTIONS = {"none": "no mask", "given": "masks as given"}
+"""What is said of some selections in place of their names."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -240,10 +243,13 @@ def conditions(score: Row) -> str:
     names = "threshold", "share", "filter", "temperature"
     said = [f"{name} {score[name]:g}" if isinstance(score[name], float) else f"{name} {score[name]}"
             for name in names if score[name] is not None]  # fmt: skip
-    selection = "no mask" if score["selection"] == "none" else score["selection"]
-    return ", ".join(
-        [selection, *said, f"phrases: {score['canonical']}", f"absent: {score['absent']}"]
-    )
+    selection: str = score["selection"]
+    said += [
+        f"{title}: {score[name]}"
+        for title, name in (("phrases", "canonical"), ("absent", "absent"))
+        if score[name] is not None
+    ]
+    return ", ".join([SELECTIONS.get(selection, selection), *said])
 
 
 def _others(conditions: str, said: str) -> list[str]:

@@ -5,11 +5,14 @@ Parts of this package stand in tables, those of others are their entry points.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from slgaussian.errors import InputError, did_you_mean
@@ -147,6 +150,32 @@ def _installed() -> Any:  # what it is called depends on the version of Python
     return entry_points()  # which reads a file of every package
 
 
+@cache
+def known_by(group: str, name: str) -> str:
+    """What a part that another package brings is known by, "" for any other: package, version and
+    the SHA-256 of its Python files, since code changes more often than versions do.
+
+    The files are those of the package or module that the entry point begins with; nothing of it is
+    imported.
+    """
+    if name not in brought(group):
+        return ""
+    found = brought(group)[name]
+    try:
+        spec = find_spec(found.module.partition(".")[0])
+    except (ImportError, ValueError):  # which importing it says better
+        spec = None
+    folders = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
+    files = [(file.relative_to(top), file) for top in folders for file in top.rglob("*.py")]
+    if spec is not None and not folders and spec.origin is not None:
+        files = [(Path(Path(spec.origin).name), Path(spec.origin))]
+    content = hashlib.sha256()
+    for place, file in sorted((str(place), file) for place, file in files):
+        for part in (place.encode("utf-8", "surrogateescape"), file.read_bytes()):
+            content.update(len(part).to_bytes(8, "little") + part)
+    return f"{_owner(found)} {_version(found)} {content.hexdigest()}"
+
+
 def _refuse_clash(known: Kind, name: str) -> None:
     """InputError if what another package brings has the name of a built-in part of any kind."""
     for kind in KINDS:
@@ -160,6 +189,10 @@ def _refuse_clash(known: Kind, name: str) -> None:
 
 def _owner(found: EntryPoint) -> str:
     return found.dist.name if found.dist is not None else found.module
+
+
+def _version(found: EntryPoint) -> str:
+    return found.dist.version if found.dist is not None else "?"
 
 
 def _table(kind: str) -> Mapping[str, str]:

@@ -1,3 +1,4 @@
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -6,17 +7,22 @@ import pytest
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import (
     ALONG_THE_WAY,
     NOT_UNDERSTOOD,
+    EvaluationSettings,
     evaluate,
     truth_from_instances,
 )
+from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
 from slgaussian.language.query import NEAR_BEST, Rules
 from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
+
+NOTHING_ELSE = {"prepare_seconds": None, "build_seconds": None}
 
 
 def rows_of(result, protocol="slgaussian"):
@@ -289,13 +295,87 @@ def _parts(hit, relevancy):
 def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, result):
     counted = Counting(room.field)
     found = evaluate(counted, room.sample, room.label_maps, Truth(room.truth))
-    # One target, its first text asked alone to time it, and three views along the way.
-    assert counted.asked == ["render", "query", "query", "segment", "render", "render", "render"]
-    assert {"first_query", "further_query"} <= set(found.times)
+    # One target, its first text asked alone to time it, and again in the view drawn anew, since it
+    # was the first of the scene; then three views along the way.
+    target, again, along = ["render", "query", "query", "segment"], ["render", "query"], ["render"]
+    assert counted.asked == [*target, *again, *along * 3]
+    assert {"cold_query", "first_query", "further_query"} <= set(found.times)
     assert found.rows == room.evaluate().rows
     # A method that does not know depths is not judged by them, and none are drawn without any.
     assert not {"target_abs_rel", "abs_rel", "near"} & set(found.scene_metrics)
     assert not any(name.startswith("depth/") for name in found.pictures)
+
+
+class Slow:
+    """A method that adds up what it is asked, as seconds of a clock that nothing else moves."""
+
+    def __init__(self, clock, answering, once):
+        self._clock, self._answering, self._once = clock, answering, once
+
+    def render(self, camera):
+        self._clock.now += 100
+        return SlowView(self._clock, self._answering.render(camera), self)
+
+    def asked(self, texts):
+        self._clock.now += len(texts) + self._once
+        self._once = 0
+
+
+class SlowView:
+    def __init__(self, clock, view, owner):
+        self._view, self._owner = view, owner
+        self.rgb, self.ids, self.depth, self.reader = view.rgb, view.ids, view.depth, view.reader
+
+    def query_all(self, texts, **rules):
+        self._owner.asked(texts)
+        return self._view.query_all(texts, **rules)
+
+    def segment(self, texts, **rules):
+        return self._view.segment(texts, **rules)
+
+
+def test_what_an_answer_costs_is_told_apart_by_what_was_there_before(room, monkeypatch):
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr("slgaussian.benchmark.evaluate.time.perf_counter", lambda: clock.now)
+    slow, other = Slow(clock, room.field, once=1000), replace(room.sample.targets[0], name="other")
+    sample = replace(room.sample, targets=(*room.sample.targets, other))
+    masks = room.truth["view_01"] | {"qqwx": next(iter(room.truth["view_01"].values()))}
+    truth = Truth({"view_01": masks, "other": masks})
+    settings = EvaluationSettings(method="slow", dataset="d", drawn=False)
+    found = evaluate(slow, sample, room.label_maps, truth, settings)
+    # 100 to draw a view, 1 a text, and 1000 once: that is in nothing but the first answer.
+    times = {name: found.times[name] for name in ("cold_query", "first_query", "further_query")}
+    assert times == {"cold_query": 1101, "first_query": 101, "further_query": 1}
+    assert [(row["frame"], row["query"]) for row in found.costs] == [
+        (frame, text) for frame in ("view_01", "other") for text in masks
+    ]
+    for row in found.costs:
+        assert row.items() >= {"dataset": "d", "scene": room.sample.scene, "method": "slow"}.items()
+        assert row["cold_seconds"] == (1101 if row["frame"] == "view_01" else None)
+        assert row["view_seconds"] == 101
+        assert row["query_seconds"] == (None if row["query"] == "qqwx" else 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not say what is held")
+def test_memory_is_what_the_method_takes_and_not_what_scores_it_or_was_there(room):
+    class Hungry:
+        def render(self, camera):
+            ballast = np.ones(2**25)  # a quarter of a GiB for a moment
+            return room.field.render(camera) if ballast.any() else None
+
+    def grown(method, peak=None):
+        settings = EvaluationSettings(drawn=False)
+        truth = Truth(room.truth)
+        found = evaluate(method, room.sample, room.label_maps, truth, settings, peak=peak)
+        (cost,) = costs_of({**row, **NOTHING_ELSE} for row in found.costs)
+        return cost.grown
+
+    there = np.ones(2**25)
+    assert grown(room.field) < 2**27 < 2**28 <= grown(Hungry()) < 2**28 + 2**27
+    peak = Peak()
+    with peak.watched():
+        prepared = np.ones(2**25)
+    assert grown(room.field, peak) >= 2**28 and len(prepared) == len(there)
 
 
 @pytest.mark.parametrize(

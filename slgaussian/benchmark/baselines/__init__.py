@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.errors import InputError
-from slgaussian.parts.registry import brought, resolve
+from slgaussian.parts.registry import brought, known_by, resolve
 
 if TYPE_CHECKING:
     from slgaussian.benchmark.answering import Answering
@@ -72,6 +72,11 @@ class Row:
     def load(self) -> Method:
         """The method; raises as :func:`load_method`."""
         return load_method(self.method, **self.settings)
+
+    @property
+    def brought_by(self) -> str:
+        """The package that brings the method, by its content; empty for one of ours."""
+        return "" if self.method in METHODS else known_by(GROUP, self.method)
 
 
 ROWS = {

@@ -1,0 +1,131 @@
+"""Score masks that were made elsewhere, on the data and labels of a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flows.indexing import label_places
+from flows.jobs import evaluation, judged_at, labels, photographs
+from flows.pipeline import LEFT, check_folder, scenes_of
+from flows.settings import SceneSettings, Settings
+from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
+from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.given import (
+    GIVEN,
+    Judged,
+    Predictions,
+    Tally,
+    read_predictions,
+    score_given,
+)
+from slgaussian.benchmark.outputs import (
+    clear_predictions,
+    write_costs,
+    write_predictions,
+    write_samples,
+)
+from slgaussian.benchmark.pictures import encode_png
+from slgaussian.benchmark.protocols import load_protocol
+from slgaussian.errors import InputError
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What was scored: results by scene and method, without masks, and what is to be said."""
+
+    results: list[SceneResult]
+    predictions: Predictions
+    tally: Tally
+    said: list[str]
+
+
+def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) -> Scores:
+    """Score the masks in a folder or JSON file by some protocols, by those that they are of if none
+    is named; write tables and masks to ``out``.
+
+    Raises
+    ------
+    InputError
+        If data, labels or masks cannot be read, no mask is of what is asked, or ``out`` is the
+        folder of a run or cannot be written. Then nothing is written.
+    """
+    for name in protocols:
+        load_protocol(name)
+        if name not in GIVEN:
+            raise InputError(
+                f"protocol: {name!r} scores relevancies, of which masks say nothing; expected one "
+                f"of {', '.join(GIVEN)}"
+            )
+    if settings.size not in ("auto", judged_at(settings.size)):
+        raise InputError(
+            f"size: found {settings.size!r}, expected HEIGHTxWIDTH, or nothing: all is judged at "
+            "one size"
+        )
+    if any((out / name).exists() for name in LEFT):
+        raise InputError(
+            f"{out}: holds what a run left, whose scores would be replaced; choose another folder "
+            "with -o"
+        )
+    given = read_predictions(place, protocols)
+    chosen = [load_protocol(name) for name in dict.fromkeys(protocols or given.protocols)]
+    by_labels = settings.data and settings.pairs is None and settings.rooms is None
+    scenes, said = ([], []) if by_labels else scenes_of(settings)
+    judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
+    tally, results, masks = Tally(), [], []
+    for result in score_given(given, judged, chosen, tally):
+        masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
+        results.append(replace(result, predictions={}))
+    if not tally.used:
+        unknown = tally.unknown(given)
+        listed = "; ".join(f"{what} {', '.join(names[:3])}" for what, names in unknown.items())
+        raise InputError(
+            f"{given.place}: no mask is of what is asked (found {listed}); name scenes, frames and "
+            "queries as the data and labels do"
+        )
+    check_folder(out)
+    rows = [row for result in results for row in result.rows]
+    kept = [
+        row
+        for result, own in zip(results, masks, strict=True)
+        for row in result.rows
+        if (row["protocol"], row["frame"], row["query"]) in own
+    ]
+    clear_predictions(kept, out)
+    for result, own in zip(results, masks, strict=True):
+        write_predictions(result.rows, own, out / "predictions")
+    write_samples(rows, out)
+    names = "scene", "frame", "query", "method"
+    asked = {tuple(row[name] for name in names): row for row in rows}
+    write_costs([{**asked[key], "query_seconds": s} for key, s in tally.seconds.items()], out)
+    return Scores(results, given, tally, said)
+
+
+def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[Judged]:
+    for scene in scenes:
+        asked = evaluation(settings, scene)
+        truth = labels(scene).read(photographs(settings, scene).read())
+        yield Judged(scene.name, asked.dataset, asked.place, truth)
+
+
+def _by_labels(settings: Settings) -> Iterator[Judged]:
+    """Every labelled frame of the data, asked what is labelled in it."""
+    data, format = settings.data, settings.format or "nerfstudio"
+    if data is None:
+        raise InputError("data is missing; give the folder of the photographs with --data")
+    folder = data.resolve()
+    dataset = (folder.parent if folder.is_file() else folder).name
+    found = list(label_places(data, settings.labels, format))
+    if not found:
+        raise InputError(f"{settings.labels or data}: found no labels; give their folder")
+    for name, options, place in found:
+        scene = datasets.load(format, data, **options)
+        known = labelled_frames((settings.labels or data) / place)
+        frames = [frame for frame, texts in known.items() if texts]
+        truth = Truth({}, {})
+        for frame, view in zip(frames, scene.views(frames, judged_at(settings.size)), strict=True):
+            own = read_truth((settings.labels or data) / place, known[frame], [view])
+            truth = Truth({**truth.masks, **own.masks}, {**truth.boxes, **own.boxes})
+        yield Judged(name, dataset, None, truth)

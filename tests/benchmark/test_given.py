@@ -1,0 +1,275 @@
+"""Masks that were made elsewhere: scored as a run scores its own, or refused in one sentence."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.evaluate import ABSENT
+from slgaussian.benchmark.given import (
+    GIVEN,
+    NOT_GIVEN,
+    Judged,
+    Tally,
+    read_predictions,
+    score_given,
+)
+from slgaussian.benchmark.outputs import mask_place, write_predictions
+from slgaussian.benchmark.pictures import encode_png
+from slgaussian.benchmark.protocols import PROTOCOLS, load_protocol
+from slgaussian.errors import InputError
+from slgaussian.formats import rle
+from slgaussian.storage.specs import load_spec
+
+OF_MASKS = ("iou", "boundary_iou", "class_iou", "accuracy")
+OF_POINTS = ("hit_mask", "hit_box")
+
+
+@pytest.fixture(scope="module")
+def judged(room, result):
+    """What the rooms' fixture asked, but for the text that was asked without truth."""
+    masks = room.truth["view_01"]
+    some = next(iter(masks.values()))
+    asked = masks | {"qqwx": some, "red sofa": np.zeros_like(some)}
+    return Judged(result.scene, result.dataset, "a place", Truth({"view_01": asked}))
+
+
+@pytest.fixture
+def folder(tmp_path, result):
+    """What a benchmark leaves of it."""
+    masks = {key: encode_png(mask) for key, mask in result.predictions.items()}
+    write_predictions(result.rows, masks, tmp_path / "run" / "predictions")
+    return tmp_path / "run"
+
+
+def place_of(result, folder, query, protocol="slgaussian@1"):
+    row = {**result.rows[0], "query": query, "protocol": protocol}
+    return folder / "predictions" / mask_place(row)
+
+
+def scored(place, judged, *protocols):
+    predictions, tally = read_predictions(place, protocols), Tally()
+    chosen = [load_protocol(name) for name in protocols or predictions.protocols]
+    return list(score_given(predictions, [judged], chosen, tally)), tally, predictions
+
+
+def by_key(rows):
+    return {(row["protocol"], row["frame"], row["query"]): row for row in rows}
+
+
+def as_file(path, result, protocol="slgaussian@1", text=True, **more):
+    """The masks of a protocol as a JSON file, with all that may be there."""
+    entries = []
+    for row in result.rows:
+        mask = result.predictions.get((protocol, row["frame"], row["query"]))
+        if row["protocol"] == protocol and mask is not None and row["frame"] == "view_01":
+            counts = rle.encode(mask)
+            entry = {name: row[name] for name in ("scene", "frame", "query", "score")}
+            if row["point_x"] is not None:
+                entry["point"] = [row["point_x"], row["point_y"]]
+            if not text:
+                flat = mask.ravel(order="F")
+                starts = np.flatnonzero(np.diff(flat, prepend=False))
+                counts = np.diff(starts, prepend=0, append=flat.size).tolist()
+            entries.append({**entry, "size": list(mask.shape), "counts": counts, **more})
+    path.write_text(json.dumps(entries))
+    return path
+
+
+def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
+    (again,), tally, predictions = scored(folder, judged)
+    assert predictions.methods == {"slgaussian": tuple(sorted(GIVEN))}
+    theirs = by_key(result.rows)
+    for key, row in by_key(again.rows).items():
+        assert list(row) == list(load_spec("samples").columns)
+        for name in (*OF_MASKS, "height", "width"):
+            assert row[name] == theirs[key][name], (key, name)
+        # What masks do not say is not said.
+        assert row["score"] is row["point_x"] is row["hit_mask"] is row["hit_peak"] is None
+        assert row["selection"] == "given" and row["temperature"] is None
+    known = {key for key in theirs if key[1] == "view_01" and key[0] != "threshold-free@1"}
+    assert by_key(again.rows).keys() == known
+    assert any(row["accuracy"] for row in again.rows) and any(r["class_iou"] for r in again.rows)
+    assert by_key(again.rows)["slgaussian@1", "view_01", "red sofa"]["note"] == ABSENT
+    assert tally.missing == 0
+    assert tally.unknown(predictions) == {"frames": [f"halfway of {judged.scene}"]}
+    for key, mask in again.predictions.items():
+        assert np.array_equal(mask, result.predictions[key])
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
+    place = as_file(tmp_path / "mine.json", result, text=text)
+    (again,), _, predictions = scored(place, judged, "slgaussian")
+    theirs = by_key(result.rows)
+    assert again.method == "mine" and predictions.methods == {"mine": ()}
+    rows = by_key(again.rows)
+    assert len(rows) == len(judged.truth.masks["view_01"])
+    for key, row in rows.items():
+        names = ("iou", "boundary_iou", "point_x", "point_y", "score")
+        assert [row[name] for name in names] == [theirs[key][name] for name in names]
+        if row["point_x"] is not None:  # a text that is not understood has none
+            assert [row[n] for n in OF_POINTS] == [theirs[key][n] for n in OF_POINTS]
+        assert row["class_iou"] is None
+    assert any(row["hit_mask"] for row in rows.values())
+    box = by_key(scored(place, judged, "langsplat")[0][0].rows)["langsplat@1", "view_01", "qqwx"]
+    assert box["hit_box"] is None and box["iou"] == 0
+
+
+def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, judged):
+    place = as_file(tmp_path / "own.json", result, "3d-ovs@1", method="ours", seconds=0.5)
+    (again,), tally, _ = scored(place, judged, "slgaussian", "3d-ovs")
+    theirs = by_key(result.rows)
+    for (protocol, *rest), row in by_key(again.rows).items():
+        assert row["class_iou"] == theirs["slgaussian@1", *rest]["class_iou"]
+        if protocol == "3d-ovs@1":
+            assert row["accuracy"] == theirs[protocol, *rest]["accuracy"] > 0
+    assert again.method == "ours"
+    assert set(tally.seconds.values()) == {0.5} and len(tally.seconds) >= 4
+    assert all(key[3] == "ours" for key in tally.seconds)
+
+
+def test_masks_that_overlap_do_not_compete(tmp_path, result, judged):
+    entries = json.loads(as_file(tmp_path / "own.json", result, "3d-ovs@1").read_text())
+    whole = np.ones(result.predictions["slgaussian@1", "view_01", "qqwx"].shape, bool)
+    entries[-1]["counts"] = rle.encode(whole)
+    (tmp_path / "own.json").write_text(json.dumps(entries))
+    with pytest.raises(InputError, match=r"own\.json: \[\d+\], .* overlaps the mask of '"):
+        scored(tmp_path / "own.json", judged, "3d-ovs")
+    assert scored(tmp_path / "own.json", judged, "slgaussian")
+
+
+def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judged):
+    query = next(q for q, mask in judged.truth.masks["view_01"].items() if mask.any())
+    place_of(result, folder, query).unlink()
+    place_of(result, folder, "red sofa").unlink()  # no truth: no sample
+    (again,), tally, _ = scored(folder, judged, "slgaussian")
+    rows = by_key(again.rows)
+    row = rows["slgaussian@1", "view_01", query]
+    assert (row["iou"], row["note"]) == (0, NOT_GIVEN)
+    assert rows["slgaussian@1", "view_01", "red sofa"]["note"] == ABSENT
+    samples = sum(mask.any() for mask in judged.truth.masks["view_01"].values())
+    assert (tally.missing, tally.asked) == (1, samples)
+    assert tally.missing_of == [f"{query} in view_01 of {judged.scene}"]
+    assert ("slgaussian@1", "view_01", query) not in again.predictions
+
+
+def test_masks_that_nothing_asks_for_are_named(tmp_path, result, judged):
+    entries = json.loads(as_file(tmp_path / "own.json", result).read_text())
+    odd = [{"scene": "attic"}, {"frame": "view_77"}, {"query": "blue moon"}]
+    entries += [{**entries[0], **change} for change in odd]
+    (tmp_path / "own.json").write_text(json.dumps(entries))
+    _, tally, predictions = scored(tmp_path / "own.json", judged, "slgaussian")
+    assert tally.unknown(predictions) == {
+        "scenes": ["attic"],
+        "frames": [f"view_77 of {judged.scene}"],
+        "queries": [f"blue moon in view_01 of {judged.scene}"],
+    }
+
+
+def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_path, judged):
+    masks = judged.truth.masks["view_01"]
+    query, other = (text for text, mask in list(masks.items())[:2])
+    odd = Truth({"left/view_01.jpg": {"café": masks[query], "a?b": masks[other]}})
+    own = replace(judged, scene="Zuhause, oben", truth=odd)
+    target = tmp_path / "p" / "My method!" / "slgaussian" / own.scene / "view_01"
+    target.mkdir(parents=True)
+    Image.fromarray(masks[query]).save(target / "café.png")
+    row = {"method": "My method!", "protocol": "slgaussian@1", "scene": own.scene}
+    safe = mask_place({**row, "frame": "left/view_01.jpg", "query": "a?b"})
+    (tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])).parent.mkdir(parents=True)
+    Image.fromarray(masks[other]).save(
+        tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])
+    )
+    (again,), tally, predictions = scored(tmp_path / "p", own)
+    assert [row["iou"] for row in again.rows] == [1, 1] and tally.missing == 0
+    assert again.method == "My method!" and not tally.unknown(predictions)
+    entry = {"scene": own.scene, "frame": "view_01", "query": "café", "size": [104, 144]}
+    file = tmp_path / "m.json"
+    file.write_text(json.dumps([{**entry, "counts": rle.encode(masks[query])}]))
+    (again,), tally, _ = scored(file, own)
+    assert [row["iou"] for row in again.rows] == [1, 0] and tally.missing == 1
+
+
+def test_a_damaged_mask_is_one_sentence(folder, result, judged):
+    query = next(iter(judged.truth.masks["view_01"]))
+    file = place_of(result, folder, query)
+    whole = file.read_bytes()
+    for damage, said in (
+        (whole[: len(whole) // 2], "is damaged or of another kind"),
+        (b"GIF89a", "is damaged or of another kind"),
+        (encode_png(np.ones((52, 72), bool)), "has 52x72 pixels, height first, and its view is"),
+        (encode_png(np.ones((104, 144, 3), np.uint8)), "brightest pixel is 1, expected 255"),
+    ):
+        file.write_bytes(damage)
+        with pytest.raises(InputError) as refused:
+            scored(folder, judged, "slgaussian")
+        assert str(refused.value).startswith(str(file)) and said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
+        ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
+        ({"size": [104]}, "size is [104], expected [height, width]"),
+        ({"size": [104.0, 144]}, "size is [104.0, 144], expected [height, width]"),
+        ({"counts": "0"}, "its counts make up 0 pixels, and its size 14976; write the mask again"),
+        ({"counts": None}, "its counts are no run lengths"),
+        ({"point": [3]}, "point is [3], expected [x, y]"),
+        ({"point": [3, "x"]}, "point is [3, 'x'], expected [x, y]"),
+        ({"score": 1.5}, "score is 1.5, expected a number from 0 to 1"),
+        ({"seconds": -1}, "seconds is -1, expected a number from 0 on"),
+        ({"query": ""}, "query is '', expected text"),
+        ({"frame": None}, "frame is missing, expected text"),
+        ({"method": 3}, "method is 3, expected text"),
+    ],
+)
+def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, result, judged, change, said):
+    file = as_file(tmp_path / "own.json", result)
+    entries = json.loads(file.read_text())
+    entries[1] |= change
+    file.write_text(json.dumps(entries))
+    with pytest.raises(InputError) as refused:
+        scored(file, judged, "slgaussian")
+    assert str(refused.value).startswith(f"{file}: [1]") and said in str(refused.value)
+
+
+def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
+    file = as_file(tmp_path / "own.json", result)
+    entries = json.loads(file.read_text())
+    for content, said in (
+        ("[", "is not valid JSON"),
+        ("[]", "found an empty one"),
+        ("{}", "found dict"),
+        ("[3]", r"\[0\]: found a int, expected a mask"),
+        (json.dumps([entries[0], entries[0]]), r"\[1\]: .* is there twice"),
+    ):
+        file.write_text(content)
+        with pytest.raises(InputError, match=said):
+            read_predictions(file)
+    with pytest.raises(InputError, match="no such file or folder"):
+        read_predictions(tmp_path / "nothing")
+    with pytest.raises(InputError, match="holds no mask of 3d-ovs; expected <method>/<protocol>"):
+        read_predictions(tmp_path, ["3d-ovs"])
+
+
+def test_a_folder_of_other_masks_says_of_what_they_are(folder, judged):
+    shutil.rmtree(folder / "predictions" / "slgaussian" / "3d-ovs")
+    with pytest.raises(InputError, match="no mask of 3d-ovs, but of langsplat, langsplat-rescaled"):
+        read_predictions(folder, ["3d-ovs"])
+    (again,), _, predictions = scored(folder, judged)
+    assert predictions.protocols == ("slgaussian", "langsplat", "langsplat-rescaled")
+    assert all(row["class_iou"] is None for row in again.rows)
+
+
+def test_masks_say_nothing_of_a_protocol_without_masks(folder, judged):
+    assert set(GIVEN) == PROTOCOLS.keys() - {"threshold-free"}
+    predictions = read_predictions(folder)
+    protocols = [replace(load_protocol("slgaussian"), score_mask=None)]
+    with pytest.raises(InputError, match="scores relevancies, of which masks say nothing"):
+        list(score_given(predictions, [judged], protocols, Tally()))

@@ -1,0 +1,241 @@
+"""A method of another package in a run, and `slgaussian score` on the masks that a run left."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from slgaussian.benchmark.costs import costs_of
+from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
+from slgaussian.benchmark.given import GIVEN
+from slgaussian.formats import rle
+from slgaussian.storage.specs import load_spec
+from tests.flows.command import ROOM, room, run, said
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "tests" / "benchmark" / "other_method"
+SIZE = ("--size", "64x64")
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory) -> Path:
+    """Photographs of the small room with cameras, two polygons on the middle one, and an index."""
+    folder = tmp_path_factory.mktemp("set")
+    scene, frames = room(), []
+    for name, camera in scene.cameras.items():
+        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
+        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 64, "h": 64}
+        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    (target,) = ROOM["targets"]
+    instances = scene.read(target).instances
+    sizes = {i: (instances == i).sum() for i in scene.phrases}
+    largest = sorted(sizes, key=lambda i: -sizes[i])[:3]
+    objects = []
+    for number in largest:
+        rows, columns = np.nonzero(instances == number)
+        (x0, x1), (y0, y1) = ((int(v.min()), int(v.max())) for v in (columns, rows))
+        polygon = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+        box = [x0, y0, x1, y1]
+        text = scene.phrases[number]
+        objects.append({"category": text, "segmentation": polygon, "bbox": box})
+    (folder / "labels").mkdir()
+    info = {"name": f"{target}.png", "width": 64, "height": 64}
+    (folder / "labels" / f"{target}.json").write_text(
+        json.dumps({"info": info, "objects": objects})
+    )
+    asked = [*dict.fromkeys(one["category"] for one in objects), "purple elephant"]
+    entry = {"context": [f"{n}.png" for n in ROOM["context"]], "target": [f"{target}.png"]}
+    index = {
+        "version": 2,
+        "format": "nerfstudio",
+        "rule": {},
+        "scenes": {"desk": {**entry, "categories": asked}},
+        "left_out": {},
+    }
+    (folder / "pairs.json").write_text(json.dumps(index))
+    return folder
+
+
+def data(folder: Path, pairs: bool = True) -> list:
+    index = ["--pairs", folder / "pairs.json"] if pairs else []
+    return ["--data", folder, *index, "--labels", folder / "labels", *SIZE]
+
+
+def benchmark(labelled: Path, package: Path, out: Path) -> None:
+    """A run in a process of its own, in which the package is installed."""
+    words = ["benchmark", *data(labelled), "--near", "0.8", "--far", "12", "--replicas", "1"]
+    words += ["--against", "colours", "-o", out, "--store"]
+    argv = ["slgaussian", *map(str, words), str(out.parent / "store")]
+    code = f"import sys; sys.argv = {argv}\nfrom flows.cli.app import main; main()"
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, package)))}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def made(labelled, tmp_path_factory, server) -> Path:
+    out = tmp_path_factory.mktemp("made") / "run"
+    benchmark(labelled, PACKAGE, out)
+    return out
+
+
+def samples(folder: Path) -> dict:
+    rows = pq.read_table(folder / "samples.parquet").to_pylist()
+    names = ("method", "protocol", "scene", "frame", "query")
+    return {tuple(row[name] for name in names): row for row in rows}
+
+
+def test_a_method_of_another_package_is_in_the_report(made):
+    rows = [row for key, row in samples(made).items() if key[0] == "colours"]
+    assert {row["protocol"].partition("@")[0] for row in rows} == {*GIVEN, "threshold-free"}
+    assert any(row["iou"] for row in rows) and any(row["average_precision"] for row in rows)
+    (value,) = [
+        row["value"]
+        for row in pq.read_table(made / "scores.parquet").to_pylist()
+        if (row["method"], row["protocol"], row["metric"]) == ("colours", "slgaussian@1", "iou")
+    ]
+    page = (made / "report.md").read_text()
+    (line,) = [line for line in page.splitlines() if line.startswith("| colours |")][:1]
+    assert f"{value:.3f}" in line
+    described = json.loads((made / "manifest.json").read_text())["methods"]
+    assert described["colours"].startswith("colours of colours 1 ")
+
+
+def test_its_seconds_and_memory_are_beside_its_scores(made):
+    table = pq.read_table(made / "times.parquet")
+    load_spec("times").check_table(table, "times.parquet")
+    rows = table.to_pylist()
+    names = ("method", "scene", "frame", "query")
+    asked = {(key[0], *key[2:]) for key in samples(made)}
+    assert {tuple(row[name] for name in names) for row in rows} == asked and len(rows) == len(asked)
+    for row in rows:
+        assert row["build_seconds"] > 0 and row["view_seconds"] > 0 and row["cold_seconds"] > 0
+        assert (row["prepare_seconds"] is None) == (row["method"] == "slgaussian")
+        (first, *_) = (
+            sample
+            for key, sample in samples(made).items()
+            if (key[0], *key[2:]) == tuple(row[name] for name in names)
+        )
+        assert (row["query_seconds"] is None) == first["note"].startswith(NOT_UNDERSTOOD)
+    for cost in costs_of(rows):
+        assert cost.dataset == rows[0]["dataset"] and cost.build == rows[0]["build_seconds"]
+        if sys.platform == "linux":
+            assert 0 <= cost.grown < cost.peak
+
+
+def test_another_version_of_its_code_is_asked_again(labelled, made, tmp_path):
+    package = shutil.copytree(PACKAGE, tmp_path / "package")
+    code = (package / "colours.py").read_text()
+    (package / "colours.py").write_text(code.replace("within: float = 0.75", "within: float = 0.9"))
+    out = made.parent / "again"
+    benchmark(labelled, package, out)
+    before, after = samples(made), samples(out)
+    assert before.keys() == after.keys()
+    changed = {key[0] for key in before if before[key] != after[key]}
+    assert changed == {"colours"}
+
+
+def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
+    labelled, made, tmp_path, monkeypatch, capsys
+):
+    out = tmp_path / "scored"
+    assert run(monkeypatch, "score", made, *data(labelled), "-o", out) == 0
+    told = capsys.readouterr()
+    assert "missing" not in told.err and "left out" not in told.err
+    assert "left empty: what needs relevancies" in told.err
+    of_run, again = samples(made), samples(out)
+    kept = {key for key in of_run if not key[1].startswith("threshold-free")}
+    assert again.keys() == kept
+    assert {key[0] for key in kept} == {"slgaussian", "colours"}
+    for key in kept:
+        for name in ("dataset", "place", "iou", "boundary_iou", "class_iou", "accuracy"):
+            assert again[key][name] == of_run[key][name], (key, name)
+    for file in (made / "predictions").rglob("*.png"):
+        mask = np.asarray(Image.open(file))
+        twin = np.asarray(Image.open(out / "predictions" / file.relative_to(made / "predictions")))
+        assert np.array_equal(mask, twin)
+    table = {line.split("  ")[0]: line for line in told.out.split("\n\n")[0].splitlines()}
+    ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@1")]
+    assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
+    assert "by slgaussian@1 (masks as given)" in told.out
+    # The folder is one that compare reads, and it finds no difference.
+    assert run(monkeypatch, "compare", made, out) == 0
+    told = capsys.readouterr().out
+    assert "of 2 methods are in both" in told
+    assert "+0.000" in told and "0.001" not in told and "IoU that changed most" not in told
+
+
+def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monkeypatch, capsys):
+    entries = []
+    for key, row in samples(made).items():
+        method, protocol, scene, frame, query = key
+        if (method, protocol) != ("colours", "slgaussian@1") or row["iou"] is None:
+            continue
+        file = made / "predictions" / method / "slgaussian" / scene / "view_01" / f"{query}.png"
+        mask = np.asarray(Image.open(file).convert("L")) > 127
+        # Without an index the scene is called as the folder is.
+        point = [row["point_x"], row["point_y"]] if row["point_x"] is not None else None
+        entry = {"scene": labelled.name, "frame": frame, "query": query, "score": row["score"]}
+        counts = rle.encode(mask)
+        entries.append({**entry, "size": [64, 64], "counts": counts, "point": point})
+    (tmp_path / "mine.json").write_text(json.dumps(entries[:-1] + [{**entries[0], "frame": "x"}]))
+    out = tmp_path / "out"
+    words = ("score", tmp_path / "mine.json", *data(labelled, pairs=False), "-o", out)
+    assert run(monkeypatch, *words) == 0
+    told = capsys.readouterr().err
+    last = entries[-1]["query"]
+    assert f"missing: 1 of {len(entries)} samples have no mask and count as an empty one: " in told
+    assert f"not asked, left out: frames x of {labelled.name}\n" in told
+    of_run = samples(made)
+    for key, row in samples(out).items():
+        assert key[:3] == ("mine", "slgaussian@1", labelled.name)
+        if key[-1] == last:
+            assert (row["iou"], row["hit_box"]) == (0, None)
+            continue
+        theirs = of_run["colours", "slgaussian@1", "desk", *key[-2:]]
+        names = ["iou", "boundary_iou", "score", "point_x"]
+        names += ["hit_mask", "hit_box"] if row["point_x"] is not None else []
+        assert [row[name] for name in names] == [theirs[name] for name in names]
+    # A second time with fewer masks leaves none of the first.
+    (tmp_path / "mine.json").write_text(json.dumps(entries[:1]))
+    assert run(monkeypatch, *words) == 0
+    assert len(list((out / "predictions").rglob("*.png"))) == 1
+
+
+def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeypatch, capsys):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    (tmp_path / "other.json").write_text(
+        json.dumps([{"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}])
+    )
+    out = tmp_path / "out"
+    for words, sentence in (
+        ((made, *data(labelled), "--protocol", "threshold-free"), "of which masks say nothing"),
+        ((made, *data(labelled), "--protocol", "langsplt"), "did you mean 'langsplat'"),
+        ((made, *data(labelled)[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
+        ((made, *data(labelled)[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
+        ((empty, *data(labelled)), "holds no mask of slgaussian or langsplat"),
+        (
+            (tmp_path / "other.json", *data(labelled)),
+            "no mask is of what is asked (found scenes a)",
+        ),
+        ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
+        ((made,), "nothing to do"),
+    ):
+        assert run(monkeypatch, "score", *words, "-o", out) == 2
+        assert sentence in said(capsys)
+        assert not out.exists()
+    before = (made / "samples.parquet").read_bytes()
+    assert run(monkeypatch, "score", made, *data(labelled), "-o", made) == 2
+    assert "holds what a run left" in said(capsys)
+    assert (made / "samples.parquet").read_bytes() == before
