@@ -26,6 +26,9 @@ KNOWN = {"clip": "clip", "sam": "sam", "sam2": "sam2", "sam2_video": "sam2"}
 """The part that takes a model, by its ``model_type``."""
 
 CALLED = {"clip": "CLIP", "sam": "SAM", "sam2": "SAM 2"}
+ZERO = 0.01
+"""Share of the weights that may lie in matrices that are zero all over."""
+
 KINDS = {"clip": "encoder", "sam": "proposer", "sam2": "proposer"}
 
 
@@ -209,7 +212,7 @@ def _here(request: Request) -> str:
 
 def _checks(request: Request, part: str, place: str) -> Findings:
     from slgaussian.parts.hub_cache import local_place
-    from slgaussian.parts.intact import check_numbers, check_whole
+    from slgaussian.parts.intact import check_numbers, check_whole, zero_matrices
     from slgaussian.parts.pretrained import find_model, model_digest
     from slgaussian.parts.registry import find_part
 
@@ -229,6 +232,15 @@ def _checks(request: Request, part: str, place: str) -> Findings:
         yield Finding(part, f"{name}: whole, SHA-256 {digest}")
     yield Finding(part, f"known to fields as {model_digest(place)}; loaded in {seconds:.1f} s")
     check_numbers(loaded.network, request.called)
+    zero, share = zero_matrices(loaded.network)
+    if zero:
+        said = (
+            f"weights: {zero[0]}{f' and {len(zero) - 1} more' if zero[1:] else ''} zero all over, "
+        )
+        said += f"{100 * share:.1f} % of all"
+        reason = "; was it never trained, or did a download stop? get it again"
+        bad = share > ZERO
+        yield Finding(part, said + (reason if bad else ""), False if bad else None)
     if part == "clip":
         from slgaussian.language import clip_answers
 

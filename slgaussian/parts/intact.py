@@ -51,14 +51,24 @@ def check_whole(file: Path) -> str:
 
 
 def check_numbers(network: Any, source: str) -> None:
-    """InputError if a weight of a network of PyTorch is no number, or a whole matrix is zero."""
+    """InputError if a weight of a network of PyTorch is NaN or infinite."""
     for name, tensor in network.named_parameters():
         if not tensor.isfinite().all():
             raise InputError(f"model {source}: {name} holds NaN or infinity; {AGAIN}")
-        if tensor.ndim > 1 and tensor.numel() > 1 and not tensor.any():
-            raise InputError(
-                f"model {source}: {name} is zero all over, as where a download stopped; {AGAIN}"
-            )
+
+
+def zero_matrices(network: Any) -> tuple[list[str], float]:
+    """The matrices of a network that are zero all over, and their share of all its weights.
+
+    One or the other may be so by right; where a download stopped, many are.
+    """
+    sizes = {name: tensor.numel() for name, tensor in network.named_parameters()}
+    zero = [
+        name
+        for name, tensor in network.named_parameters()
+        if tensor.ndim > 1 and tensor.numel() > 1 and not tensor.any()
+    ]
+    return zero, sum(sizes[name] for name in zero) / max(1, sum(sizes.values()))
 
 
 def _check_length(file: Path) -> None:
