@@ -22,6 +22,7 @@ from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.placed import Layout, ask_placed
 from slgaussian.language.query import (
     BankReader,
     Description,
@@ -78,6 +79,8 @@ class FieldView:
         z-depth in scene units, 0 where nothing is.
     field : SemanticField
         What is seen.
+    camera : Camera or None
+        What sees it. Without it nothing is answered about where things are to one another.
     """
 
     rgb: np.ndarray
@@ -86,6 +89,7 @@ class FieldView:
     alpha: np.ndarray
     depth: np.ndarray
     field: SemanticField
+    camera: Camera | None = None
 
     __repr__ = brief
 
@@ -117,7 +121,10 @@ class FieldView:
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
         """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
-        return ask(texts, self._objects, self.reader, Rules(**rules))
+        if self.camera is None:
+            return ask(texts, self._objects, self.reader, Rules(**rules))
+        layout = self.field.layout(self.camera)
+        return ask_placed(texts, self._objects, self.reader, Rules(**rules), layout)
 
     def like(self, image: np.ndarray, **rules: Any) -> QueryResult:
         """What in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`."""
@@ -222,10 +229,43 @@ class SemanticField:
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
         """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
 
-        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part.
+        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part. Where a text says how
+        things lie to one another, it is as the first context camera sees them.
         """
+        if not self.reader.sentence(text).plain and self.cameras:
+            labels = np.where(np.isin(self.labels(), list(self.removed)), 0, self.labels())
+            seen = ObjectMap(labels[None], self.bank.ids)
+            layout = self.layout(next(iter(self.cameras.values())))
+            return ask_placed([text], seen, self.reader, Rules(**rules), layout)[0].objects
         there = ~np.isin(self.bank.ids, list(self.removed))
         return find(text, self.reader, Rules(**rules), there)
+
+    def layout(self, camera: Camera) -> Layout:
+        """Where the objects are to one another, as ``camera`` sees them."""
+        return Layout(camera, lambda: self.up, self._points)
+
+    @cached_property
+    def up(self) -> np.ndarray:
+        """Unit vector float64 [3] away from the floor, as the context views tell it."""
+        from slgaussian.geometry.room import find_room
+        from slgaussian.things import small
+
+        whole = self.changed(removed=frozenset())
+        cameras = [small(camera) for camera in self.cameras.values()]
+        return find_room(cameras, [whole.render(camera).depth for camera in cameras]).up
+
+    def _points(self, row: int) -> np.ndarray:
+        """Centres of the Gaussians of an object of the bank, float32 [P, 3]."""
+        order, spans = self._by_object
+        return self.gaussians.means.numpy()[order[slice(*spans[row])]]
+
+    @cached_property
+    def _by_object(self) -> tuple[np.ndarray, np.ndarray]:
+        """The Gaussians in the order of their objects, and from where to where are whose."""
+        labels = self.labels()
+        order = np.argsort(labels, kind="stable")
+        sides = (np.searchsorted(labels[order], self.bank.ids, side) for side in ("left", "right"))
+        return order, np.stack(list(sides), 1)
 
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[Thing]:
         """What there is: every object with its best words, place and size, by id.
@@ -265,16 +305,16 @@ class SemanticField:
         rgb = shown(drawn[..., :3], alpha)
         if self.removed:
             rgb = hatched(rgb, alpha < VISIBLE)
-        return FieldView(rgb, ids, confidence, alpha, depth, self)
+        return FieldView(rgb, ids, confidence, alpha, depth, self, camera)
 
     def changed(self, **parts: Any) -> SemanticField:
         """The same field with other ``parts``; what is known of both is not worked out again."""
         other = replace(self, **parts)
         kept = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
-            kept |= {"_decoder", "_labels"}
+            kept |= {"_decoder", "_labels", "_by_object"}
             if other.cameras is self.cameras:
-                kept.add("_whole")
+                kept |= {"_whole", "up"}
         other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
         return other
 

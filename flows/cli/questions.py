@@ -53,7 +53,8 @@ def ask(
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
         others (word: [other, similarity]), who answered (``kind``: ``known``, ``named``,
         ``taught``, ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a
-        name or a taught word would mean otherwise (``instead_of``), why it was ``refused`` or None,
+        name or a taught word would mean otherwise (``instead_of``), the ``count`` of things where a
+        number is asked for or None, ``notes`` on where things are, why it was ``refused`` or None,
         ``picture`` path or None.
 
     Raises
@@ -166,12 +167,16 @@ def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
             lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
             lines.append(f"point  x {x}, y {y}")
             lines.append(f"objects  {found or 'none'}")
-            lines[-3:-3] = _how_sure(answer)
+            lines[-3:-3] = _number(answer) + _how_sure(answer)
+        elif answer["notes"]:
+            lines.append(f"nothing found: {'; '.join(answer['notes'])}")
         else:
             lines.append(
                 f"nothing found: the best object scores {answer['score']:.3f} (0.5 is as good as "
                 "any phrase)"
             )
+        if answer["found"] and answer["notes"]:
+            lines.append("; ".join(answer["notes"]))
         blocks.append("\n".join(lines + _of_words(answer)))
     return "\n\n".join(dict.fromkeys(blocks))
 
@@ -226,6 +231,8 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "kind": hit.kind,
         "examples": list(hit.understood.examples),
         "instead_of": hit.understood.instead_of or None,
+        "count": hit.count,
+        "notes": list(hit.notes),
         "refused": None,
     }
 
@@ -235,7 +242,13 @@ def _refusal(text: str, why: str) -> dict[str, Any]:
     answer |= {"confidence": None, "uncalibrated": None, "score": None, "point": None}
     answer |= {"objects": [], "pixels": 0, "read_as": None}
     answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
-    return answer | {"examples": [0, 0], "instead_of": None, "refused": why}
+    answer |= {"examples": [0, 0], "instead_of": None, "count": None, "notes": []}
+    return answer | {"refused": why}
+
+
+def _number(answer: Mapping[str, Any]) -> list[str]:
+    """How many things were found, if that was asked."""
+    return [] if answer["count"] is None else [f"number  {answer['count']}"]
 
 
 def _how_sure(answer: Mapping[str, Any]) -> list[str]:
@@ -360,7 +373,7 @@ def sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], d
     refused = {}
     for text in dict.fromkeys(texts):
         try:
-            field.reader.understood(text)
+            field.reader.meant(text)
         except InputError as error:
             refused[text] = str(error)
     asked = [text for text in dict.fromkeys(texts) if text not in refused]

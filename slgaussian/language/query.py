@@ -19,6 +19,7 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import Confidence, confidence
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature
+from slgaussian.language.sentences import Sentence, parse
 from slgaussian.language.taught import TaughtWords, normal, spelled
 
 NEAR_BEST = 0.6
@@ -276,6 +277,43 @@ class BankReader(TextReader):
         examples = self.taught.examples(word) if who == "taught" else (0, 0)
         return Understood(word, (), {}, {}, who, examples, instead_of)
 
+    def sentence(self, text: str) -> Sentence:
+        """A text divided at what it says of where things are; names and taught words are whole."""
+        return parse(text) if self._who(text) == "known" else Sentence(text, text)
+
+    def meant(self, text: str) -> Understood:
+        """As :meth:`understood`, of a thing and of what it lies to.
+
+        InputError also if the text asks for what geometry does not answer.
+        """
+        read = self.sentence(text)
+        if read.plain:
+            return self.understood(text)
+        if read.problem:
+            raise InputError(f"query {text!r}: not answered: {read.problem}")
+        parts = [self.understood(read.noun)]
+        count = {None: "", 0: "how many"}.get(read.count, str(read.count))
+        words = [count, read.superlative, parts[0].read_as]
+        if read.anchor is not None:
+            parts.append(self.meant(read.anchor.text))
+            words += [read.relation, parts[1].read_as]
+        unknown = tuple(dict.fromkeys(word for part in parts for word in part.unknown))
+        return Understood(
+            " ".join(word for word in words if word),
+            unknown,
+            {word: why for part in parts for word, why in part.unused.items()},
+            {word: other for part in parts for word, other in part.taken_for.items()},
+            "unknown" if unknown else "known",
+        )
+
+    def unknown_words(self, text: str) -> tuple[str, ...]:
+        """The words of ``text`` that are left out; InputError as :meth:`meant`."""
+        return self.meant(text).unknown
+
+    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
+        """The words of ``text`` that count as others: the other one, and how alike they are."""
+        return self.meant(text).taken_for
+
     def _who(self, text: str) -> str:
         """Who answers: a name wins over a taught word, and that over the encoder."""
         if spelled(text) in self._called:
@@ -319,6 +357,11 @@ class QueryResult:
     uncalibrated: str = ""
     """For what that was not measured, such as ``the encoder clip``; empty where it was, or where
     nothing is to be doubted."""
+    count: int | None = None
+    """How many things were found, if the text asks how many or for a number of them."""
+    notes: tuple[str, ...] = ()
+    """What there is to say of an answer about where things are: what it rests on, and why nothing
+    was found."""
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
@@ -446,25 +489,32 @@ def ask(
     InputError
         If there is no text, or the encoder cannot use one.
     """
+    return [
+        answer(text, gaps, seen, reader, rules)
+        for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True)
+    ]
+
+
+def answer(
+    text: str, gaps: np.ndarray, seen: ObjectMap, reader: BankReader, rules: Rules
+) -> QueryResult:
+    """What a text finds, given its gaps float64 [N]; -inf is what cannot be meant."""
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
     unmeasured = _unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
-    results = []
-    for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True):
-        ranked = visible[np.argsort(-gaps[visible], kind="stable")]
-        ranked = ranked[gaps[ranked] > -np.inf]
-        best = gaps[ranked[0]] if len(ranked) else np.inf
-        as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
-        chosen = _chosen(gaps, best, rules)
-        scores = expit(rules.temperature * gaps)
-        read, sure = reader.understood(text), None
-        why = "" if read.kind == "named" else unmeasured
-        if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
-            sure = confidence(calibration, gaps[ranked], chosen[ranked])
-        found = ranked, as_good, chosen, sure, why
-        results.append(kind(text, scores, read, reader.bank.ids, seen, *found))
-    return results
+    ranked = visible[np.argsort(-gaps[visible], kind="stable")]
+    ranked = ranked[gaps[ranked] > -np.inf]
+    best = gaps[ranked[0]] if len(ranked) else np.inf
+    as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
+    chosen = chosen_by(rules, gaps, best)
+    scores = expit(rules.temperature * gaps)
+    read, sure = reader.understood(text), None
+    why = "" if read.kind == "named" else unmeasured
+    if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
+        sure = confidence(calibration, gaps[ranked], chosen[ranked])
+    found = ranked, as_good, chosen, sure, why
+    return kind(text, scores, read, reader.bank.ids, seen, *found)
 
 
 def _unmeasured(encoder: Encoder, rules: Rules) -> str:
@@ -476,7 +526,7 @@ def _unmeasured(encoder: Encoder, rules: Rules) -> str:
     return "" if rules.protocol == "slgaussian" else f"the protocol {rules.protocol}"
 
 
-def _chosen(gaps: np.ndarray, best: float, rules: Rules) -> np.ndarray:
+def chosen_by(rules: Rules, gaps: np.ndarray, best: float) -> np.ndarray:
     """Which objects the rules select, bool [N], by their gaps [N] and that of the best visible."""
     if rules.threshold is not None:
         chosen: np.ndarray = gaps > logit(rules.threshold) / rules.temperature
@@ -492,7 +542,7 @@ def find(
     ``among`` bool [N] are the objects of the bank that may be found. InputError as :func:`ask`.
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
-    taken = np.flatnonzero(_chosen(gaps, gaps.max(initial=-np.inf), rules))
+    taken = np.flatnonzero(chosen_by(rules, gaps, gaps.max(initial=-np.inf)))
     scores = expit(rules.temperature * gaps)
     ranked = taken[np.argsort(-gaps[taken], kind="stable")]
     return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)

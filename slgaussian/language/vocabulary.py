@@ -109,7 +109,7 @@ class Vocabulary:
         InputError
             If the text is empty, holds a negation, or has no word that counts.
         """
-        spelled = _WORD.findall(unicodedata.normalize("NFKC", text).replace("’", "'").lower())
+        spelled = spellings(text)
         if not spelled:
             raise InputError(f"query {text!r}: found no word; describe an object, as in 'red ball'")
         for spelling in spelled:
@@ -186,7 +186,7 @@ class Vocabulary:
         found: list[Word] = []
         start = 0
         while start < len(spelled):
-            word, length = self._phrase_at(spelled, start)
+            word, length = self.phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]
             place = word is not None and word.family not in NOUNS
             if word is None or (place and then == ["of"]) or not self.relations.isdisjoint(left):
@@ -199,7 +199,7 @@ class Vocabulary:
             start += length
         return left, found
 
-    def _phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
+    def phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """The longest phrase that begins there, which may be a plural, and how long it is."""
         for length in sorted({len(phrase) for phrase in self.phrases}, reverse=True):
             *first, last = spelled[start : start + length]
@@ -246,6 +246,11 @@ def load_vocabulary() -> Vocabulary:
         relations=frozenset(data["relations"]),
         negations=frozenset(data["negations"]),
     )
+
+
+def spellings(text: str) -> list[str]:
+    """The words of a text in lower case, with the apostrophes in them."""
+    return _WORD.findall(unicodedata.normalize("NFKC", text).replace("’", "'").lower())
 
 
 def _singulars(word: str) -> list[str]:

@@ -19,7 +19,8 @@ from slgaussian.field import SemanticField, shown
 from slgaussian.formats.ply import load_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import QueryResult, Rules, ask
+from slgaussian.language.placed import ask_placed
+from slgaussian.language.query import QueryResult, Rules
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.things import BEST, Thing, words_for
@@ -206,7 +207,7 @@ class Session:
         refused, asked = {}, []
         for text in dict.fromkeys(texts):
             try:
-                own.reader.understood(text)
+                own.reader.meant(text)
                 asked.append(text)
             except InputError as error:
                 refused[text] = str(error)
@@ -215,7 +216,9 @@ class Session:
             labels = np.where(np.isin(self.labels, list(self.removed)), 0, self.labels)
             seen = ObjectMap(labels[None], own.bank.ids) if self.removed else self._objects
             assert seen is not None  # of a field there is one
-            hits = ask(asked, seen, own.reader, rules)
+            # As the first photograph sees it: whoever looks, stands elsewhere.
+            layout = own.layout(next(iter(self.cameras.values())))
+            hits = ask_placed(asked, seen, own.reader, rules, layout)
         self.answer = Answer(tuple(hits), refused, rules)
         mode = "relevancy" if hits else "colour"
         if hits or self.look.mode == "relevancy":

@@ -43,12 +43,17 @@ def answer(session: Session) -> str:
         said = f"{sign}**{plain(hit.text)}** ({_kind(hit)}): "
         ids = [id_ for id_, _ in hit.objects]
         if ids:
-            said += f"{_how_sure(hit)}score {hit.score:.3f}; "
+            many = "" if hit.count is None else f"{hit.count} of them; "
+            said += f"{many}{_how_sure(hit)}score {hit.score:.3f}; "
             said += _objects(session, hit.objects)
+        elif hit.notes:
+            said += "not found"
         else:
             said += f"not found; the best object scores {hit.score:.3f}"
         if len(found.hits) > 1:
             said += f"; {100 * shares[number]:.0f} % of the Gaussians"
+        if hit.notes:
+            said += f"; {plain('; '.join(hit.notes))}"
         lines.append(said)
         lines += _of_words(hit)
     lines += [f"**{plain(text)}** is refused: {plain(why)}" for text, why in found.refused.items()]

@@ -82,10 +82,10 @@ def test_where_nothing_is_found_there_is_no_point(field, tmp_path, ask, monkeypa
 
 
 def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
-    _, (answer,) = ask("query", field, "red plant wall on the quixotic sofa")
+    _, (answer,) = ask("query", field, "red plant wall in the quixotic sofa")
     assert answer["read_as"] == "red wall"
     assert answer["unknown"] == []
-    assert list(answer["unused"]) == ["plant", "on", "quixotic", "sofa"]
+    assert list(answer["unused"]) == ["plant", "in", "quixotic", "sofa"]
     assert run(monkeypatch, "query", field, "red plant wall quixotic") == 0
     printed = capsys.readouterr().out
     assert "not known and left out: quixotic" in printed
@@ -93,6 +93,23 @@ def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
     assert "so this looked for: red wall" in printed
     assert run(monkeypatch, "query", field, "red wall") == 0
     assert "looked for" not in capsys.readouterr().out
+
+
+def test_where_things_are_is_answered_or_it_is_said_why_not(field, ask, monkeypatch, capsys):
+    status, (number, leftmost, related) = ask(
+        "query", field, "how many reds", "leftmost red", "red left of the yellow"
+    )
+    assert status == 0
+    assert number["found"] and "things that touch count as one" in number["notes"]
+    assert leftmost["objects"] == ask("query", field, "red")[1][0]["objects"]
+    assert "as this camera sees it" in leftmost["notes"] and leftmost["count"] is None
+    assert not related["found"] and related["notes"] == ["'yellow' is probably not here"]
+    assert run(monkeypatch, "query", field, "how many reds", "red left of the yellow") == 0
+    printed = capsys.readouterr().out
+    assert f"number  {number['count']}" in printed
+    assert "nothing found: 'yellow' is probably not here" in printed
+    assert run(monkeypatch, "query", field, "largest leftmost red") == 2
+    assert "not answered: only one of largest and leftmost" in said(capsys)
 
 
 @pytest.mark.parametrize(
