@@ -370,7 +370,8 @@ def test_memory_is_what_the_method_takes_and_not_what_scores_it_or_was_there(roo
         (cost,) = costs_of({**row, **NOTHING_ELSE} for row in found.costs)
         return cost.grown
 
-    there = np.ones(2**25)
+    there, gone = np.ones(2**25), np.ones(2**26)
+    del gone
     assert grown(room.field) < 2**27 < 2**28 <= grown(Hungry()) < 2**28 + 2**27
     peak = Peak()
     with peak.watched():
