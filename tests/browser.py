@@ -114,8 +114,13 @@ class Browser:
     @contextlib.contextmanager
     def open(self, url: str, width: int = 1200, height: int = 800) -> Iterator[Tab]:
         """A new tab that shows ``url``, with a view of this size in CSS pixels; closed after it."""
+        # No pings: while software draws, a busy machine answers none for longer than they wait.
         with connect(
-            f"ws://{self.address}", max_size=None, proxy=None, open_timeout=PATIENCE
+            f"ws://{self.address}",
+            max_size=None,
+            proxy=None,
+            open_timeout=PATIENCE,
+            ping_interval=None,
         ) as socket:
             tab = Tab(_Protocol(socket))
             try:
