@@ -31,6 +31,7 @@ from flows.runners.worker_pool import (
     work_through_all,
 )
 from flows.settings import SceneSettings, Settings
+from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.outputs import (
     clear_predictions,
@@ -215,7 +216,7 @@ def _write(
             "processors": str(os.cpu_count()),
             "workers": str(settings.workers),
         }
-        took = Times(made.seconds, times, host, made.machines)
+        took = Times(made.seconds, times, host, made.machines, costs_of(costs))
         stored = store.get(made.report)
         forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
         report = with_times(Report(*forms), took, rows)

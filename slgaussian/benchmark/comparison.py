@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.outputs import mask_place
 from slgaussian.benchmark.rendering import data_uri, flatten, template
 from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tables
@@ -40,11 +41,13 @@ BOTH, FIRST, SECOND, NEITHER = (236, 239, 244), (230, 126, 34), (0, 114, 178), (
 
 COSTS = {
     "prepare": ("to prepare a scene, s", 1.0, 4),
-    "first_query": ("a query in a new view, s", 1.0, 4),
+    "view_query": ("a query in a new view, s", 1.0, 4),
     "further_query": ("one more in it, s", 1.0, 4),
-    "memory": ("memory, MB", 1e6, 0),
+    "grown": ("memory, MB", 1e6, 0),
 }
-"""What is compared of each method in ``times.json``: in words, its unit, and digits."""
+"""What is compared of each :class:`Cost`: in words, its unit, and digits."""
+
+EXPECTED = "expected a folder that benchmark, run or demo wrote"
 
 HOST = "machine", "processor", "workers"
 """What is said of where both were measured."""
@@ -52,12 +55,13 @@ HOST = "machine", "processor", "workers"
 
 @dataclass(frozen=True)
 class Made:
-    """What a run left in a folder: its samples, manifest and times, empty where there are none."""
+    """What a run left in a folder: samples, manifest, times and costs, empty if there are none."""
 
     folder: Path
     rows: list[Row]
     manifest: Mapping[str, Any]
     times: Mapping[str, Any] = field(default_factory=dict)
+    costs: Sequence[Cost] = ()
 
     @property
     def by_method(self) -> dict[str, list[Row]]:
@@ -119,17 +123,13 @@ def read_made(folder: str | Path) -> Made:
     """
     folder = Path(folder)
     file = folder / "samples.parquet"
-    expected = "expected a folder that benchmark, run or demo wrote"
     if not file.is_file():
-        raise InputError(f"{file}: found no such file, {expected}")
-    try:
-        table = pq.read_table(file)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        why = " ".join(str(error).split())
-        raise InputError(f"{file}: cannot be read ({why}); {expected}") from error
-    load_spec("samples").check_table(table, str(file))
-    found = (_mapping(folder / name) for name in ("manifest.json", "times.json"))
-    return Made(folder, table.to_pylist(), *found)
+        raise InputError(f"{file}: found no such file, {EXPECTED}")
+    table = _table("samples", file)
+    manifest, times = (_mapping(folder / name) for name in ("manifest.json", "times.json"))
+    costs = folder / "times.parquet"
+    rows = _table("times", costs).to_pylist() if costs.is_file() else []
+    return Made(folder, table.to_pylist(), manifest, times, costs_of(rows))
 
 
 def compare_reports(first: Made, second: Made) -> Reports:
@@ -144,7 +144,7 @@ def compare_reports(first: Made, second: Made) -> Reports:
         difference_tables(gains, MAIN),
         difference_tables(gains, MORE),
         _changes(first.folder, second.folder, pairs),
-        _costs(first.times, second.times),
+        _costs(first, second),
     )
 
 
@@ -163,6 +163,16 @@ def mask_change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Two masks bool [H, W] in one picture uint8 [H, W, 3]."""
     colors = np.array([NEITHER, FIRST, SECOND, BOTH], np.uint8)
     return colors[first.astype(int) + 2 * second.astype(int)]
+
+
+def _table(spec: str, file: Path) -> pa.Table:
+    try:
+        table = pq.read_table(file)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        why = " ".join(str(error).split())
+        raise InputError(f"{file}: cannot be read ({why}); {EXPECTED}") from error
+    load_spec(spec).check_table(table, str(file))
+    return table
 
 
 def _mapping(file: Path) -> dict[str, Any]:
@@ -269,28 +279,26 @@ def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple
     return found
 
 
-def _costs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def _costs(first: Made, second: Made) -> list[tuple[str, str, str]]:
     """What both cost, side by side; nothing where one has no times."""
-    if not first or not second:
+    if not first.times or not second.times:
         return []
     found = []
-    by_method = [
-        {speed["method"]: speed for speed in times.get("seconds_a_query", [])}
-        for times in (first, second)
-    ]
-    for method, speed in by_method[0].items():
-        other = by_method[1].get(method, {})
+    by_method = {(cost.dataset, cost.method): cost for cost in second.costs}
+    for cost in first.costs:
+        other = by_method.get((cost.dataset, cost.method))
         for key, (what, unit, digits) in COSTS.items():
-            one, another = speed.get(key), other.get(key)
+            one, another = getattr(cost, key), getattr(other, key, None)
             if one is not None and another is not None:
                 shown = f"{one / unit:.{digits}f}", f"{another / unit:.{digits}f}"
-                found.append((f"{method}: {what}", *shown))
-    stages = [times.get("seconds_by_stage", {}) for times in (first, second)]
+                found.append((f"{cost.dataset}, {cost.method}: {what}", *shown))
+    both = first.times, second.times
+    stages = [times.get("seconds_by_stage", {}) for times in both]
     for stage in (name for name in stages[0] if name in stages[1]):
         seconds, others = (f"{one[stage]:.2f}" for one in stages)
         found.append((f"{stage} of all scenes, s", seconds, others))
     for what in HOST:
-        here, there = (str(times.get("host", {}).get(what, "–")) for times in (first, second))
+        here, there = (str(times.get("host", {}).get(what, "–")) for times in both)
         found.append((what, here, there))
     return found
 

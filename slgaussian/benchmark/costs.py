@@ -37,7 +37,7 @@ class Cost:
 
 
 def costs_of(rows: Iterable[Mapping[str, Any]]) -> list[Cost]:
-    """One a data set and method, in their order."""
+    """One a data set and method, in their order; rows may lack columns that are not known."""
     groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["dataset"], row["method"]), []).append(row)
@@ -49,13 +49,13 @@ def _cost(dataset: str, method: str, rows: list[Mapping[str, Any]]) -> Cost:
     scenes = list({row["scene"]: row for row in rows}.values())
 
     def middle(of: list[Mapping[str, Any]], name: str) -> float | None:
-        known = [row[name] for row in of if row[name] is not None]
+        known = [row[name] for row in of if row.get(name) is not None]
         return median(known) if known else None
 
     held = [
         (row["peak_bytes"] - row["held_bytes"], row["peak_bytes"])
         for row in scenes
-        if None not in (row["peak_bytes"], row["held_bytes"])
+        if None not in (row.get("peak_bytes"), row.get("held_bytes"))
     ]
     return Cost(
         dataset,

@@ -223,7 +223,7 @@ def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report
     shown = {
         "times": times,
         "speeds": times.speeds(),
-        "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.speeds()),
+        "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.costs),
         "claim": times.claim(),
         "host": flatten(times.host),
         "elsewhere": {

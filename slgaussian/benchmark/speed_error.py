@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.plots import plot_worth
-from slgaussian.benchmark.timings import Speed
 
 Row = Mapping[str, Any]
 
@@ -23,7 +23,7 @@ class Worth:
         Mean IoU, 0 to 1, and its interval; no interval with a single place.
     hit : float or None
         Share of the points that are on the thing.
-    speed : Speed
+    cost : Cost
     quickest, smallest : bool
         Whether no other method of a higher or the same IoU answers quicker, or takes less memory:
         the Pareto front.
@@ -34,7 +34,7 @@ class Worth:
     low: float | None
     high: float | None
     hit: float | None
-    speed: Speed
+    cost: Cost
     quickest: bool
     smallest: bool
 
@@ -50,7 +50,7 @@ class Tradeoff:
 
 
 def tradeoffs(
-    scores: Sequence[Row], sizes: Mapping[str, Sequence[str]], speeds: Sequence[Speed]
+    scores: Sequence[Row], sizes: Mapping[str, Sequence[str]], costs: Sequence[Cost]
 ) -> list[Tradeoff]:
     """One a data set of which something is scored and timed.
 
@@ -60,27 +60,31 @@ def tradeoffs(
         Those of one protocol.
     sizes : {dataset: texts}
         At which it was judged.
-    speeds : sequence of Speed
-        Of the methods, our own first.
+    costs : sequence of Cost
+        Of the methods on the data sets, our own first.
     """
     found = []
     for dataset in dict.fromkeys(score["dataset"] for score in scores):
         own = {(s["method"], s["metric"]): s for s in scores if s["dataset"] == dataset}
-        known = [speed for speed in speeds if (speed.method, "iou") in own and speed.first_query]
+        known = [
+            cost
+            for cost in costs
+            if cost.dataset == dataset and (cost.method, "iou") in own and cost.view_query
+        ]
         if not known:
             continue
-        ious = [own[speed.method, "iou"]["value"] for speed in known]
-        quick = front([speed.first_query for speed in known], ious)
-        small = front([speed.memory for speed in known], ious)
+        ious = [own[cost.method, "iou"]["value"] for cost in known]
+        quick = front([cost.view_query for cost in known], ious)
+        small = front([cost.grown for cost in known], ious)
         lines = []
-        for speed, quickest, smallest in zip(known, quick, small, strict=True):
-            iou, hit = own[speed.method, "iou"], own.get((speed.method, "hit_mask"))
+        for cost, quickest, smallest in zip(known, quick, small, strict=True):
+            iou, hit = own[cost.method, "iou"], own.get((cost.method, "hit_mask"))
             value, low, high = (iou[name] for name in ("value", "low", "high"))
             point = None if hit is None else hit["value"]
-            lines.append(Worth(speed.method, value, low, high, point, speed, quickest, smallest))
+            lines.append(Worth(cost.method, value, low, high, point, cost, quickest, smallest))
         lines.sort(key=lambda line: -line.iou)
-        points = [(w.method, w.iou, w.speed.first_query or 0.0, w.speed.memory) for w in lines]
-        plot = plot_worth(points, speeds[0].method)
+        points = [(w.method, w.iou, w.cost.view_query or 0.0, w.cost.grown) for w in lines]
+        plot = plot_worth(points, costs[0].method)
         found.append(Tradeoff(dataset, sizes.get(dataset, ()), lines, plot))
     return found
 

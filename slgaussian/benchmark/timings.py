@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any
 
+from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.paper_tables import SECONDS
 
 
@@ -20,18 +21,21 @@ class Times:
         Of making the artifacts, summed, whenever they were made.
     answers : sequence of (method, scene, {name: float})
         What :func:`slgaussian.benchmark.evaluate.evaluate` measured, and ``prepare`` where a
-        method prepares a scene on top of what it shares with ours, and ``memory``, bytes.
+        method prepares a scene on top of what it shares with ours.
     host : {name: text}
         Where it ran.
     machines : {processor: int}
         How many of the artifacts were made on which processor; earlier runs may have made some
         elsewhere.
+    costs : sequence of Cost
+        Of each method on each data set.
     """
 
     stages: Mapping[str, float]
     answers: Sequence[tuple[str, str, Mapping[str, float]]]
     host: Mapping[str, str]
     machines: Mapping[str, int] = field(default_factory=dict)
+    costs: Sequence[Cost] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, for a file."""
@@ -81,14 +85,13 @@ class Times:
             cold_query=middle("cold_query"),
             first_query=middle("first_query"),
             further_query=middle("further_query"),
-            memory=middle("memory"),
             paper=SECONDS.get(method),
         )
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Seconds and memory of a method, medians over scenes; None where it was not measured.
+    """Seconds of a method, medians over scenes; None where it was not measured.
 
     Attributes
     ----------
@@ -101,8 +104,6 @@ class Speed:
         In a view that was not seen before, its rendering included.
     further_query : float or None
         One more text in the same view.
-    memory : float or None
-        Bytes that the process came to hold beyond what it held before.
     paper : float or None
         What the paper says of a query in a new view, on its GPU.
     """
@@ -112,5 +113,4 @@ class Speed:
     cold_query: float | None
     first_query: float | None
     further_query: float | None
-    memory: float | None
     paper: float | None

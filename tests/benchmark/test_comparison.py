@@ -17,9 +17,16 @@ from slgaussian.benchmark.comparison import (
     read_made,
     render_comparison,
 )
-from slgaussian.benchmark.outputs import mask_place, write_file, write_predictions, write_samples
+from slgaussian.benchmark.outputs import (
+    mask_place,
+    write_costs,
+    write_file,
+    write_predictions,
+    write_samples,
+)
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.errors import InputError, SpecError
+from slgaussian.storage.specs import load_spec
 
 MANIFEST = {
     "settings": {"share": 0.7, "seed": 0},
@@ -124,14 +131,17 @@ def test_what_both_cost_stands_side_by_side(tmp_path, result):
     folders = leave(tmp_path / "a", result), leave(tmp_path / "b", result)
     assert compared(*folders).costs == []
     for folder, seconds in zip(folders, (0.5, 0.25), strict=True):
-        speed = {"method": "slgaussian", "first_query": seconds, "prepare": None, "memory": 2e8}
+        named = dict.fromkeys(load_spec("times").columns)
+        named |= {"dataset": "d", "scene": "s", "frame": "f", "query": "q", "method": "slgaussian"}
+        cost = {"view_seconds": seconds, "held_bytes": 10**8, "peak_bytes": 3 * 10**8}
+        write_costs([named | cost], folder)
         stages, host = {"field": 4 * seconds}, {"processor": f"P{seconds}", "workers": "2"}
-        times = {"seconds_a_query": [speed], "seconds_by_stage": stages, "host": host}
+        times = {"seconds_by_stage": stages, "host": host}
         write_file(folder / "times.json", json.dumps(times).encode())
     found = compared(*folders)
     assert found.costs == [
-        ("slgaussian: a query in a new view, s", "0.5000", "0.2500"),
-        ("slgaussian: memory, MB", "200", "200"),
+        ("d, slgaussian: a query in a new view, s", "0.5000", "0.2500"),
+        ("d, slgaussian: memory, MB", "200", "200"),
         ("field of all scenes, s", "2.00", "1.00"),
         ("machine", "–", "–"),
         ("processor", "P0.5", "P0.25"),

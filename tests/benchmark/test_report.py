@@ -7,6 +7,7 @@ import pytest
 from pages import Page, check_alone, tables_of
 
 from slgaussian.benchmark import report
+from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
@@ -194,14 +195,14 @@ def test_only_one_section_depends_on_time_and_machine(both):
 
 
 def test_what_methods_get_right_is_set_against_what_they_cost(both, result):
-    times = Times(
-        {},
-        [
-            ("slgaussian", "room", {"first_query": 0.5, "memory": 3e8}),
-            ("nearest-view", "room", {"first_query": 0.1, "memory": 5e8}),
-        ],
-        {},
-    )
+    costs = [
+        Cost(result.dataset, method, None, seconds, None, None, None, held, held)
+        for method, seconds, held in (
+            ("slgaussian", 0.5, 300_000_000),
+            ("nearest-view", 0.1, 500_000_000),
+        )
+    ]
+    times = Times({}, [], {}, costs=costs)
     rows = [*result.rows, *({**row, "iou": 0.0} for row in named(result, "nearest-view").rows)]
     whole = with_times(both, times, rows)
     own = next(t for t in tables_of(whole.markdown) if t[0][-1] == "Front")
