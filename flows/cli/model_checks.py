@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -220,24 +219,20 @@ def _checks(request: Request, part: str, place: str) -> Findings:
     if found.checkpoint is None:
         _check_kind(request, part, place)
     digests = {file.name: check_whole(file) for file in found.files}
-    start = time.perf_counter()
     settings = {key: value for key, value in request.settings.items() if key in _takes(part)}
     if settings.get("tokenizer") is not None:
         settings["tokenizer"] = local_place(settings["tokenizer"])
     loaded = find_part(KINDS[part], part)(model=place, **settings)
-    seconds = time.perf_counter() - start
     yield Finding(part, f"{request.called}: {about(loaded.network)}")
     weights = {name: digest for name, digest in digests.items() if not name.endswith(".json")}
     for name, digest in weights.items():
         yield Finding(part, f"{name}: whole, SHA-256 {digest}")
-    yield Finding(part, f"known to fields as {model_digest(place)}; loaded in {seconds:.1f} s")
+    yield Finding(part, f"known to fields as {model_digest(place)}")
     check_numbers(loaded.network, request.called)
     zero, share = zero_matrices(loaded.network)
     if zero:
-        said = (
-            f"weights: {zero[0]}{f' and {len(zero) - 1} more' if zero[1:] else ''} zero all over, "
-        )
-        said += f"{100 * share:.1f} % of all"
+        more = f" and {len(zero) - 1} more" if zero[1:] else ""
+        said = f"weights: {zero[0]}{more} zero all over, {100 * share:.1f} % of all"
         reason = "; was it never trained, or did a download stop? get it again"
         bad = share > ZERO
         yield Finding(part, said + (reason if bad else ""), False if bad else None)
