@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from slgaussian.benchmark.scores import Reliability
 
@@ -121,37 +122,35 @@ def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
     return as_svg(draw)
 
 
-def plot_worth(points: Sequence[tuple[str, float, float, float | None]], ours: str) -> str:
-    """IoU over seconds of a query and, where known, over memory; the best of each price joined.
+def plot_worth(points: Sequence[tuple[str, float, float]], ours: str, label: str) -> str:
+    """IoU over what it costs, the best of each price joined: the Pareto front.
 
-    ``points`` are (method, IoU, seconds, bytes or None).
+    ``points`` are (method, IoU, cost); those on the front are named, and all where they are few.
     """
 
     def draw() -> Figure:
-        seconds: list[float | None] = [p[2] for p in points]
-        costs = [("seconds of a query in a new view", seconds)]
-        if any(p[3] for p in points):
-            costs.append(("memory beyond the scene, MB", [p[3] and p[3] / 1e6 for p in points]))
-        figure = Figure((5.6 * len(costs), 3.8), layout="constrained")
-        for axes, (label, prices) in zip(
-            np.atleast_1d(figure.subplots(1, len(costs), sharey=True)), costs, strict=True
-        ):
-            known = [(x, p[1], p[0]) for x, p in zip(prices, points, strict=True) if x]
-            best, steps = -np.inf, []
-            for x, y, _ in sorted(known, key=lambda one: (one[0], -one[1])):
-                if y > best:
-                    best = y
-                    steps.append((x, y))
-            axes.plot(*zip(*steps, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post")
-            for x, y, method in known:
-                own = method == ours
-                axes.plot(x, y, "o", color=ACCENT if own else SOFT, ms=8 if own else 5, mec="white")
-                if own or (x, y) in steps:
-                    axes.annotate(method, (x, y), (5, 5), textcoords="offset points", fontsize=8)
-            axes.set(xscale="log", xlabel=label)
-            axes.margins(0.12, 0.12)
-            axes.grid()
-        figure.axes[0].set_ylabel("IoU")
+        figure = Figure((5.6, 4.2), layout="constrained")
+        axes = figure.subplots()
+        best, front = -math.inf, []
+        for _, value, cost in sorted(points, key=lambda point: (point[2], -point[1])):
+            if value > best:
+                best = value
+                front.append((cost, value))
+        axes.plot(*zip(*front, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post", zorder=1)
+        for method, value, cost in points:
+            color, size = (ACCENT, 8) if method == ours else (SOFT, 5.5)
+            axes.plot(cost, value, "o", color=color, ms=size, mec="white")
+            if len(points) <= NAMED or method == ours or (cost, value) in front:
+                # Beside the mark and within the axes; what is behind the front stands below.
+                side = "left" if cost < max(point[2] for point in points) else "right"
+                place = 6 if side == "left" else -6, 5 if (cost, value) in front else -13
+                axes.annotate(method, (cost, value), place, textcoords="offset points", ha=side)
+        axes.set(xscale="log", xlabel=label, ylabel="IoU")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.margins(0.12, 0.14)
+        axes.grid()
         return figure
 
     return as_svg(draw)

@@ -1,4 +1,4 @@
-"""What each method got right against what it cost: one table and one plot for each data set."""
+"""What each method got right against what it cost: a table and two plots for each data set."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Worth:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """The methods of a data set, best IoU first, the judging sizes, and the plot as SVG."""
+    """The methods of a data set, best IoU first, the judging sizes, and plots as SVG by caption."""
 
     dataset: str
     sizes: Sequence[str]
     lines: Sequence[Worth]
-    plot: str
+    plots: Mapping[str, str]
 
 
 def tradeoffs(
@@ -83,9 +83,20 @@ def tradeoffs(
             point = None if hit is None else hit["value"]
             lines.append(Worth(cost.method, value, low, high, point, cost, quickest, smallest))
         lines.sort(key=lambda line: -line.iou)
-        points = [(w.method, w.iou, w.cost.view_query or 0.0, w.cost.grown) for w in lines]
-        plot = plot_worth(points, costs[0].method)
-        found.append(Tradeoff(dataset, sizes.get(dataset, ()), lines, plot))
+        costs_by = {
+            "seconds of a query in a new view": [(w, w.cost.view_query) for w in lines],
+            "memory beyond the scene, MB": [
+                (w, w.cost.grown and w.cost.grown / 1e6) for w in lines
+            ],
+        }
+        plots = {}
+        for label, priced in costs_by.items():
+            points = [(worth.method, worth.iou, price) for worth, price in priced if price]
+            if points:
+                plots[f"IoU over {label}; the line is the front"] = plot_worth(
+                    points, costs[0].method, label
+                )
+        found.append(Tradeoff(dataset, sizes.get(dataset, ()), lines, plots))
     return found
 
 
