@@ -29,7 +29,8 @@ import numpy as np
 from benches.cameras.pose_metrics import direction_error, rotation_error
 from benches.common.markdown_tables import table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.seed_spread import PLACES, SHEETS, labelled, read, score
+from benches.scores.scene_sets import PLACES, SHEETS, built, labelled, read
+from benches.scores.seed_spread import score
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.cameras.check import agree
@@ -186,12 +187,17 @@ def scored(scene: SceneSettings, seed: int, kind: str) -> dict[str, Any]:
     if scene.labels is None:
         raise ValueError(f"{scene.name}: has no labels")
     truth = read_truth(scene.labels, scene.categories, given.targets)
+
+    def scores(sample: Sample) -> dict[str, float]:
+        (inputs,) = built(sample, [seed])
+        return score(inputs, scene, truth)
+
     if kind == GIVEN:
-        return {"residual": residual(given), **score(given, scene, truth, seed)}
+        return {"residual": residual(given), **scores(given)}
     try:
         found = without_poses(scene, given, resected=kind == RESECTED)
         own = {"residual": residual(found), **off(given, found)}
-        return {**own, **score(found, scene, truth, seed)}
+        return {**own, **scores(found)}
     except InputError as refusal:
         return {"refused": str(refusal)}
 

@@ -23,7 +23,7 @@ from scipy.special import expit
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
-from benches.scores.seed_spread import PLACES, labelled, read
+from benches.scores.scene_sets import PLACES, labelled, read
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.build import build_field

@@ -30,7 +30,6 @@ LOOKS = {
 LABELS = {
     "fast": ((9, -5), "left"),
     "balanced": ((-8, -15), "right"),
-    "accurate": ((-8, 5), "right"),
 }
 """Where the name of a preset stands beside its star, points, and how it is aligned."""
 

@@ -75,30 +75,18 @@ def pruned(made: Sequence[dict]) -> list[dict]:
 def picked(rows: Sequence[dict]) -> dict[str, dict]:
     """The row of each preset, by the rules that the page puts into words."""
     first = rows[0]
-    settings = [row for row in rows if row["factor"] not in (NOISE, "precision")]
     good = [
-        row for row in settings if all(row[s] >= KEPT_SHARE * first[s] for s in ("iou", "miou"))
+        row
+        for row in rows
+        if row["factor"] not in (NOISE, "precision")
+        and all(row[score] >= KEPT_SHARE * first[score] for score in ("iou", "miou"))
     ]
-    sound = [row for row in settings if not worse_scores(row)]
-    best = max(map(answers_well, sound))
-    as_good = [row for row in sound if answers_well(row) >= best - noise_of(rows)]
-    found = {"fast": min(good, key=whole_seconds), "balanced": first}
-    return found | {"accurate": min(as_good, key=whole_seconds)}
-
-
-def answers_well(row: dict) -> float:
-    return row["iou"] + row["miou"]
+    return {"fast": min(good, key=whole_seconds), "balanced": first}
 
 
 def whole_seconds(row: dict) -> float:
     """From photographs to the first answer."""
     return row["build"] + row["first"]
-
-
-def noise_of(rows: Sequence[dict]) -> float:
-    """How far rows that differ in the seed alone are apart, in :func:`answers_well`."""
-    own = [answers_well(row) for row in rows if row["factor"] in (NOISE, DEFAULT[0])]
-    return max(own) - min(own)
 
 
 def worse_scores(row: dict) -> list[str]:
@@ -110,18 +98,37 @@ def worse_scores(row: dict) -> list[str]:
     ]
 
 
+def better_scores(row: dict) -> list[str]:
+    """Those beyond noise."""
+    worse = worse_scores(row)
+    return [score for score in HEADINGS if row.get(f"{score}_beyond") and score not in worse]
+
+
+def accurate(rows: Sequence[dict]) -> list[dict]:
+    """Rows whose answers are better beyond noise and that are worse in nothing."""
+    return [
+        row
+        for row in rows
+        if row["factor"] not in (NOISE, "precision")
+        and {"iou", "miou"} & set(better_scores(row))
+        and not worse_scores(row)
+    ]
+
+
 def beyond_noise(rows: Sequence[dict]) -> tuple[list[str], list[str]]:
     """Single changes that are worse, and those that are better, with the scores that say so."""
     singles = [row for row in rows if row["factor"] not in ("together", NOISE, DEFAULT[0])]
     worse, better = [], []
     for row in singles:
-        bad = worse_scores(row)
-        good = [s for s in HEADINGS if row.get(f"{s}_beyond") and s not in bad]
-        for scores, told in ((bad, worse), (good, better)):
+        for scores, told in ((worse_scores(row), worse), (better_scores(row), better)):
             if scores:
                 listed = ", ".join(HEADINGS[score] for score in scores)
-                told.append(f"{row['factor']}: {row['name']} ({listed})")
+                told.append(f"{called(row)} ({listed})")
     return worse, better
+
+
+def called(row: dict) -> str:
+    return f"{row['factor']}: {row['name']}"
 
 
 def results(made: Sequence[dict]) -> dict[str, Any]:
@@ -137,7 +144,7 @@ def results(made: Sequence[dict]) -> dict[str, Any]:
         "presets": picked(rows),
         "headings": HEADINGS,
         "kept_share": KEPT_SHARE,
-        "noise": noise_of(rows),
+        "accurate": [called(row) for row in accurate(rows)],
         "seeds": [row["iou"] for row in rows if row["factor"] in (NOISE, DEFAULT[0])],
         "worse": worse,
         "better": better,

@@ -1,0 +1,134 @@
+"""The sets of scenes that pages give means of, and their fields with several seeds.
+
+A folder DATA holds ``office`` and ``places``, both labelled; rooms are made up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.demo import ROOMS, demo_scenes
+from flows.labelled import labelled_scenes
+from flows.room_scenes import room_scene
+from flows.settings import SceneSettings, Settings
+from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth, read_truth
+from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.evaluate import truth_from_instances
+from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.geometry import SceneGeometry
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.scene import Sample
+
+PLACES = ("dining", "castle", "kitchen", "bonsai", "street", "lounge")
+UNSEEN = range(40, 60)
+"""Rooms that nothing was chosen on."""
+
+SHEETS = ("office/pairs.json", *(f"places/{name}/pairs.json" for name in PLACES))
+"""What DATA must hold."""
+
+
+@dataclass(frozen=True)
+class Set:
+    """Scenes that are averaged; ``chosen`` says whether constants were chosen on them."""
+
+    title: str
+    command: str
+    chosen: bool
+    seeds: int
+    scenes: Callable[[Path], list[SceneSettings]]
+
+
+def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
+    """The scenes of labelled folders below DATA."""
+    found = []
+    for name in names:
+        folder = data / name
+        asked = Settings(data=folder, pairs=folder / "pairs.json", labels=folder / "labels")
+        found += labelled_scenes(asked)[0]
+    return found
+
+
+OF_LABELS = "slgaussian benchmark --data {0} --pairs {0}/pairs.json --labels {0}/labels --seed K"
+SETS: Mapping[str, Set] = {
+    "office": Set(
+        "office: 8 pairs of one building, 57 queries",
+        OF_LABELS.format("DATA/office"),
+        True,
+        3,
+        partial(labelled, ["office"]),
+    ),
+    "demo": Set(
+        "demo: rooms 0 to 2",
+        "slgaussian demo --seed K",
+        True,
+        3,
+        lambda _: [room_scene(seed) for seed in ROOMS],
+    ),
+    "motorcycle": Set(
+        "demo: the motorcycle",
+        "slgaussian demo --seed K",
+        True,
+        3,
+        lambda _: [scene for scene in demo_scenes() if scene.dataset == "stereo"],
+    ),
+    "places": Set(
+        "places: 8 pairs of 6 other places, 63 queries",
+        OF_LABELS.format("DATA/places/PLACE") + ", place by place",
+        True,
+        3,
+        partial(labelled, [f"places/{name}" for name in PLACES]),
+    ),
+    "rooms": Set(
+        f"rooms {UNSEEN[0]} to {UNSEEN[-1]}",
+        f"slgaussian benchmark --rooms {UNSEEN[0]}-{UNSEEN[-1]} --seed K",
+        False,
+        3,
+        lambda _: [room_scene(seed) for seed in UNSEEN],
+    ),
+}
+
+
+def read(scene: SceneSettings, settings: Settings) -> Sample:
+    paths = [] if scene.path is None else [scene.path]
+    found = datasets.load(scene.format, *paths, **scene.options)
+    return found.sample(scene.context, scene.targets, scene.size or settings.size)
+
+
+def truth_of(scene: SceneSettings, sample: Sample) -> Truth:
+    """What was labelled in the targets of a scene, or what a made-up room knows."""
+    if scene.labels is None:
+        return truth_from_instances(sample)
+    return read_truth(scene.labels, scene.categories, sample.targets)
+
+
+def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
+    """The field of each seed, with what it was made of.
+
+    A seed decides the ID codes and nothing else of the default method: all before them is done
+    once.
+    """
+    method = replace(Settings().built_by, seed=seeds[0])
+    gaussians, quality, depths = predict(sample, method.predictor, method.seed, trust_cameras=True)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    bank = remember(sample, geometry, labels, method.encoder, method.codes, method.seed)
+    draw, proposer = method.codes.load(), method.proposer.load()
+    for seed in seeds:
+        coded = replace(bank, codes=draw(labels, rng_for(seed, sample.content, "codes")))
+        made = replace(method, seed=seed)
+        field = lift_field(sample, gaussians, labels, coded, made, quality, depths)
+        yield Inputs(sample, field, gaussians, labels, proposer, seed)
+
+
+def over_seeds(rows: Sequence[Mapping[str, Any]], name: str, key: str) -> list[float]:
+    """Of rows of a ``set``, ``seed`` and metrics, a scene each: their mean, seed by seed."""
+    own = [row for row in rows if row["set"] == name and key in row]
+    seeds = sorted({row["seed"] for row in own})
+    return [float(np.mean([row[key] for row in own if row["seed"] == seed])) for seed in seeds]
