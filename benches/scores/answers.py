@@ -48,7 +48,11 @@ BEFORE: Mapping[str, Mapping[str, float]] = {
 }
 """Figures of the start of this version's work, as they were written down then."""
 
-DISTANCES = {"cut": ("iou", "threshold_iou"), "cut_up": ("language_iou", "pieces_iou")}
+DISTANCES = {
+    "cut": ("answer to best threshold", "iou", "threshold_iou"),
+    "cut_up": ("whole things to union", "language_iou", "pieces_iou"),
+}
+"""What each is called, and the scores that it lies between."""
 
 
 def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
@@ -196,7 +200,7 @@ def staged(own: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
     keys = ("iou", *(f"{stage}_iou" for stage in STAGES), "best_iou")
     line: dict[str, Any] = {"set": name, "queries": sum_of_queries(own)}
     line |= {key: float(np.average([row[key] for row in own], weights=weights)) for key in keys}
-    for distance, (low, high) in DISTANCES.items():
+    for distance, (_, low, high) in DISTANCES.items():
         line[distance] = line[high] - line[low]
         if distance in BEFORE[name]:
             line[f"{distance}_before"] = BEFORE[name][distance]
@@ -212,8 +216,24 @@ def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str
         found["reached"] += reached(own, name)
         found["compared"] += compared(here, name)
         found["stages"].append(staged(own, name))
-    places = placed([row for row in rows if row["set"] == "places"])
-    return {**found, "places": places, "sets": [SETS[name] for name in names]}
+    halved = [
+        f"{line['set']}, {title}"
+        for line in found["stages"]
+        for distance, (title, *_) in DISTANCES.items()
+        if line[distance] <= line.get(f"{distance}_before", 0) / 2
+    ]
+    return {
+        **found,
+        "halved": halved,
+        "better": [called(line) for line in found["compared"] if line["ends"][0] > 0],
+        "worse": [called(line) for line in found["compared"] if line["ends"][1] < 0],
+        "places": placed([row for row in rows if row["set"] == "places"]),
+        "sets": [SETS[name] for name in names],
+    }
+
+
+def called(line: Mapping[str, Any]) -> str:
+    return f"{line['score']}, {line['set']}, against {line['method']} ({line['gain']})"
 
 
 def main() -> None:
