@@ -1,6 +1,6 @@
 """How right answers are: against other methods, and against what truth would make of each stage.
 
-    python -m benches.scores.answers DATA [-o docs/measured] [--rows FILE] [--only SET ...]
+    python -m benches.scores.answer_scores DATA [-o docs/measured] [--rows FILE] [--only SET ...]
 
 DATA holds ``office`` and ``places``; rooms are those that nothing was chosen on. Our own answers
 are given with several seeds, which draw other ID codes, those of other methods once, on the same
