@@ -192,9 +192,9 @@ def files_of(*kinds: str) -> tuple[str, ...]:
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
-PRESETS = ("fast", "balanced", "accurate", "paper")
+PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. `benches/scores/setting_tradeoffs.py` measures them and
-picks the first three by the rules that `docs/measured/tradeoffs.md` states. The last is what the
+picks the first two by the rules that `docs/measured/tradeoffs.md` states. The last is what the
 paper prints, see `docs/reference/paper.md`."""
 
 PARTS = set(KINDS)

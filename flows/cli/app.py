@@ -376,7 +376,7 @@ def run(
 
     \b
     slgaussian run kitchen.toml
-    slgaussian run kitchen.toml --preset accurate -o accurate
+    slgaussian run kitchen.toml --preset fast -o fast
     """
     from flows.settings import read_toml
 

@@ -317,7 +317,7 @@ def test_a_configuration_is_read_with_paths_from_its_folder(tmp_path):
         ("[mvsplat]\ncheckpont = 5", "unknown key 'mvsplat.checkpont'; .* 'checkpoint'\\?"),
         ('[[scenes]]\nname = "a"\ncontex = []', r"unknown key 'scenes.0.contex'; .*context"),
         ('runner = "rya"', "runner: found 'rya'; .*; did you mean 'ray'"),
-        ('preset = "acurate"', "preset: found 'acurate', .*; did you mean 'accurate'"),
+        ('preset = "balanecd"', "preset: found 'balanecd', .*; did you mean 'balanced'"),
         ('[[scenes]]\nname = "a"', "scenes.0.context is missing"),
         ("replicas = 0", "replicas: found 0; .*greater than or equal to 1"),
         ("size = [1, 2, 3]", "size: found .*expected height and width as in 416x576"),

@@ -194,7 +194,7 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["words", "red"], "unexpected extra argument(s) (red) (see `slgaussian words --help`)"),
         (["demo", "--encoder", "lexcion"], "unknown encoder 'lexcion': expected one of clip, "),
         (["demo", "--encoder", "lexcion"], "; did you mean 'lexicon'?"),
-        (["demo", "--preset", "acurate"], "; did you mean 'accurate'?"),
+        (["demo", "--preset", "balanecd"], "; did you mean 'balanced'?"),
         (["demo", "--protocol", "langsplatt"], "; did you mean 'langsplat'?"),
         (["demo", "--codes", "seperated"], "; did you mean 'separated'?"),
         (["demo", "--runner", "proceses"], "; did you mean 'processes'?"),
