@@ -66,7 +66,7 @@ def test_what_is_given_wins_key_by_key(tmp_path):
 
 @pytest.mark.parametrize("found", ["quick", "accurate", 3, ["fast"]])
 def test_a_preset_that_is_not_there_is_one_sentence(found):
-    with pytest.raises(InputError, match=r"preset: found .*, expected one of fast, balanced, paper"):
+    with pytest.raises(InputError, match=r"found .*, expected one of fast, balanced, paper"):
         make_settings({"preset": found}, "test")
 
 
