@@ -1,6 +1,6 @@
 """Questions of where things are, asked of made-up rooms that know the answer.
 
-    python -m benches.language.relations [-o docs/measured] [--first 40] [--rooms 20] [--rows FILE]
+    python -m benches.language.relation_answers [-o docs/measured] [--rooms N] [--rows R]
 
 In each room a field is built of the two ends of the arc, and asked at a view between them. Nouns
 are shapes, of which a room has several: "ball left of the red box" is asked where some balls are
