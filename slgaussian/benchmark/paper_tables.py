@@ -30,6 +30,17 @@ SECONDS = {"slgaussian": 0.011, "query-2d": 18.0}
 
 
 @dataclass(frozen=True)
+class Name:
+    """What a column or line is called: by the paper, and the row of methods that ran here.
+
+    A likeness never stands under its original's name; ``here`` is empty where no method is meant.
+    """
+
+    paper: str
+    here: str = ""
+
+
+@dataclass(frozen=True)
 class Printed:
     """A table of the paper with this run in it.
 
@@ -39,8 +50,8 @@ class Printed:
         Its caption, and what the numbers of this run go by.
     groups : tuple of (str, int)
         Headings over several columns, and of how many.
-    columns : tuple of str
-    lines : tuple of (str, cells)
+    columns : tuple of Name
+    lines : tuple of (Name, cells)
         A cell is (the paper's number, this run's or why there is none); the paper's best is in
         bold there, and known by ``best``.
     best : set of (line, column)
@@ -51,8 +62,8 @@ class Printed:
     title: str
     by: str
     groups: tuple[tuple[str, int], ...]
-    columns: tuple[str, ...]
-    lines: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]
+    columns: tuple[Name, ...]
+    lines: tuple[tuple[Name, tuple[tuple[str, str], ...]], ...]
     best: frozenset[tuple[int, int]]
     present: bool
 
@@ -181,7 +192,7 @@ def paper_tables(
             frame = f"{row['scene']}/{row['frame']}"  # two pairs may ask in one frame
             named = {"dataset": format, "scene": name, "method": method, "frame": frame}
             known.append({**row, **named})
-    run = _Run(known)
+    run = _Run(known, ours)
     made = []
     for protocol in PROTOCOLS:
         tables = [_scenes(source, run, protocol) for source in TABLES]
@@ -194,7 +205,8 @@ def paper_tables(
 class _Run:
     """The scores of a run on the paper's data."""
 
-    def __init__(self, rows: Sequence[Row]) -> None:
+    def __init__(self, rows: Sequence[Row], ours: str) -> None:
+        self.ours = ours
         self.scenes = {(row["dataset"], row["scene"]) for row in rows}
         self.methods = {row["method"] for row in rows}
         alone = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in rows]
@@ -225,6 +237,10 @@ class _Run:
         interval = "" if None in ends else f" ({100 * ends[0]:.2f}–{100 * ends[1]:.2f})"
         return f"{100 * score['value']:.2f}{interval}, n {score['samples']}"
 
+    def name(self, paper: str, method: str | None) -> Name:
+        """What a method is called, as the rows have it."""
+        return Name(paper, self.ours if method == "slgaussian" else method or "")
+
     def by(self, protocols: Sequence[str]) -> str:
         """What the numbers by some protocols go by."""
         said = {
@@ -248,13 +264,14 @@ def _scenes(source: _Source, run: _Run, protocol: str) -> Printed:
                 by = group.protocol or protocol
                 mine = run.number(source.format, scenes, method, by, group.metric)
                 cells.append((f"{number:.2f}", mine))
-        lines.append((scenes[0].replace("_", " ") if len(scenes) == 1 else "overall", tuple(cells)))
+        label = scenes[0].replace("_", " ") if len(scenes) == 1 else "overall"
+        lines.append((Name(label), tuple(cells)))
     used = [group.protocol or protocol for group in source.groups]
     return Printed(
         source.title,
         run.by(used),
         tuple((group.title, len(group.methods)) for group in source.groups),
-        tuple(name for group in source.groups for name, _ in group.methods),
+        tuple(run.name(*method) for group in source.groups for method in group.methods),
         tuple(lines),
         frozenset(best),
         _any_number(lines),
@@ -270,8 +287,8 @@ def _ablation(run: _Run, protocol: str) -> Printed:
             (f"{number:.2f}", run.number(format, (scene,), method, protocol, "iou"))
             for (format, scene), number in zip(ABLATED, numbers, strict=True)
         )
-        lines.append((label, cells))
-    columns = tuple(scene.replace("_", " ") for _, scene in ABLATED)
+        lines.append((run.name(label, method), cells))
+    columns = tuple(Name(scene.replace("_", " ")) for _, scene in ABLATED)
     best = frozenset((len(lines) - 1, k) for k in range(len(columns)))
     groups = (("Chosen IoU (%)", len(columns)),)
     return Printed(
@@ -288,8 +305,8 @@ def _query_2d(run: _Run, protocol: str) -> Printed:
             for number, metric in zip(numbers, ("iou", "hit_box"), strict=True)
         ]
         seconds = (f"{SECONDS[method]:g}", "under the times")
-        lines.append((names[method], (*cells, seconds)))
-    columns = ("Chosen IoU (%)", "Localization accuracy (%)", "Speed (s/q)")
+        lines.append((run.name(names[method], method), (*cells, seconds)))
+    columns = (Name("Chosen IoU (%)"), Name("Localization accuracy (%)"), Name("Speed (s/q)"))
     best = frozenset({(0, 0), (1, 1), (1, 2)})
     return Printed(
         QUERY_2D,
@@ -302,5 +319,5 @@ def _query_2d(run: _Run, protocol: str) -> Printed:
     )
 
 
-def _any_number(lines: Sequence[tuple[str, Sequence[tuple[str, str]]]]) -> bool:
+def _any_number(lines: Sequence[tuple[Name, Sequence[tuple[str, str]]]]) -> bool:
     return any(mine[:1].isdigit() and ", n " in mine for _, cells in lines for _, mine in cells)

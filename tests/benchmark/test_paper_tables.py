@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slgaussian.benchmark.baselines import ROWS
+from slgaussian.benchmark.baselines import PAPER_ABLATION, ROWS
 from slgaussian.benchmark.paper_tables import (
     ABLATION_NUMBERS,
     ABSENT,
@@ -39,7 +39,7 @@ def by_title(tables, start: str):
 
 
 def cells(table, label: str):
-    return dict(table.lines)[label]
+    return {name.paper: line for name, line in table.lines}[label]
 
 
 @pytest.mark.parametrize("source", TABLES)
@@ -65,6 +65,23 @@ def test_every_method_beside_the_paper_is_one_of_the_table():
     for source in TABLES:
         for group in source.groups:
             assert {ours for _, ours in group.methods} <= set(ROWS)
+
+
+def test_what_ran_is_named_as_it_is_and_never_by_its_original():
+    """A likeness has its own name beside the original's, and ours the one that its rows have."""
+    tables = paper_tables([], {}, ours="mine")
+    ran = {name.here for table in tables for name in (*table.columns, *dict(table.lines))} - {""}
+    assert ran <= {"mine", *ROWS}
+    first = by_title(tables, "Table 1")
+    assert [(name.paper, name.here) for name in first.columns[:3]] == [
+        ("LERF", "lerf-like"),
+        ("LangSplat", "langsplat-like"),
+        ("SLGaussian", "mine"),
+    ]
+    assert [name.here for name, _ in by_title(tables, "Table 3").lines] == [
+        "mine" if method == "slgaussian" else method or "" for method in PAPER_ABLATION.values()
+    ]
+    assert [name.here for name, _ in by_title(tables, "Table 4").lines] == ["query-2d", "mine"]
 
 
 def test_without_its_data_there_is_no_number():

@@ -119,6 +119,18 @@ def test_both_forms_say_the_same_numbers(both, result):
     assert "not LangSplat" not in text and "the nearest photograph's masks" in text
 
 
+def test_the_papers_tables_name_what_ran_beside_what_it_is_like(both):
+    table = next(t for t in tables_of(both.markdown) if "LangSplat" in " ".join(t[0]))
+    assert table[0][1:4] == [
+        "IoU (%): LERF / lerf-like",
+        "IoU (%): LangSplat / langsplat-like",
+        "IoU (%): SLGaussian / slgaussian",
+    ]
+    heads = set(re.findall(r"<th>(LangSplat.*?)</th>", both.html))
+    assert heads == {"LangSplat<small>langsplat-like</small>"}
+    assert "<td>2D Query<small>query-2d</small></td>" in both.html
+
+
 def test_the_worst_answers_come_first_with_their_pictures(both, result):
     page = Page(both.html)
     scores = {row["query"]: row["iou"] for row in leading(result) if row["iou"] is not None}
