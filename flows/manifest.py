@@ -8,14 +8,20 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 from flows.settings import TABLES, Method, SceneSettings, Settings
-from slgaussian import __version__
+from slgaussian import __version__, datasets
+from slgaussian.benchmark.annotations import categories_of, frame_names
 from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.protocols import PROTOCOLS
+from slgaussian.datasets.photographs import stored_size
+from slgaussian.datasets.published import Found, standing
+from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.stage import Stage
@@ -85,6 +91,7 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
         "options": {name: str(value) for name, value in scene.options.items()},
         "context": scene.context,
         "targets": scene.targets,
+        "published": published_as(scene),
         "cameras": refs["ingest"].meta["cameras"],
         "left_out": refs["ingest"].meta["left_out"],
         "sample": refs["ingest"].digest,
@@ -92,6 +99,26 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
         "files": files,
         "labels": labels,
     }
+
+
+def published_as(scene: SceneSettings) -> dict[str, str]:
+    """Which published scene its labels and photographs are of: fields of ``Standing``, or none."""
+    if scene.labels is None or scene.path is None:
+        return {}
+    asked, sizes = {}, {}
+    try:
+        for target in scene.targets:
+            frame = Path(target).stem
+            asked[frame] = categories_of(scene.labels, target)
+            for file in datasets.files(scene.format, scene.path, [target], **scene.options):
+                if file.stem == frame and (size := stored_size(file)):
+                    sizes[frame] = size
+        frames = frame_names(scene.labels)
+    except (InputError, OSError):  # results that are there outlive their data
+        return {}
+    name = str(scene.options.get("scene") or scene.labels.name)
+    known = standing(Found(scene.format, name, asked, frames, sizes))
+    return {} if known is None else asdict(known)
 
 
 @cache

@@ -123,12 +123,29 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     if class_masks.are_in(folder):
         names = class_masks.classes(folder)
         return dict.fromkeys(class_masks.frames(folder), names)
-    frames = {}
-    for file in sorted(folder.rglob("*.json")):
-        objects = _read_record(file)[3]
-        found = (_read_object(e, f"{file}: objects[{i}]")[0] for i, e in enumerate(objects))
-        frames[file.relative_to(folder).with_suffix("").as_posix()] = tuple(dict.fromkeys(found))
-    return frames
+    return {name: _categories(folder / f"{name}.json") for name in frame_names(folder)}
+
+
+def frame_names(folder: str | Path) -> list[str]:
+    """The frames that have labels in a folder, as :func:`labelled_frames` names them."""
+    folder = Path(folder)
+    if class_masks.are_in(folder):
+        return class_masks.frames(folder)
+    files = sorted(folder.rglob("*.json"))
+    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
+
+
+def categories_of(folder: str | Path, view_name: str) -> tuple[str, ...]:
+    """What is labelled in one frame, as :func:`labelled_frames` says it of all.
+
+    Raises
+    ------
+    InputError
+        If its label file is missing or damaged.
+    """
+    if class_masks.are_in(folder):
+        return class_masks.classes(folder)
+    return _categories(_label_file(Path(folder), view_name))
 
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
@@ -174,6 +191,12 @@ def _read_frame(
         name: np.stack(rows) * stretch - [at.left, at.top, at.left, at.top]
         for name, rows in boxes.items()
     }
+
+
+def _categories(path: Path) -> tuple[str, ...]:
+    objects = _read_record(path)[3]
+    found = (_read_object(e, f"{path}: objects[{i}]")[0] for i, e in enumerate(objects))
+    return tuple(dict.fromkeys(found))
 
 
 def _read_record(path: Path) -> tuple[str, int, int, list[Any]]:

@@ -1,20 +1,22 @@
 """The paper's tables (arXiv 2412.08331), its printed numbers beside those of a run.
 
 A number of this run stands only where the paper's own scene was run: a scene of LERF-OVS or 3D-OVS,
-known by the format of its data and by its name. An overall stands only where all scenes of the
-table are there. The paper's numbers are of its networks and its own pairs of views, which were
+known by its content (:mod:`slgaussian.datasets.published`), not by a folder's name. What is called
+like one and is not, is said below the table. An overall stands only where all scenes of the table
+are there. The paper's numbers are of its networks and its own pairs of views, which were
 never published: another pair of the same scene is another question.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slgaussian.benchmark.baselines import PAPER_ABLATION
 from slgaussian.benchmark.score_tables import conditions
 from slgaussian.benchmark.scores import score_table
+from slgaussian.datasets.published import ANOTHER, UNVERIFIED, Standing
 
 Row = Mapping[str, Any]
 
@@ -57,6 +59,8 @@ class Printed:
     best : set of (line, column)
     present : bool
         Whether there is any number of this run.
+    notes : tuple of str
+        A sentence a scene that is called like one of the table, and is not it.
     """
 
     title: str
@@ -66,6 +70,7 @@ class Printed:
     lines: tuple[tuple[Name, tuple[tuple[str, str], ...]], ...]
     best: frozenset[tuple[int, int]]
     present: bool
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -170,7 +175,7 @@ QUERY_2D_NUMBERS = {"query-2d": (44.64, 65.08), "slgaussian": (41.50, 70.80)}
 
 
 def paper_tables(
-    rows: Sequence[Row], places: Mapping[str, tuple[str, str]], ours: str = "slgaussian"
+    rows: Sequence[Row], places: Mapping[str, Standing], ours: str = "slgaussian"
 ) -> list[Printed]:
     """Tables 1 to 4 for each of :data:`PROTOCOLS`; for the first alone if none has a number.
 
@@ -178,35 +183,51 @@ def paper_tables(
     ----------
     rows : sequence
         Of the spec ``samples``, of all methods.
-    places : {scene: (format, name)}
-        What data a scene of the rows is of, and what the data set calls it; a pair of views of a
+    places : {scene: Standing}
+        Of the scenes of the rows that are published ones, or called like one: a pair of views of a
         scene of LERF-OVS is a sample of that scene.
     ours : str
         What the rows call our method.
     """
     known = []
     for row in rows:
-        format, name = places.get(row["scene"], ("", ""))
-        if format in (LERF, OVS3D):
+        place = places.get(row["scene"])
+        if place is not None and place.standing != ANOTHER:
             method = "slgaussian" if row["method"] == ours else row["method"]
             frame = f"{row['scene']}/{row['frame']}"  # two pairs may ask in one frame
-            named = {"dataset": format, "scene": name, "method": method, "frame": frame}
-            known.append({**row, **named})
-    run = _Run(known, ours)
+            named = {"dataset": place.format, "scene": place.scene, "method": method}
+            known.append({**row, **named, "frame": frame})
+    unsure = {(of.format, of.scene) for of in places.values() if of.standing == UNVERIFIED}
+    run = _Run(known, ours, unsure)
     made = []
     for protocol in PROTOCOLS:
         tables = [_scenes(source, run, protocol) for source in TABLES]
         tables += [_ablation(run, protocol), _query_2d(run, protocol)]
         if protocol == PROTOCOLS[0] or any(table.present for table in tables):
             made += tables
+    for k, source in enumerate(TABLES):
+        made[k] = replace(made[k], notes=_notes(source.format, places))
     return made
+
+
+def _notes(format: str, places: Mapping[str, Standing]) -> tuple[str, ...]:
+    """What is to be said of scenes called like those of a data set that are others."""
+    by_reason: dict[tuple[str, str], list[str]] = {}
+    for name, of in places.items():
+        if of.format == format and of.standing == ANOTHER:
+            by_reason.setdefault((of.scene, of.why), []).append(name)
+    return tuple(
+        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: called {scene}, but not "
+        f"the published scene ({why}); in no cell"
+        for (scene, why), names in by_reason.items()
+    )
 
 
 class _Run:
     """The scores of a run on the paper's data."""
 
-    def __init__(self, rows: Sequence[Row], ours: str) -> None:
-        self.ours = ours
+    def __init__(self, rows: Sequence[Row], ours: str, unsure: Set[tuple[str, str]]) -> None:
+        self.ours, self.unsure = ours, unsure
         self.scenes = {(row["dataset"], row["scene"]) for row in rows}
         self.methods = {row["method"] for row in rows}
         alone = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in rows]
@@ -235,7 +256,8 @@ class _Run:
             return "not scored"
         ends = [score["low"], score["high"]]
         interval = "" if None in ends else f" ({100 * ends[0]:.2f}–{100 * ends[1]:.2f})"
-        return f"{100 * score['value']:.2f}{interval}, n {score['samples']}"
+        mark = f", {UNVERIFIED}" if any((format, name) in self.unsure for name in scenes) else ""
+        return f"{100 * score['value']:.2f}{interval}, n {score['samples']}{mark}"
 
     def name(self, paper: str, method: str | None) -> Name:
         """What a method is called, as the rows have it."""

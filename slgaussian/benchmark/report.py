@@ -32,6 +32,7 @@ from slgaussian.benchmark.speed_error import tradeoffs
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.benchmark.summary import Summary, summarize
 from slgaussian.benchmark.timings import Times
+from slgaussian.datasets.published import Standing
 from slgaussian.storage.account import Account
 
 Row = Mapping[str, Any]
@@ -124,8 +125,9 @@ def render_report(
     ----------
     scenes : sequence of Scene
     manifest : mapping
-        Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``format`` and
-        ``scene`` say which scene of which data set it is, and ``cameras`` whether they were given.
+        Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``published``
+        says which published scene it is (the fields of
+        :class:`slgaussian.datasets.published.Standing`), and ``cameras`` whether they were given.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
     attribution : sequence of mapping
@@ -183,7 +185,7 @@ def render_report(
         "account_columns": ACCOUNT_COLUMNS,
         "summary_columns": dict.fromkeys(m for *_, one in _summaries(scenes) for m in one.columns),
         "paper": paper_tables(
-            [row for rows in by_method.values() for row in rows], _places(manifest), ours
+            [row for rows in by_method.values() for row in rows], _published(manifest), ours
         ),
         "level": LEVEL,
         "least": LEAST,
@@ -455,10 +457,10 @@ def _summaries(scenes: Sequence[Scene]) -> list[tuple[str, list[str], Summary]]:
     return found
 
 
-def _places(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Format and name in the data set of each scene."""
+def _published(manifest: Mapping[str, Any]) -> dict[str, Standing]:
+    """The scenes that are published ones, or called like one and are not."""
     entries = manifest.get("data", {}).items()
-    return {name: (of.get("format", ""), of.get("scene", "")) for name, of in entries}
+    return {name: Standing(**of["published"]) for name, of in entries if of.get("published")}
 
 
 def _estimated(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:

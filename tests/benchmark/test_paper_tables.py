@@ -14,6 +14,7 @@ from slgaussian.benchmark.paper_tables import (
     paper_tables,
 )
 from slgaussian.benchmark.statistics import interval_of_mean
+from slgaussian.datasets.published import ANOTHER, RECOGNISED, UNVERIFIED, Standing
 from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
@@ -86,13 +87,33 @@ def test_what_ran_is_named_as_it_is_and_never_by_its_original():
 
 def test_without_its_data_there_is_no_number():
     rows = [row_of("teatime", iou=0.4, hit_box=True)]
-    for places in ({}, {"teatime": ("nerfstudio", "teatime")}, {"teatime": ("ovs3d", "teatime")}):
+    another = Standing(ANOTHER, LERF, "teatime", "found labelled frames 00015")
+    for places in ({}, {"teatime": another}):
         tables = paper_tables(rows, places)
         assert len(tables) == 4
         for table in tables:
             assert not table.present
             said = {mine for _, line in table.lines for _, mine in line}
             assert said <= {ABSENT, "under the times"}
+        said = by_title(tables, "Table 1").notes
+        assert [note.partition(" (")[0] for note in said] == (
+            ["teatime: called teatime, but not the published scene"] if places else []
+        )
+
+
+def test_what_could_not_be_checked_says_so_beside_its_number():
+    rows = [row_of("desk", iou=0.5), row_of("bed", iou=0.25)]
+    places = {
+        "desk": Standing(UNVERIFIED, OVS3D, "covered_desk"),
+        "bed": Standing(RECOGNISED, OVS3D, "bed"),
+    }
+    tables = paper_tables(rows, places)
+    table = by_title(tables, "Table 2")
+    assert cells(table, "covered desk")[2][1] == "50.00, n 1, unverified"
+    assert cells(table, "bed")[2][1] == "25.00, n 1"
+    assert cells(by_title(tables, "Table 3"), "feed-forward model + MA + MV-LMB")[1][1] == (
+        "50.00, n 1, unverified"
+    )
 
 
 def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
@@ -101,7 +122,8 @@ def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
         row_of("teatime-1", iou=0.4, hit_box=True, query="p"),
         row_of("teatime-2", iou=0.9, hit_box=True),
     ]
-    places = {"teatime-1": (LERF, "teatime"), "teatime-2": (LERF, "teatime")}
+    teatime = Standing(RECOGNISED, LERF, "teatime")
+    places = {"teatime-1": teatime, "teatime-2": teatime}
     tables = paper_tables(rows, places)
     table = by_title(tables, "Table 1")
     assert table.present and "slgaussian@1 (near-best" in table.by
@@ -123,7 +145,7 @@ def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
     lerf = TABLES[0].scenes
     rows, places = [], {}
     for k, scene in enumerate(lerf):
-        places[scene] = (LERF, scene)
+        places[scene] = Standing(RECOGNISED, LERF, scene)
         for j in range(k + 1):
             for method in ("mine", "query-2d"):
                 named = {"method": method, "query": f"q{j}"}
@@ -144,7 +166,7 @@ def test_closed_set_numbers_are_those_of_their_protocol():
         row_of("bed", iou=0.25, class_iou=0.1),
         row_of("bed", protocol="langsplat@1", iou=0.75, filter=30),
     ]
-    tables = paper_tables(rows, {"bed": (OVS3D, "bed")})
+    tables = paper_tables(rows, {"bed": Standing(RECOGNISED, OVS3D, "bed")})
     assert len(tables) == 8
     by_rules, by_langsplat = (t for t in tables if t.title.startswith("Table 2"))
     assert [mine for _, mine in cells(by_rules, "bed")][2::4] == ["25.00, n 1", "50.00, n 1"]

@@ -56,6 +56,6 @@ def test_an_unknown_scene_is_said_with_those_there(folder):
 
 
 def test_labelled_frames_are_known_of_published_scenes():
-    assert sum(len(frames) for frames in lerf_ovs.LABELLED.values()) == 22
+    assert sum(len(scene.frames) for scene in lerf_ovs.PUBLISHED.values()) == 22
     assert lerf_ovs.labelled("figurines")[0] == "frame_00041"
     assert lerf_ovs.labelled("my own scene") == []

@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from flows.jobs import baseline_jobs, scene_job
 from flows.labelled import labelled_scenes
+from flows.manifest import published_as
 from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, make_settings
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
-from slgaussian.datasets import re10k
+from slgaussian.datasets import lerf_ovs, re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
@@ -256,6 +257,54 @@ class TestScored:
         shutil.rmtree(tmp_path / "labels" / clip.key)
         with pytest.raises(InputError, match="nothing of it can be scored"):
             labelled_scenes(make_settings(settings, "test"))
+
+
+class TestPublished:
+    def test_a_folder_of_the_name_of_a_papers_scene_fills_no_cell(self, lerf, monkeypatch, server):
+        """Labels as LERF-OVS has them, in a folder ``teatime``: of a wall."""
+        pair = {
+            "options": {"scene": "teatime"}, "labels": "label/teatime", "categories": ["sheep"],
+            "context": FRAMES[2:7:4], "target": [FRAMES[4]],
+        }  # fmt: skip
+        index = {"version": 2, "format": "lerf_ovs", "rule": {}, "left_out": {}}
+        file = lerf / "pairs.json"
+        file.write_text(json.dumps(index | {"scenes": {"teatime-frame_00005": pair}}))
+        words = (
+            "benchmark",
+            "--data",
+            lerf,
+            "--pairs",
+            file,
+            "--replicas",
+            "1",
+            "--size",
+            "96x144",
+        )
+        out = lerf / "out"
+        assert run(monkeypatch, *words, "--store", lerf / "store", "-o", out) == 0
+        page = (out / "report.md").read_text()
+        tables = page[page.index("## The paper's tables") :].split("## Scene by scene")[0]
+        assert "teatime | 21.64 / data not present" in tables
+        assert ", n " not in tables
+        told = "called teatime, but not the published scene (found labelled frames "
+        assert told in tables and f"{told}frame_00005, " in (out / "report.html").read_text()
+
+    def test_photographs_and_labels_are_what_a_scene_is_known_by(self, lerf):
+        known = lerf_ovs.PUBLISHED["teatime"]
+        images, labels = lerf / "ramen/images", lerf / "mine"
+        label(labels, "frame_00002.jpg", *known.texts[:5])
+        scene = SceneSettings(
+            name="office", format="lerf_ovs", options={"scene": "ramen"}, path=lerf, labels=labels,
+            context=FRAMES[2:7:4], targets=["frame_00002.jpg"], categories=["sheep"],
+        )  # fmt: skip
+        assert published_as(scene)["standing"] == "another"  # called ramen, photographs of 240x160
+        Image.open(images / FRAMES[1]).resize(known.size).save(images / FRAMES[1])
+        found = published_as(scene)
+        assert (found["standing"], found["scene"]) == ("recognised", "teatime")
+        label(labels, "frame_00002.jpg", "office chair", "monitor")
+        assert published_as(scene)["standing"] == "another"
+        (labels / "frame_00002.json").unlink()
+        assert published_as(scene) == {}
 
 
 class TestHeldOut:

@@ -1,0 +1,90 @@
+"""A published scene is known by what is in it, and by nothing that a folder is called."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slgaussian.benchmark.paper_tables import TABLES
+from slgaussian.datasets.published import (
+    ANOTHER,
+    RECOGNISED,
+    SETS,
+    UNVERIFIED,
+    Found,
+    Standing,
+    standing,
+)
+
+KNOWN = [(format, name) for format, scenes in SETS.items() for name in scenes]
+
+
+def found_of(format: str, name: str) -> Found:
+    """All of a published scene, in a folder of its name."""
+    scene = SETS[format][name]
+    asked = dict.fromkeys(scene.frames, scene.texts or ("something",))
+    sizes = {} if scene.size is None else dict.fromkeys(scene.frames, scene.size)
+    return Found(format, name, asked, scene.frames, sizes)
+
+
+def test_all_scenes_of_the_papers_tables_are_known():
+    assert {(source.format, scene) for source in TABLES for scene in source.scenes} == set(KNOWN)
+
+
+@pytest.mark.parametrize(("format", "name"), KNOWN)
+def test_a_published_scene_is_itself_in_any_folder(format, name):
+    found = found_of(format, name)
+    sure = RECOGNISED if SETS[format][name].texts else UNVERIFIED
+    assert standing(found) == Standing(sure, format, name)
+    elsewhere = replace(found, format="colmap", name="my office")
+    assert standing(elsewhere) == (Standing(sure, format, name) if sure == RECOGNISED else None)
+
+
+@given(st.sampled_from(KNOWN), st.sampled_from(KNOWN))
+def test_a_name_makes_no_scene_another(one, other):
+    """Whatever the folder is called, it is what is in it, where that can be known."""
+    format, name = one
+    if SETS[format][name].texts:
+        called = replace(found_of(format, name), format=other[0], name=other[1])
+        assert standing(called) == Standing(RECOGNISED, format, name)
+
+
+def test_one_frame_with_a_few_of_its_labels_is_enough():
+    """A pair of views is asked in one frame, which shows some of what is labelled."""
+    teatime = found_of("lerf_ovs", "teatime")
+    asked = {"frame_00043": ("sheep", "Hooves", "apple", "a new text")}
+    one = replace(teatime, asked=asked)
+    assert standing(one) == Standing(RECOGNISED, "lerf_ovs", "teatime")
+    strange = {"frame_00043": ("sheep", "apple", "office chair", "monitor")}
+    known = standing(replace(teatime, asked=strange))
+    assert known is not None and known.standing == ANOTHER
+    assert known.why.startswith("found labels of office chair, monitor, expected sheep, ")
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"asked": {}}, "found labelled frames none, expected frame_00002, "),
+        ({"asked": {"00015": ("sheep",)}}, "found labelled frames 00015, expected frame_00002, "),
+        ({"asked": {"frame_00002": ()}}, "found labels of nothing, expected sheep, "),
+        ({"sizes": {}}, "found frame_00002 of no size pixels, expected 988x730"),
+        (
+            {"sizes": dict.fromkeys(SETS["lerf_ovs"]["teatime"].frames, (540, 360))},
+            "found frame_00002 of 540x360 pixels, expected 988x730",
+        ),
+    ],
+)
+def test_what_differs_is_said_of_a_scene_of_that_name(change, why):
+    another = standing(replace(found_of("lerf_ovs", "teatime"), **change))
+    assert another is not None
+    assert (another.standing, another.scene) == (ANOTHER, "teatime")
+    assert another.why.startswith(why)
+    assert standing(replace(found_of("lerf_ovs", "teatime"), name="mine", **change)) is None
+
+
+def test_where_texts_are_not_published_all_frames_must_be_there():
+    desk = found_of("ovs3d", "covered_desk")
+    fewer = standing(replace(desk, frames=("00", "01")))
+    assert fewer is not None and fewer.standing == ANOTHER
+    assert fewer.why == "found labelled frames 00, 01, expected 00, 01, 11, 26 ..."
