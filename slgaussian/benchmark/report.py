@@ -32,6 +32,7 @@ from slgaussian.benchmark.speed_error import tradeoffs
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.benchmark.summary import Summary, summarize
 from slgaussian.benchmark.timings import Times
+from slgaussian.benchmark.verdict import CLAIMED, claims
 from slgaussian.datasets.published import Standing
 from slgaussian.storage.account import Account
 
@@ -152,6 +153,9 @@ def render_report(
     best = showcase.few_a_scene(best, showcase.BEST)
     told = showcase.telling(own, others, showcase.ALL_METHODS)
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
+    gains = difference_tables(
+        {method: (by_method[ours], rows) for method, rows in by_method.items() if method != ours}
+    )
     drawn = _Drawn(scenes, own, others, {*shown_worst, *map(key_of, best)}, told)
     common = {
         "ours": ours,
@@ -172,13 +176,9 @@ def render_report(
         "stand_ins": STAND_INS,
         "tables": method_tables(scores, MAIN),
         "more": method_tables(scores, MORE),
-        "differences": difference_tables(
-            {
-                method: (by_method[ours], rows)
-                for method, rows in by_method.items()
-                if method != ours
-            }
-        ),
+        "differences": gains,
+        "claims": {table.dataset: claims(table) for table in gains},
+        "claimed": CLAIMED.title,
         "told": [_answers(key, own, others) for key in told],
         "summaries": _summaries(scenes),
         "accounts": [(scene.name, *_account_cells(scene.account)) for scene in scenes],

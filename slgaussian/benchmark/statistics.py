@@ -1,6 +1,8 @@
 """How far a mean can be trusted: the bootstrap (Efron 1979) over independent samples.
 
 Percentile intervals, of resamplings that are the same for the same number of samples and seed.
+Where samples come in groups, such as pairs of views of one place, groups are drawn, and then
+samples within each: both are a choice of what was measured.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ class Comparison:
         ``low`` is above 0.
     samples : int
     drawn : int
-        Independent ones, that the resamplings draw: those of one group count once.
+        Independent ones, that the resamplings draw first: those of one group count once.
     """
 
     difference: float
@@ -64,7 +66,7 @@ def compare(
         narrow.
     seed : int
     groups : sequence, optional
-        What each sample is of: those of one group are drawn together.
+        What each sample is of, see :func:`drawn`.
 
     Raises
     ------
@@ -89,29 +91,44 @@ def interval_of_mean(
 ) -> tuple[float, float]:
     """Where the mean of float [n] lies for :data:`LEVEL` of the resamplings; n is at least 1.
 
-    With ``groups``, one a value, whole groups are drawn, and the mean is that of all their values
-    (the cluster bootstrap; Davison and Hinkley 1997, section 3.8). Of one value or group it is the
-    mean itself, which says nothing: leave it out where it is printed.
+    With ``groups``, one a value, groups are drawn and then values within them, as :func:`drawn`
+    says, and the mean is that of all values drawn, each of one weight. Of one value or group the
+    interval says nothing of others: leave it out where it is printed.
     """
     if groups is None:
         return interval(values[resamplings(len(values), seed)].mean(1))
-    sums, counts = totals(values, groups), totals(np.ones(len(values)), groups)
-    drawn = resamplings(len(sums), seed)
-    return interval(sums[drawn].sum(1) / counts[drawn].sum(1))
-
-
-def totals(values: np.ndarray, groups: Sequence[Hashable]) -> np.ndarray:
-    """Sums of float [n, ...] over each group, in their order: float64 [g, ...]."""
-    places = {group: place for place, group in enumerate(dict.fromkeys(groups))}
-    found = np.zeros((len(places), *values.shape[1:]))
-    np.add.at(found, [places[group] for group in groups], values)
-    return found
+    times = drawn(tuple(groups), seed)
+    return interval(np.einsum("dn,n->d", times, values) / times.sum(1))
 
 
 def interval(statistics: np.ndarray) -> tuple[float, float]:
     """The middle :data:`LEVEL` of a statistic float [D] that was worked out on each resampling."""
     low, high = np.quantile(statistics, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return float(low), float(high)
+
+
+@lru_cache(4)
+def drawn(groups: tuple[Hashable, ...], seed: int = 0) -> np.ndarray:
+    """How often each resampling holds each sample: int32 [DRAWS, n], not to be changed.
+
+    The hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement twice): as
+    many groups as there are, then of each, every time that it was drawn, as many of its samples as
+    it has. ``groups`` are one a sample; with a group of its own for each it is the plain one.
+    """
+    members: dict[Hashable, list[int]] = {}
+    for sample, group in enumerate(groups):
+        members.setdefault(group, []).append(sample)
+    chosen = resamplings(len(members), seed)
+    rng = rng_for(seed, "", "bootstrap within groups")
+    times = np.zeros((DRAWS, len(groups)), np.int32)
+    for number, own in enumerate(members.values()):
+        often = (chosen == number).sum(1)
+        if len(own) == 1:
+            times[:, own[0]] = often
+        else:
+            times[:, own] = rng.multinomial(often * len(own), np.full(len(own), 1 / len(own)))
+    times.flags.writeable = False
+    return times
 
 
 @lru_cache(4)

@@ -1,4 +1,7 @@
-"""From judgements of single lessons to whether one lifting is better than another."""
+"""Whether one thing is better than another, in sentences: never beyond what an interval bears out.
+
+Methods of a benchmark by their differences, liftings by judgements of single lessons.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,58 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
+from slgaussian.benchmark.score_tables import MAIN, Table
 from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison, compare
+
+CLAIMED = MAIN[0]
+"""The score by which a method is called ahead or behind."""
+
+SAID = {
+    "better": "ahead of {other} by {gain}",
+    "worse": "behind {other}: {gain}",
+    "noise": "no difference beyond noise from {other}: {gain}",
+    "few": "too few places to tell from {other}: {gain}",
+}
+"""By the mark of a difference: see :func:`slgaussian.benchmark.score_tables.gain_cell`."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What may be said of one method against another.
+
+    Attributes
+    ----------
+    mark : str
+        ``better``, ``worse``, ``noise`` or ``few``.
+    text : str
+        "ahead of lerf-like by +0.080 (+0.030 to +0.120)".
+    """
+
+    mark: str
+    text: str
+
+
+def claims(gains: Table) -> list[Claim]:
+    """What the differences of one data set bear out, by :data:`CLAIMED`: one a method, in order.
+
+    Parameters
+    ----------
+    gains : Table
+        Of :func:`slgaussian.benchmark.score_tables.difference_tables`. Whoever has no such score is
+        left out.
+    """
+    columns = [(column.protocol, column.metric) for column in gains.columns]
+    if (CLAIMED.protocol, CLAIMED.metric) not in columns:
+        return []
+    place = columns.index((CLAIMED.protocol, CLAIMED.metric))
+    found = []
+    for line in gains.lines:
+        cell = line.cells[place]
+        if cell.mark in SAID:
+            gain = f"{cell.value} ({cell.interval})" if cell.interval else cell.value
+            text = SAID[cell.mark].format(other=line.method, gain=gain)
+            found.append(Claim(cell.mark, text))
+    return found
 
 
 @dataclass(frozen=True)

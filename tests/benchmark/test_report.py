@@ -11,6 +11,7 @@ from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.statistics import LEAST
 from slgaussian.benchmark.timings import Times
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.account import Account
@@ -117,6 +118,21 @@ def test_both_forms_say_the_same_numbers(both, result):
     assert gains[-1][:2] == ["nearest-view", f"{scores['slgaussian', 'iou']:+.3f}"]
     assert gains[-1][1] in text
     assert "not LangSplat" not in text and "the nearest photograph's masks" in text
+
+
+def test_what_may_be_claimed_is_said_by_rule(result, truth, both):
+    """Of one scene nothing; of six the same gain is beyond noise, in both forms alike."""
+    told = "too few places to tell from nearest-view: +"
+    for page in (both.html, both.markdown):
+        assert told in page and "ahead of" not in page
+    worse = named(result, "nearest-view")
+    rows = [row | {"iou": row["iou"] and row["iou"] / 2} for row in worse.rows]
+    worse = replace(worse, rows=rows)
+    scenes = [scene_of(result, truth, worse, name=f"scene {k}") for k in range(LEAST)]
+    page = render_report(scenes, MANIFEST)
+    text = f"ahead of nearest-view by {result.scene_metrics['iou'] / 2:+.3f} ("
+    assert f'<li class="better">{text}' in page.html
+    assert f"- {text}" in page.markdown and "too few places" not in page.markdown
 
 
 def test_the_papers_tables_name_what_ran_beside_what_it_is_like(both):

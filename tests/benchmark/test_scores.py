@@ -18,7 +18,7 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, resamplings
+from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, drawn, interval_of_mean
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -113,7 +113,7 @@ def test_the_interval_is_that_of_the_scenes_and_always_the_same():
     assert score(score_table(rows, seed=1), "iou")["low"] != row["low"]
 
 
-def test_scenes_of_one_place_are_drawn_together():
+def test_places_are_drawn_and_then_their_scenes():
     places = {"a": "x", "b": "x", "c": "y", "d": "y", "e": "z"}
     rows = ious(a=[0.1], b=[0.3], c=[0.9], d=[0.5], e=[0.4])
     score_of = {"score": 0.7, "hit_mask": True}
@@ -121,14 +121,14 @@ def test_scenes_of_one_place_are_drawn_together():
     row = score(score_table(rows), "iou")
     assert row["value"] == pytest.approx(np.mean([0.1, 0.3, 0.9, 0.5, 0.4]))
     assert (row["scenes"], row["places"], row["note"]) == (5, 3, FEW_PLACES)
-    # A place can be drawn three times: its mean, of all its scenes.
-    assert (row["low"], row["high"]) == (pytest.approx(0.2), pytest.approx(0.7))
+    ends = interval_of_mean(np.array([0.1, 0.3, 0.9, 0.5, 0.4]), groups=list("xxyyz"))
+    assert (row["low"], row["high"]) == ends
     assert score(score_table(rows), SCORE_CALIBRATION)["places"] == 3
     one = score(score_table(rows[:2]), "iou")
     assert (one["low"], one["note"], one["scenes"], one["places"]) == (None, ONE_PLACE, 2, 1)
     found = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
     assert (found.samples, found.drawn) == (5, 3)
-    assert (found.low, found.high) == (pytest.approx(0.2), pytest.approx(0.7))
+    assert (found.low, found.high) == pytest.approx((row["low"], row["high"]), abs=1e-12)
 
 
 def test_every_scene_and_sample_of_a_drawn_place_counts_alike():
@@ -145,25 +145,27 @@ def test_every_scene_and_sample_of_a_drawn_place_counts_alike():
         for scene in range(scenes):
             iou = rng.random() / 4 + (scenes > 2)
             told_ = [(0.6 + 0.3 * (scenes > 2), bool(k % 2)) for k in range(scenes**2)]
-            ious_of.setdefault(name, []).append(iou)
-            samples_of.setdefault(name, []).extend(told_)
+            ious_of[f"s{place}{scene}"] = iou
+            samples_of[f"s{place}{scene}"] = told_
             rows += [
                 sample(f"s{place}{scene}", f"q{k}", place=name, iou=iou, score=s, hit_mask=h)
                 for k, (s, h) in enumerate(told_)
             ]
-    places = list(ious_of)
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    place_of = {row["scene"]: row["place"] for row in rows}
     means, errors = [], []
-    for chosen in resamplings(7).tolist():
-        means.append(np.mean([iou for k in chosen for iou in ious_of[places[k]]]))
-        drawn = [one for k in chosen for one in samples_of[places[k]]]
+    for often in drawn(tuple(place_of[scene] for scene in scenes)).tolist():
+        taken = [scene for scene, times in zip(scenes, often, strict=True) for _ in range(times)]
+        means.append(np.mean([ious_of[scene] for scene in taken]))
+        answers = [one for scene in taken for one in samples_of[scene]]
         gaps = {}
-        for s, h in drawn:  # each of the two scores has a bin of its own
+        for s, h in answers:  # each of the two scores has a bin of its own
             gaps[s] = gaps.get(s, 0) + s - h
-        errors.append(sum(map(abs, gaps.values())) / len(drawn))
+        errors.append(sum(map(abs, gaps.values())) / len(answers))
     table = score_table(rows)
-    for metric, drawn in (("iou", means), (SCORE_CALIBRATION, errors)):
+    for metric, values in (("iou", means), (SCORE_CALIBRATION, errors)):
         row = score(table, metric)
-        ends = np.quantile(drawn, [0.025, 0.975])
+        ends = np.quantile(values, [0.025, 0.975])
         assert (row["low"], row["high"]) == pytest.approx(tuple(ends), abs=1e-9)
         assert row["places"] == 7 and row["note"] == ""
     others = [row | {"iou": 0.0} for row in rows]

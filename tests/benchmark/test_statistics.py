@@ -10,9 +10,9 @@ from slgaussian.benchmark.statistics import (
     LEAST,
     LEVEL,
     compare,
+    drawn,
     interval_of_mean,
     resamplings,
-    totals,
 )
 from slgaussian.errors import InputError
 
@@ -65,25 +65,64 @@ def test_fewer_samples_than_are_needed_can_all_gain_by_chance():
     assert 2.0**-LEAST <= (1 - LEVEL) / 2 < 2.0 ** (1 - LEAST)
 
 
-def test_groups_are_drawn_whole():
-    """Against plain loops over the same draws of groups, each value of which counts alike.
+def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
+    """The means of some resamplings by loops: groups, then as many values in each as it has."""
+    rng = np.random.default_rng(7)
+    own = {name: [v for g, v in zip(groups, values, strict=True) if g == name] for name in groups}
+    names, means = list(own), []
+    for _ in range(draws):
+        taken: list[float] = []
+        for k in rng.integers(len(names), size=len(names)):
+            inside = own[names[k]]
+            taken += [inside[j] for j in rng.integers(len(inside), size=len(inside))]
+        means.append(float(np.mean(taken)))
+    return means
 
-    Of so many groups no end of the interval is that of one group drawn again and again, whose mean
-    is its own however values are weighed.
+
+def test_groups_are_drawn_and_then_values_within_them():
+    """Against plain loops with random numbers of their own.
+
+    The large group is the best, so means of groups would be another score than that of all values;
+    and its values differ, so groups drawn whole would have another interval.
     """
     groups = list("babccbadefgggggg")
-    values = np.random.default_rng(2).random(len(groups)) + (np.array(groups) == "g")
-    order = list("bacdefg")
-    own = {name: values[np.array(groups) == name] for name in order}
-    means, unweighted = [], []
-    for chosen in resamplings(7).tolist():
-        drawn = np.concatenate([own[order[k]] for k in chosen])
-        means.append(drawn.mean())
-        unweighted.append(np.mean([own[order[k]].mean() for k in chosen]))
-    low, high = np.quantile(means, [0.025, 0.975])
-    assert interval_of_mean(values, groups=groups) == pytest.approx((low, high), abs=1e-12)
-    assert abs(high - np.quantile(unweighted, 0.975)) > 0.1
-    assert totals(values, groups)[1] == pytest.approx(values[1] + values[6])
+    values = np.random.default_rng(2).random(len(groups))
+    values[-6:] = (1, 1, 1, 1, 1, 12)
+    means = plainly(groups, values, 6000)
+    times = drawn(tuple(groups))
+    own = times @ values / times.sum(1)
+    assert interval_of_mean(values, groups=groups) == pytest.approx(
+        tuple(np.quantile(own, [0.025, 0.975]))
+    )
+    # Of 6000 draws the deviation is within 1 % of its own, and so are the ends and the mean.
+    assert own.std() == pytest.approx(np.std(means), rel=0.04)
+    wanted = [np.mean(means), *np.quantile(means, [0.025, 0.975])]
+    found = [own.mean(), *np.quantile(own, [0.025, 0.975])]
+    assert found == pytest.approx(wanted, abs=0.1 * own.std())
+    names = list(dict.fromkeys(groups))
+    by_name = {name: values[np.array(groups) == name] for name in names}
+    whole = [
+        np.concatenate([by_name[names[k]] for k in chosen]).mean()
+        for chosen in resamplings(len(names)).tolist()
+    ]
+    assert own.std() > 1.2 * np.std(whole)
+    assert own.mean() > 1.2 * np.mean([mean.mean() for mean in by_name.values()])
+
+
+@given(st.lists(st.sampled_from("abcde"), min_size=1, max_size=12), st.integers(0, 3))
+def test_a_resampling_holds_as_many_groups_as_there_are_and_of_each_what_it_has(groups, seed):
+    times = drawn(tuple(groups), seed)
+    names = list(dict.fromkeys(groups))
+    chosen = resamplings(len(names), seed)
+    for number, name in enumerate(names):
+        own = np.array(groups) == name
+        assert (times[:, own].sum(1) == own.sum() * (chosen == number).sum(1)).all()
+    assert times.min() >= 0
+
+
+def test_with_a_group_of_its_own_for_each_nothing_changes():
+    values = np.random.default_rng(3).random(9)
+    assert interval_of_mean(values, groups=range(9)) == pytest.approx(interval_of_mean(values))
 
 
 def test_a_difference_is_that_of_every_sample_and_its_interval_that_of_groups():
