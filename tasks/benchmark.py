@@ -24,7 +24,7 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("benchmark", version=7)
+@stage("benchmark", version=8)
 def benchmark(
     site: Worksite,
     sample: ArtifactRef,
@@ -48,7 +48,6 @@ def benchmark(
         site.read(truth, truth_from_arrays),
         settings,
         gaussians=site.read(gaussians, Gaussians.from_arrays),
-        bank=asked.bank,
     )
     meta = {"times": result.times, "costs": result.costs, "example": example(result, asked)}
     return site.store.put("scene_result", result_to_arrays(result), meta)

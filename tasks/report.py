@@ -34,7 +34,7 @@ class Scored:
     account: Mapping[str, Any]
 
 
-@stage("report", version=6)
+@stage("report", version=7)
 def report(
     site: Worksite,
     scenes: Sequence[Scored],

@@ -31,7 +31,6 @@ from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
@@ -71,8 +70,7 @@ class SceneResult:
     pictures : {name: uint8 [H, W, 3]}
         ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
         ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
-        and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol);
-        and ``objects/all``, every object of the memory bank cut from a photograph, with its id.
+        and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol).
     times : {stage: float}
         Seconds, summed over the scene: ``render``, ``query``, ``segment`` by the method, and
         ``score`` by the protocols. Where something was asked also ``first_query``, that of one
@@ -166,7 +164,6 @@ def evaluate(
     settings: EvaluationSettings | None = None,
     *,
     gaussians: Gaussians | None = None,
-    bank: MemoryBank | None = None,
     peak: Peak | None = None,
 ) -> SceneResult:
     """Ask a method everything the truth knows, in every target view, and score its answers.
@@ -188,8 +185,6 @@ def evaluate(
         What is asked beyond the truth, and how rows are marked.
     gaussians : Gaussians, optional
         Of the context views' pixels: their depths are scored and drawn.
-    bank : MemoryBank, optional
-        Its objects are drawn.
     peak : Peak, optional
         Of the memory that the method took until now, if it has prepared the scene.
 
@@ -242,12 +237,7 @@ def evaluate(
         return record.result()
     for context, labels in zip(sample.context, label_maps.labels, strict=True):
         record.pictures[f"input/{context.name}"] = context.image
-        record.pictures[f"labels/{context.name}"] = pictures.paint_labels(labels, context.image)
-    if bank is not None and bank.boxes is not None:
-        images = [context.image for context in sample.context]
-        cuts = pictures.cut_out(images, label_maps.labels, bank.ids, bank.boxes)
-        tiles = list(zip(map(str, bank.ids), cuts, strict=True))
-        record.pictures["objects/all"] = pictures.contact_sheet(tiles, side=56, columns=8)
+        record.pictures[f"labels/{context.name}"] = pictures.name_objects(labels, context.image)
     return record.result()
 
 
@@ -410,7 +400,7 @@ class _Record:
     ) -> None:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
         found = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
-        painted = pictures.paint_relevancy(heat, ground)
+        painted = pictures.paint_stretched(heat, ground)
         answer = pictures.draw_outline(pictures.spotlight(ground, found), found, pictures.PREDICTED)
         if mask.any():
             painted = pictures.draw_outline(painted, mask, pictures.TRUE)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -83,6 +84,119 @@ def paint_relevancy(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     heat = _colormap(relevancy, cv2.COLORMAP_INFERNO).astype(np.float64)
     grey = _grey(image)[..., None]
     return np.clip(0.72 * heat + 0.34 * grey, 0, 255).astype(np.uint8)
+
+
+def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Relevancy [H, W] stretched to what occurs in it, over the grey photograph, with its scale.
+
+    The lower half of what occurs stays grey: colours are where a text fits better than elsewhere.
+    Where it fits alike everywhere, all is grey.
+    """
+    low, high = float(relevancy.min()), float(relevancy.max())
+    grey = np.repeat(0.8 * _grey(image)[..., None], 3, -1)
+    if high - low < 1e-6:
+        return grey.astype(np.uint8)
+    share = (relevancy.astype(np.float64) - low) / (high - low)
+    weight = _heat_weight(share)[..., None]
+    heat = _heat(share)
+    painted = (1 - weight) * grey + weight * heat
+    return _with_scale(np.clip(painted, 0, 255).astype(np.uint8), low, high)
+
+
+def _heat_weight(share: np.ndarray) -> np.ndarray:
+    """How much of the colour is seen, of the photograph the rest."""
+    return np.clip((share - 0.5) / 0.15, 0, 0.82)
+
+
+def _heat(share: np.ndarray) -> np.ndarray:
+    """The colours of the upper half, from purple to yellow, float64 [H, W, 3]."""
+    return _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO).astype(np.float64)
+
+
+def _with_scale(image: np.ndarray, low: float, high: float) -> np.ndarray:
+    """A copy with a bar of the colours and both its ends, below to the left."""
+    height, width = image.shape[:2]
+    size = max(9, round(width / 24))
+    font = ImageFont.load_default(size=size)
+    texts = f"{low:.2f}", f"{high:.2f}"
+    wide, pad = round(width / 4), max(2, size // 3)
+    ends = [round(font.getlength(text)) for text in texts]
+    box = wide + sum(ends) + 4 * pad, size + 2 * pad
+    if box[0] > width or box[1] > height:
+        return image
+    sheet = Image.fromarray(image)
+    draw = ImageDraw.Draw(sheet)
+    top = height - box[1]
+    draw.rectangle((0, top, box[0], height), fill=(20, 22, 28))
+    share = np.linspace(0, 1, wide)
+    weight = _heat_weight(share)[:, None]
+    colors = (1 - weight) * 110 + weight * _heat(share[None])[0]
+    bar = np.repeat(colors[None].astype(np.uint8), max(1, size // 2), 0)
+    sheet.paste(Image.fromarray(bar), (2 * pad + ends[0], top + (box[1] - len(bar)) // 2))
+    middle = top + box[1] / 2
+    draw.text((pad, middle), texts[0], fill=(255, 255, 255), font=font, anchor="lm")
+    draw.text((3 * pad + ends[0] + wide, middle), texts[1], fill="white", font=font, anchor="lm")
+    return np.asarray(sheet)
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """Pixels of a picture, bool [H, W], and what is written on them; ``id`` decides the colour."""
+
+    text: str
+    mask: np.ndarray
+    id: int
+
+
+def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
+    """A copy with each text written where its pixels are widest, beside what is written already.
+
+    ``size`` is that of the letters, in pixels. What has no pixel has no name.
+    """
+    sheet = Image.fromarray(image)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=size)
+    height, width = image.shape[:2]
+    free = np.ones((height, width), bool)
+    for one in sorted(named, key=lambda one: int(one.mask.sum())):
+        if not one.mask.any():
+            continue
+        tall, wide = size * 1.5, font.getlength(one.text) + size
+        open_ = one.mask & free
+        inside = open_ if open_.any() else one.mask
+        deep = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)
+        row, column = np.unravel_index(int(deep[1:-1, 1:-1].argmax()), inside.shape)
+        x = min(max(float(column), wide / 2), max(width - wide / 2, wide / 2))
+        y = min(max(float(row), tall / 2), max(height - tall / 2, tall / 2))
+        box = x - wide / 2, y - tall / 2, x + wide / 2, y + tall / 2
+        color = tuple(int(level) for level in label_colors(np.array(one.id)))
+        draw.rounded_rectangle(box, tall / 4, fill=(20, 22, 28), outline=color, width=2)
+        draw.text((x, y), one.text, fill=(255, 255, 255), font=font, anchor="mm")
+        # Names of other things keep their distance: their middles would be in this box.
+        grown = box[0] - wide / 2, box[1] - 1.2 * tall, box[2] + wide / 2, box[3] + 1.2 * tall
+        left, top, right, bottom = (max(0, round(end)) for end in grown)
+        free[top:bottom, left:right] = False
+    return np.asarray(sheet)
+
+
+def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
+    """What has a name in its colours, outlined and named; everything else grey and dim."""
+    union = np.zeros(image.shape[:2], bool)
+    for one in named:
+        union |= one.mask
+    out = spotlight(image, union)
+    for one in sorted(named, key=lambda one: -int(one.mask.sum())):
+        color = label_colors(np.array(one.id))
+        out[one.mask] = (0.78 * image[one.mask] + 0.22 * color).astype(np.uint8)
+        out = draw_outline(out, one.mask, (int(color[0]), int(color[1]), int(color[2])))
+    return draw_names(out, named, size)
+
+
+def name_objects(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """:func:`paint_labels` with the id of each object written on it."""
+    ids = [int(number) for number in np.unique(labels) if number]
+    named = [Named(str(number), labels == number, number) for number in ids]
+    return draw_names(paint_labels(labels, image), named, max(8, round(image.shape[1] / 48)))
 
 
 def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Pages of templates: HTML that needs no network and no script, and Markdown."""
+"""Pages of templates: HTML that needs no network, and Markdown."""
 
 from __future__ import annotations
 

@@ -1,19 +1,20 @@
 """What a benchmark leaves to look at: one HTML page, and the same numbers as Markdown.
 
-Everything but one section, the times, depends on the arguments alone: same results, same bytes.
-Left-out scenes come first, then the worst answers.
+A page opens with a sentence, a few numbers and a scene to look at; then come one table, what was
+left out and answered worst, and the rest. All depends on the arguments alone, same results, same
+bytes, but for one section, the times, and the seconds and memory beside the first scores.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark import plots, showcase
+from slgaussian.benchmark import opening, plots, showcase
 from slgaussian.benchmark.evaluate import ALONG_THE_WAY, ERROR_TOP, NOT_UNDERSTOOD
 from slgaussian.benchmark.outputs import mask_place
 from slgaussian.benchmark.paper_tables import paper_tables
@@ -21,6 +22,8 @@ from slgaussian.benchmark.rendering import data_uri, flatten, template
 from slgaussian.benchmark.score_tables import (
     MAIN,
     MORE,
+    Column,
+    Table,
     about,
     conditions,
     difference_tables,
@@ -45,8 +48,11 @@ FEW = 6
 MOST = 30
 """Scenes that get pictures: of more, those answered worst. All are in the tables."""
 
-WIDE, NARROW, TILE = 520, 300, 220
+WIDE, NARROW, TILE = 520, 300, 260
 """Width of pictures of few scenes, of many, and of an answer among those of all methods, pixels."""
+
+SHOWN, ANSWER = 800, 480
+"""Width of pictures that open the page, and of the worst and the best answers, pixels."""
 
 SHOWN_QUERIES = 6, 4
 """Queries of a scene that get pictures, of few scenes and of many: the worst and the best."""
@@ -71,6 +77,30 @@ ACCOUNT_COLUMNS = (
     "possible", "code numbers", "replicas computed", "asked", "MB of Gaussians", "MB of bank",
 )  # fmt: skip
 """Of the table of what each field is made of."""
+
+SCORE_TERMS = {
+    "iou": "the pixels that the answer and the labelled thing have in common, as a share of those "
+    "that are in either; 1 is the same mask, 0 is none in common",
+    "hit_mask": "share of the answers whose one pixel, where they point, is on the thing",
+    "hit_peak": "share of the answers of which any of the most relevant pixels is in the thing's "
+    "box",
+    "hit_box": "share of the answers whose one pixel is in the thing's box",
+    "miou": "all texts of a view compete for each pixel; IoU of what each wins, the mean of all",
+    "accuracy": "share of the pixels that have the right text and no other",
+}
+"""What the scores of the first table mean, by metric, in the order of its columns."""
+
+COST_TERMS = {
+    "a query in a new view": "seconds to render a view that was not seen before and to answer "
+    "there, the median",
+    "memory": "the most that a scene took beyond what the program holds anyway",
+    "–": "not measured",
+}
+
+NEAR_BEST_TERM = (
+    "a text names all objects that fit nearly as well as the one that fits best: their lead over "
+    "“object”, “thing” and “stuff” is at least the given share of the best lead"
+)
 
 TIMES_HERE = "<!-- how long it took -->"
 """Where :func:`with_times` puts what differs from run to run."""
@@ -120,7 +150,7 @@ def render_report(
     failures: Sequence[Mapping[str, str]] = (),
     attribution: Sequence[Row] = (),
 ) -> Report:
-    """The report of a run: no network, no script, the same bytes from run to run.
+    """The report of a run: no network, the same bytes from run to run.
 
     Parameters
     ----------
@@ -156,7 +186,13 @@ def render_report(
     gains = difference_tables(
         {method: (by_method[ours], rows) for method, rows in by_method.items() if method != ours}
     )
-    drawn = _Drawn(scenes, own, others, {*shown_worst, *map(key_of, best)}, told)
+    drawn = _Drawn(scenes, own, others, {*shown_worst, *map(key_of, best)}, told, lost_by)
+    leading = [score for score in scores if own and score["protocol"] == own[0]["protocol"]]
+    main = _main_tables(leading)
+    numbers = _key_numbers(scenes, leading, ours)
+    paper = paper_tables(
+        [row for rows in by_method.values() for row in rows], _published(manifest), ours
+    )
     common = {
         "ours": ours,
         "scenes": [scene.name for scene in scenes],
@@ -184,9 +220,16 @@ def render_report(
         "accounts": [(scene.name, *_account_cells(scene.account)) for scene in scenes],
         "account_columns": ACCOUNT_COLUMNS,
         "summary_columns": dict.fromkeys(m for *_, one in _summaries(scenes) for m in one.columns),
-        "paper": paper_tables(
-            [row for rows in by_method.values() for row in rows], _published(manifest), ours
-        ),
+        "paper": paper,
+        "present": any(table.present or table.notes for table in paper),
+        "photographs": _photographs(manifest),
+        "unseen": _unseen(manifest),
+        "sets": list(dict.fromkeys(scene.dataset for scene in scenes)),
+        "others": [method for method in by_method if method != ours],
+        "key_numbers": numbers,
+        "number_terms": {title: found[0][1].about for title, found in numbers.items()},
+        "main": main,
+        "score_terms": _score_terms(main, leading),
         "level": LEVEL,
         "least": LEAST,
         "estimated": _estimated(manifest),
@@ -199,6 +242,8 @@ def render_report(
         pictures=drawn.cards,
         tiles=drawn.tiles,
         parts=drawn.parts,
+        exhibits=drawn.exhibits,
+        slot=opening.slot,
         few=len(scenes) <= FEW,
         anchors={scene.name: f"scene-{k}" for k, scene in enumerate(scenes)},
         asked=Counter(row["scene"] for row in own),
@@ -237,7 +282,9 @@ def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report
         "paper_seconds": any(speed.paper is not None for speed in times.speeds()),
     }
     forms = (
-        page.replace(TIMES_HERE, template(f"times.{kind}.j2").render(**shown))
+        opening.fill(page, times.costs).replace(
+            TIMES_HERE, template(f"times.{kind}.j2").render(**shown)
+        )
         for kind, page in (("html", report.html), ("md", report.markdown))
     )
     return Report(*forms)
@@ -246,8 +293,8 @@ def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report
 class _Drawn:
     """The pictures of a page, as addresses of themselves; of all scenes, one in memory at a time.
 
-    ``cards`` are those of the chosen answers, ``tiles`` what each method found, ``parts`` what the
-    template needs of each scene.
+    ``exhibits`` are the scenes that open the page, ``cards`` the chosen answers, ``tiles`` what
+    each method found, ``parts`` what the template needs of each scene.
     """
 
     def __init__(
@@ -257,7 +304,10 @@ class _Drawn:
         others: Mapping[str, Sequence[Row]],
         chosen: set[Key],
         told: Sequence[Key],
+        lost_by: Mapping[Key, str],
     ) -> None:
+        self.lost_by = lost_by
+        self.exhibits: list[dict[str, Any]] = []
         self.cards: dict[Key, dict[str, str]] = {}
         self.tiles: dict[Key, dict[str, str]] = {}
         self.parts: list[dict[str, Any]] = []
@@ -267,7 +317,8 @@ class _Drawn:
         by_scene: dict[str, list[Row]] = {}
         for row in own:
             by_scene.setdefault(row["scene"], []).append(row)
-        pictured = {key[0] for key in (*chosen, *told)}
+        opens = opening.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
+        pictured = {key[0] for key in (*chosen, *told)} | opens.keys()
         worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
         with_parts = {scene.name for scene in worst_first[:MOST]}
         for scene in scenes:
@@ -277,12 +328,49 @@ class _Drawn:
             if scene.name in pictured | with_parts:
                 images = scene.pictures()
             carded, keys = chosen & asked.keys(), [key for key in told if key in asked]
+            if scene.name in opens:
+                self.exhibits.append(self._exhibit(scene, rows, images, opens[scene.name]))
             truth = scene.truth() if carded or keys else {}
             for key in carded:
                 self.cards[key] = self._card(images, truth, key)
             if keys:
                 self._compare(images, truth, scene, keys, asked[keys[0]], others)
-            self.parts.append(self._part(scene, rows, images if scene.name in with_parts else {}))
+            part = self._part(scene, rows, images if scene.name in with_parts else {})
+            self.parts.append(part | {"exhibited": scene.name in opens})
+
+    def _exhibit(
+        self, scene: Scene, rows: Sequence[Row], images: Images, why: str
+    ) -> dict[str, Any]:
+        method = rows[0]["method"] if rows else ""
+        shown = opening.exhibit(scene.name, rows, images, scene.truth, lambda: scene.masks(method))
+
+        def encoded(named: Images) -> dict[str, str]:
+            return {name: data_uri(picture, SHOWN) for name, picture in named.items()}
+
+        named = {
+            name: None if picture is None else data_uri(picture, opening.LARGE)
+            for name, picture in (("told", shown.told), ("truth", shown.truth))
+        }
+        cards = []
+        for row in shown.rows:
+            kinds = {
+                kind: data_uri(images[f"{kind}/{row['frame']}/{row['query']}"], SHOWN)
+                for kind in ("relevancy", "mask")
+            }
+            lost = self.lost_by.get(key_of(row), "")
+            cards.append({"row": row, "sources": {"photo": None, **kinds}, "lost_by": lost})
+        return {
+            "scene": scene.name,
+            "why": why,
+            "frame": shown.frame,
+            "photographs": encoded(shown.photographs),
+            "walk": encoded(shown.walk),
+            "view": encoded(shown.view),
+            "cards": cards,
+            "asked": sum(row["frame"] == shown.frame for row in rows),
+            "scored": any(row["iou"] is not None for row in shown.rows),
+            **named,
+        }
 
     def _card(self, images: Images, truth: Mapping[str, Images], key: Key) -> dict[str, str]:
         _, frame, query = key
@@ -290,7 +378,7 @@ class _Drawn:
         found = {"photo": photo} | {
             kind: images[f"{kind}/{frame}/{query}"] for kind in ("relevancy", "mask")
         }
-        return {kind: data_uri(picture, NARROW) for kind, picture in found.items()}
+        return {kind: data_uri(picture, ANSWER) for kind, picture in found.items()}
 
     def _compare(
         self,
@@ -331,9 +419,9 @@ class _Drawn:
             for kind in ("relevancy", "mask")
             for row in queries
         }
-        always = "input", "labels", "depth", "true_depth", "depth_error", "objects"
+        always = "input", "labels", "depth", "true_depth", "depth_error"
         uris = {
-            name: data_uri(images[name], WIDE if name == "objects/all" else self.width)
+            name: data_uri(images[name], self.width)
             for name in images
             if name in wanted or name.split("/", 1)[0] in always
         }
@@ -391,6 +479,74 @@ def _answers(key: Key, own: Sequence[Row], others: Mapping[str, Sequence[Row]]) 
         if key_of(row) == key and row["iou"] is not None
     }
     return {"key": key, "ious": ious, "about": {method: about(method) for method in ious}}
+
+
+def _main_tables(scores: Sequence[Row]) -> list[Table]:
+    """A table a data set of scores of one protocol, those that all data sets have, best first."""
+    if not scores:
+        return []
+    protocol = scores[0]["protocol"].partition("@")[0]
+    had = [
+        {score["metric"] for score in scores if score["dataset"] == dataset}
+        for dataset in dict.fromkeys(score["dataset"] for score in scores)
+    ]
+    columns: list[Column] = [
+        column
+        for column in (*MAIN, *MORE)
+        if column.protocol == protocol
+        and column.metric in SCORE_TERMS
+        and all(column.metric in metrics for metrics in had)
+    ]
+    if any(column.metric == "hit_mask" for column in columns):
+        columns = [column for column in columns if column.metric != "hit_box"]
+    tables = method_tables(scores, columns)
+    return [
+        replace(one, lines=tuple(sorted(one.lines, key=lambda line: line.cells[0].value)[::-1]))
+        for one in tables
+    ]
+
+
+def _score_terms(tables: Sequence[Table], scores: Sequence[Row]) -> dict[str, str]:
+    """What stands in the first table, by the name it has there."""
+    if not tables:
+        return {}
+    terms = {column.title: SCORE_TERMS[column.metric] for column in tables[0].columns}
+    if any(score["low"] is not None for score in scores):
+        terms["small numbers"] = (
+            f"where {100 * LEVEL:.0f} % of the means lie if scenes, or the places that they show, "
+            "are drawn anew; methods whose ranges overlap much may be equally good"
+        )
+    if any(score["selection"] == "near-best" for score in scores):
+        terms["near-best"] = NEAR_BEST_TERM
+    return terms | COST_TERMS
+
+
+def _key_numbers(
+    scenes: Sequence[Scene], scores: Sequence[Row], ours: str
+) -> dict[str, list[tuple[str, opening.KeyNumber]]]:
+    """What stands at the top, by title: the number of each of the first data sets."""
+    found: dict[str, list[tuple[str, opening.KeyNumber]]] = {}
+    for dataset in list(dict.fromkeys(scene.dataset for scene in scenes))[: opening.SHOWN_SETS]:
+        own = [score for score in scores if score["dataset"] == dataset]
+        metrics = [scene.metrics for scene in scenes if scene.dataset == dataset]
+        for one in opening.key_numbers(dataset, own, metrics, ours):
+            found.setdefault(one.title, []).append((dataset, one))
+    return found
+
+
+def _photographs(manifest: Mapping[str, Any]) -> str:
+    """How many photographs the scenes are made of, as text."""
+    counts = {len(of["context"]) for of in manifest.get("data", {}).values() if "context" in of}
+    if not counts:
+        return "photographs"
+    low, high = min(counts), max(counts)
+    return f"{low} photographs" if low == high else f"{low} to {high} photographs"
+
+
+def _unseen(manifest: Mapping[str, Any]) -> bool:
+    """Whether no view that is asked is among those that the method was given."""
+    entries = manifest.get("data", {}).values()
+    return all(set(of.get("context", ())).isdisjoint(of.get("targets", ())) for of in entries)
 
 
 def _counts(own: Sequence[Row]) -> dict[str, int]:

@@ -43,10 +43,11 @@ class Room:
         self, truth: Mapping | None = None, boxes: Mapping | None = None, **settings: Any
     ) -> SceneResult:
         """Ask the field what its own truth knows, or another one."""
-        parts = {"gaussians": self.gaussians, "bank": self.field.bank}
         known = Truth(self.truth if truth is None else truth, boxes or {})
         asked = EvaluationSettings(**settings)
-        return evaluate(self.field, self.sample, self.label_maps, known, asked, **parts)
+        return evaluate(
+            self.field, self.sample, self.label_maps, known, asked, gaussians=self.gaussians
+        )
 
 
 @pytest.fixture(scope="session")

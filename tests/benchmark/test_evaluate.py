@@ -178,10 +178,10 @@ def test_pictures_show_every_view_viewpoint_and_query(result):
     expected |= {f"{kind}/{frame}" for kind in ("render", "ids") for frame in ALONG_THE_WAY}
     for _, frame, query in result.predictions:
         expected |= {f"relevancy/{frame}/{query}", f"mask/{frame}/{query}"}
-    assert set(result.pictures) == expected | {"objects/all"}
-    for name, picture in result.pictures.items():
+    assert set(result.pictures) == expected
+    for picture in result.pictures.values():
         assert picture.dtype == np.uint8
-        assert name == "objects/all" or picture.shape == (104, 144, 3)
+        assert picture.shape == (104, 144, 3)
 
 
 def test_the_same_field_gives_the_same_result(room, result):

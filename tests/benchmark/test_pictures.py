@@ -72,6 +72,75 @@ def test_relevancy_is_brighter_where_it_is_higher(photo):
     assert brightness[0] + 40 < brightness[1] < brightness[2] - 40
 
 
+def test_relevancy_is_stretched_to_what_occurs(photo):
+    grey = np.full((60, 80, 3), 90, np.uint8)
+    low = np.tile(np.linspace(0.40, 0.44, 80), (60, 1))
+    painted = pictures.paint_stretched(low, grey)
+    wide = pictures.paint_stretched(np.tile(np.linspace(0, 1, 80), (60, 1)), grey)
+    assert np.array_equal(painted[:40], wide[:40])  # below them stand the ends, which differ
+    # The lower half is the grey photograph, the upper has colour, the best the brightest.
+    assert (np.ptp(painted[:40, :40].astype(int), axis=-1) == 0).all()
+    assert (np.ptp(painted[:40, 50:].astype(int), axis=-1) > 20).all()
+    assert painted[:40].sum((0, 2)).argmax() == 79
+    flat = pictures.paint_stretched(np.full((60, 80), 0.7), photo)
+    assert (np.ptp(flat, axis=-1) == 0).all()
+
+
+def test_the_ends_of_relevancy_are_written_in_the_picture():
+    grey = np.full((200, 300, 3), 90, np.uint8)
+    one, other = (
+        pictures.paint_stretched(np.tile(np.linspace(low, 0.9, 300), (200, 1)), grey)
+        for low in (0.1, 0.2)
+    )
+    changed = (one != other).any(-1)
+    assert changed.any() and not changed[:150].any() and not changed[:, 150:].any()
+
+
+def test_a_name_stands_on_its_own_thing_and_on_no_other_name():
+    grey = np.full((300, 400, 3), 90, np.uint8)
+    left, right = np.zeros((2, 300, 400), bool)
+    left[50:250, 20:190] = True
+    right[50:250, 210:380] = True
+    small = np.zeros_like(left)
+    small[140:160, 90:110] = True
+    named = [
+        pictures.Named(text, mask, number)
+        for number, (text, mask) in enumerate(
+            (("one", left), ("two", right), ("three", small), ("none", small & right)), 1
+        )
+    ]
+    alone = [pictures.draw_names(grey, [one], 14) != grey for one in named]
+    boxes = [np.argwhere(changed.any(-1)) for changed in alone]
+    for one, box in zip(named[:2], boxes[:2], strict=True):
+        assert one.mask[tuple(box.mean(0).round().astype(int))]
+    assert not len(boxes[3])
+    # The large thing around the small one gives way, so that both can be read.
+    both = (pictures.draw_names(grey, [named[0], named[2]], 14) != grey).any(-1)
+    assert both.sum() > 0.95 * (len(boxes[0]) + len(boxes[2]))
+
+
+def test_what_has_a_name_is_in_colour_and_the_rest_dimmed(photo):
+    large = np.kron(photo, np.ones((4, 4, 1), np.uint8))
+    mask = np.zeros(large.shape[:2], bool)
+    mask[20:200, 20:300] = True
+    shown = pictures.show_named(large, [pictures.Named("thing", mask, 1)], 12)
+    outside = shown[210:]
+    assert (outside == outside[..., :1]).all() and outside.max() < 100
+    inside = shown[30:60, 30:290].astype(int)
+    tint = pictures.label_colors(np.array(1))
+    assert np.abs(inside - (0.78 * large[30:60, 30:290] + 0.22 * tint)).max() <= 1
+
+
+def test_objects_carry_their_ids(photo):
+    labels = np.zeros((60, 80), np.int32)
+    labels[10:50, 10:70] = 3
+    named, plain = pictures.name_objects(labels, photo), pictures.paint_labels(labels, photo)
+    changed = (named != plain).any(-1)
+    assert changed.any() and labels[changed].all()
+    other = pictures.name_objects(np.where(labels, 4, 0), photo)
+    assert not np.array_equal(named, other)
+
+
 def test_a_spotlight_keeps_the_colours_inside_only(photo):
     mask = np.zeros((60, 80), bool)
     mask[20:40, 30:50] = True

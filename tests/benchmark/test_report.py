@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from pages import Page, check_alone, tables_of
 
-from slgaussian.benchmark import report
+from slgaussian.benchmark import opening, report
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.statistics import LEAST
 from slgaussian.benchmark.timings import Times
+from slgaussian.datasets.published import RECOGNISED
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.account import Account
 from slgaussian.storage.specs import load_spec
@@ -79,7 +80,7 @@ def leading(result):
     return [row for row in result.rows if row["protocol"] == "slgaussian@1"]
 
 
-def test_the_page_needs_no_network_and_no_script(both):
+def test_the_page_needs_no_network(both):
     check_alone(both.html)
     assert Page(both.html).images and "svg" in Page(both.html).tags
 
@@ -135,7 +136,11 @@ def test_what_may_be_claimed_is_said_by_rule(result, truth, both):
     assert f"- {text}" in page.markdown and "too few places" not in page.markdown
 
 
-def test_the_papers_tables_name_what_ran_beside_what_it_is_like(both):
+def test_the_papers_tables_name_what_ran_beside_what_it_is_like(both, result, truth):
+    assert "The paper's tables" not in both.html + both.markdown  # none of its scenes ran
+    known = {"standing": RECOGNISED, "format": "lerf_ovs", "scene": "teatime"}
+    data = {"data": {result.scene: {"published": known}}}
+    both = render_report([scene_of(result, truth)], MANIFEST | data)
     table = next(t for t in tables_of(both.markdown) if "LangSplat" in " ".join(t[0]))
     assert table[0][1:4] == [
         "IoU (%): LERF / lerf-like",
@@ -147,18 +152,71 @@ def test_the_papers_tables_name_what_ran_beside_what_it_is_like(both):
     assert "<td>2D Query<small>query-2d</small></td>" in both.html
 
 
-def test_the_worst_answers_come_first_with_their_pictures(both, result):
-    page = Page(both.html)
+def asked_in(html: str) -> list[str]:
+    """Which queries have a picture of their relevancy, in order."""
+    return re.findall(r'alt="relevancy of ([^"]*)"', html)
+
+
+def test_pictures_come_first_then_one_table_then_what_failed(both, result):
     scores = {row["query"]: row["iou"] for row in leading(result) if row["iou"] is not None}
-    shown = [
-        image["alt"].removeprefix("relevancy of ")
-        for image in page.images
-        if image["alt"].startswith("relevancy of ")
-    ]
-    assert scores[shown[0]] == min(scores.values())
-    order = ["Answered worst", "Methods, ", "The same query", "The paper's tables", "What ran"]
-    places = [page.text.rindex(words) for words in order]
+    text = Page(both.html).text
+    order = ["How good, by method", "Methods, ", "Answered worst", "The same query", "What ran"]
+    places = [text.rindex(words) for words in order]
     assert places == sorted(places)
+    opening, _, rest = both.html.partition("<table")
+    # The pictures that open the page go from the best answer to the worst.
+    shown = [scores[query] for query in asked_in(opening)]
+    assert shown[0] == max(scores.values()) and shown[-1] == min(scores.values())
+    assert shown == sorted(shown, reverse=True) and len(shown) == 4
+    for alt in ("given photograph view_00", "photograph view_01, never shown", "everything found"):
+        assert f'alt="{alt}' in opening
+    lowest = asked_in(rest.partition("Answered worst")[2])
+    assert scores[lowest[0]] == min(scores.values())
+
+
+def test_the_first_lines_say_how_good_on_what_and_compared_with_what(both, result):
+    lines, _, _ = Page(both.html).text.partition("What these numbers mean")
+    scores = {s["metric"]: s for s in score_table(leading(result)).to_pylist()}
+    asked = scores["iou"]["samples"]
+    assert f"It was asked for {asked} things" in lines and "1 other method (nearest-view)" in lines
+    assert f"IoU, 0 to 1 {scores['iou']['value']:.2f} best other: 0.00, nearest-view" in lines
+    assert f"{100 * scores['hit_mask']['value']:.0f} % best other: 0 %, nearest-view" in lines
+    assert f"{result.scene_metrics['psnr']:.1f} dB" in lines
+
+
+def test_terms_are_explained_before_they_are_used(both):
+    page = both.html
+    table = page.index('<table class="scores main">')
+    for term in ("IoU", "Point in mask", "mIoU", "near-best", "memory"):
+        assert page.index(f"<b>{term}</b>") < table
+    cards = page.partition("Answered worst")[2]
+    assert cards.index("<b>relevancy</b>") < cards.index('class="card"')
+
+
+def test_without_labels_nothing_is_scored_above_the_pictures_nor_below(result, page_of):
+    rows = [row for row in result.rows if row["frame"] == "halfway"]
+    bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
+    page = page_of([bare])
+    assert "without labels nothing is scored" in page.text
+    for words in ("How good", "The paper's tables", "overlap with the truth", "IoU"):
+        assert words not in page.text.partition("Scene by scene")[0]
+    alts = [image["alt"] for image in page.images]
+    assert alts[0].startswith("everything found in halfway")
+
+
+def test_the_scene_that_opens_the_page_is_the_middle_one():
+    found = opening.choose_scenes(
+        [(f"s{k}", "a", {"iou": iou}) for k, iou in enumerate((0.9, 0.1, 0.5))]
+        + [("t0", "b", {}), ("t1", "b", {})]
+    )
+    assert found == {
+        "s2": "in the middle of the 3 scenes of a",
+        "t0": "the first of the 2 scenes of b",
+    }
+
+
+def test_the_worst_answers_are_listed_worst_first(both, result):
+    scores = {row["query"]: row["iou"] for row in leading(result) if row["iou"] is not None}
     table = next(t for t in tables_of(both.markdown) if t[0][0] == "Query")
     ious = [float(row[3]) for row in table[1:]]
     assert ious == sorted(ious) and ious[0] == pytest.approx(min(scores.values()), abs=1e-3)
@@ -190,7 +248,7 @@ def test_scenes_of_different_data_sets_are_not_averaged(result, truth):
     assert means == [f"{result.scene_metrics['iou']:.3f}", "0.000"]
 
 
-def test_only_one_section_depends_on_time_and_machine(both):
+def test_only_one_section_and_marked_numbers_depend_on_time_and_machine(both, result):
     times = Times(
         {"field": 1.25},
         [
@@ -203,9 +261,15 @@ def test_only_one_section_depends_on_time_and_machine(both):
     whole = with_times(both, times)
     assert with_times(both, times) == whole
     Page(whole.html)
+    cost = Cost(result.dataset, "slgaussian", None, 0.1234, None, None, 12.3, 8_000_000, 9)
+    costly = with_times(both, replace(times, costs=[cost]))
+    for text in ("0.12</span> s", "12</span> s", '<td><span class="took">8</span></td>'):
+        assert text in costly.html
+    took = r'<span class="took">[^<]*</span>'
     for form in ("html", "markdown"):
-        before, after = getattr(both, form).split(report.TIMES_HERE)
-        page = getattr(whole, form)
+        unfilled = re.sub(r"<!-- \w+ [0-9a-f]+ [0-9a-f]+ -->", "", getattr(both, form))
+        before, after = unfilled.split(report.TIMES_HERE)
+        page = re.sub(took, "", getattr(whole, form))
         assert page.startswith(before) and page.endswith(after)
         own = page[len(before) : len(page) - len(after)]
         claim = "6 s against 0.5 s; the paper says 18 s against 0.011 s"
@@ -282,7 +346,7 @@ def test_names_are_text_and_never_markup(result):
     scene = scene_of(strange, {"view_01": {odd: mask}}, name="<script>x</script>")
     made = render_report([scene], MANIFEST)
     page = Page(made.html)
-    assert "script" not in page.tags
+    assert page.tags.count("script") == 1 and "const large" in page.script
     assert "<script>x</script>" in page.text and odd in page.text
     table = next(t for t in tables_of(made.markdown) if t[0][0] == "Query")
     assert table[1][:2] == [odd, "<script>x</script>"]
