@@ -313,6 +313,33 @@ def compare(
 
 
 @app.command(rich_help_panel=SCORES)
+def leaderboard(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULTS", help="Folders that benchmark, score or run wrote."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for leaderboard.html and leaderboard.md."),
+    ] = None,
+) -> None:
+    """Rank the methods of several runs, of any machine, version or author.
+
+    A table for each data set, protocol and judging size: scores with intervals, seconds, memory,
+    machine and version. Only what was asked the same queries of the same truth is ranked together;
+    what was not stands apart and says how it differs. Other data or settings are named.
+
+    \b
+    slgaussian benchmark --rooms 0-9 --against all -o ours
+    slgaussian score masks --rooms 0-9 --size 416x576 -o theirs
+    slgaussian leaderboard ours theirs -o board
+    """
+    from flows.cli.leading import leaderboard as ranked
+
+    typer.echo(ranked(results, out))
+
+
+@app.command(rich_help_panel=SCORES)
 @with_options(*IndexSettings.model_fields, of=IndexSettings, common=COMMON["pairs"])
 def pairs(
     settings: dict,

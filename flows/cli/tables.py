@@ -45,7 +45,7 @@ def _methods_table(dataset: str, scores: Sequence[Mapping[str, Any]]) -> str:
         value, *rest = (_number(own[key]["value"], m.digits) for key, m in titles.items())
         (key, m), *_ = titles.items()
         rows.append([method, value, _interval(own[key], m.digits), *rest])
-    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
+    return f"{aligned(rows)}\n{_by_what(scores[0])}"
 
 
 def _scenes_table(results: Sequence[SceneResult]) -> str:
@@ -66,10 +66,10 @@ def _scenes_table(results: Sequence[SceneResult]) -> str:
     rows.append(["mean", *means])
     scores = _leading_scores(results)
     if not scores:
-        return _aligned(rows)
+        return aligned(rows)
     known = {row["metric"]: row for row in scores}
     rows.append([f"{100 * LEVEL:.0f} %", *(_interval(known.get(m.key), m.digits) for m in shown)])
-    return f"{_aligned(rows)}\n{_by_what(scores[0])}"
+    return f"{aligned(rows)}\n{_by_what(scores[0])}"
 
 
 def _leading_scores(results: Sequence[SceneResult]) -> list[dict[str, Any]]:
@@ -102,7 +102,7 @@ def view_counts_tables(counts: Sequence[Counts]) -> str:
             cost = f"{line.gaussians:,.0f}", f"{line.seconds:.1f}"
             rows.append([f"{line.views} views", *cells, *cost])
         many = "" if found.scenes == 1 else "s"
-        tables.append(f"{_aligned(rows)}\nmeans over {found.scenes} scene{many}")
+        tables.append(f"{aligned(rows)}\nmeans over {found.scenes} scene{many}")
     return "\n\n".join(tables)
 
 
@@ -119,7 +119,7 @@ def gains_table(table: Table) -> str:
         cells = (line.cells[k] for k in shown)
         told = (f"{c.value} ({c.interval})" if c.interval else c.value for c in cells)
         rows.append([line.method, *told])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def given_tables(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -141,7 +141,7 @@ def given_tables(rows: Sequence[Mapping[str, Any]]) -> str:
             of = f"{table.scenes} scene" + ("s" if table.scenes > 1 else "")
             said = [group.counts[0], of, *dict.fromkeys(filter(None, notes))]
             by = f"by {group.protocol} ({group.conditions}); {'; '.join(said)}"
-            tables.append(f"{_aligned(lines)}\n{by}")
+            tables.append(f"{aligned(lines)}\n{by}")
             start = end
     return "\n\n".join(tables)
 
@@ -155,7 +155,7 @@ def judgements_table(judgements: pa.Table) -> str:
         rows.append([name, *(f"{np.mean(scores[kind][name]):.4f}" for kind in kinds)])
     others = [name for name, *_ in rows[1:] if name in ("hard", "filled", "before")]
     lines = [verdict(judgements, other, other).why for other in others]
-    return "\n".join([_aligned(rows), *lines])
+    return "\n".join([aligned(rows), *lines])
 
 
 def versions_table(versions: Collection[Version], current: Version | None) -> str:
@@ -165,18 +165,19 @@ def versions_table(versions: Collection[Version], current: Version | None) -> st
         mark = " *" if version == current else ""
         parent = str(version.parent or "-")
         rows.append([f"{version.number}{mark}", parent, version.made, version.digest[:12]])
-    lines = _aligned(rows).splitlines()
+    lines = aligned(rows).splitlines()
     whys = ["", *(f"  {'' if v.promoted else 'not used: '}{v.why}" for v in versions)]
     told = [line + why for line, why in zip(lines, whys, strict=True)]
     return "\n".join([*told, "* in use" if current is not None else "none is in use"])
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Lines of cells as text, in columns: the first to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for name, *cells in rows:
-        aligned = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-        lines.append("  ".join([name.ljust(widths[0]), *aligned]))
+        rest = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        lines.append("  ".join([name.ljust(widths[0]), *rest]))
     return "\n".join(lines)
 
 

@@ -90,13 +90,14 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Relevancy [H, W] stretched to what occurs in it, over the grey photograph, with its scale.
 
     The lower half of what occurs stays grey: colours are where a text fits better than elsewhere.
-    Where it fits alike everywhere, all is grey.
+    Where it fits alike everywhere, all is grey. Pixels of 0, where nothing is drawn, do not count.
     """
-    low, high = float(relevancy.min()), float(relevancy.max())
     grey = np.repeat(0.8 * _grey(image)[..., None], 3, -1)
+    known = relevancy[relevancy > 0].astype(np.float64)
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     if high - low < 1e-6:
         return grey.astype(np.uint8)
-    share = (relevancy.astype(np.float64) - low) / (high - low)
+    share = np.clip((relevancy.astype(np.float64) - low) / (high - low), 0, 1)
     weight = _heat_weight(share)[..., None]
     heat = _heat(share)
     painted = (1 - weight) * grey + weight * heat

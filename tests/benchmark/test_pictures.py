@@ -76,14 +76,16 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
     grey = np.full((60, 80, 3), 90, np.uint8)
     low = np.tile(np.linspace(0.40, 0.44, 80), (60, 1))
     painted = pictures.paint_stretched(low, grey)
-    wide = pictures.paint_stretched(np.tile(np.linspace(0, 1, 80), (60, 1)), grey)
+    wide = pictures.paint_stretched(np.tile(np.linspace(0.1, 1, 80), (60, 1)), grey)
     assert np.array_equal(painted[:40], wide[:40])  # below them stand the ends, which differ
     # The lower half is the grey photograph, the upper has colour, the best the brightest.
     assert (np.ptp(painted[:40, :40].astype(int), axis=-1) == 0).all()
     assert (np.ptp(painted[:40, 50:].astype(int), axis=-1) > 20).all()
     assert painted[:40].sum((0, 2)).argmax() == 79
-    flat = pictures.paint_stretched(np.full((60, 80), 0.7), photo)
-    assert (np.ptp(flat, axis=-1) == 0).all()
+    flat = np.full((60, 80), 0.7)
+    flat[:, :20] = 0  # where nothing is drawn
+    assert (np.ptp(pictures.paint_stretched(flat, photo), axis=-1) == 0).all()
+    assert (np.ptp(pictures.paint_stretched(0 * flat, photo), axis=-1) == 0).all()
 
 
 def test_the_ends_of_relevancy_are_written_in_the_picture():

@@ -102,11 +102,11 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     hidden = ("keys/", ".prefect/")
     assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
     # Times differ, in a section of the report, in marked numbers, and in their own file.
-    took = r'<span class="took">[^<]*</span>'
+    marked = r'<span class="took">[^<]*</span>'
     mine, theirs = (files_below(place / "out", ("times",)) for place in (tmp_path, folder))
     for name in ("report.html", "report.md"):
         pages = (
-            re.sub(took, "", files.pop(name).decode()).partition("Speed against error")
+            re.sub(marked, "", files.pop(name).decode()).partition("Speed against error")
             for files in (mine, theirs)
         )
         (one, _, took), (other, _, again) = pages
