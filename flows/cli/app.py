@@ -265,7 +265,7 @@ def score(
     ] = None,
     out: Out = Path("slg-score"),
 ) -> None:
-    """Score masks that you made yourself, as `benchmark` scores its own.
+    """Score masks that you made, as `benchmark` scores its own.
 
     Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO's run
     lengths. One that is missing counts as empty. Without --pairs every labelled frame is asked what
@@ -323,11 +323,12 @@ def leaderboard(
         typer.Option("--out", "-o", help="Folder for leaderboard.html and leaderboard.md."),
     ] = None,
 ) -> None:
-    """Rank the methods of several runs, of any machine, version or author.
+    """Rank the methods of several runs: a leaderboard.
 
-    A table for each data set, protocol and judging size: scores with intervals, seconds, memory,
-    machine and version. Only what was asked the same queries of the same truth is ranked together;
-    what was not stands apart and says how it differs. Other data or settings are named.
+    They may be of any machine, version or author. There is a table for each data set, protocol and
+    judging size: scores with intervals, seconds, memory, machine and version. Only methods that
+    were asked the same are ranked together; what was asked something else stands apart and says how
+    it differs. Other data and settings are named.
 
     \b
     slgaussian benchmark --rooms 0-9 --against all -o ours
@@ -715,7 +716,7 @@ def export(
     ] = None,
     title: Annotated[str | None, typer.Option(help="Title of a page.")] = None,
 ) -> None:
-    """Write a field as one file: a page to send, or for other viewers.
+    """Write a field as one file: a page to send, or for a viewer.
 
     A page (.html) opens from disk in any browser, without a network: look around, ask words, click
     things. It holds small copies of the photographs. A .ply keeps everything: each Gaussian also
