@@ -414,7 +414,7 @@ class Settings(Engine, Method):
         description="Numbers of context views to compare, as 2,3,4,6,8.",
     )
     against: list[str] = Field(
-        [], description="Other methods to score in the same run, by name, or all."
+        [], description="Other methods to score in the same run, by name, or all but slow ones."
     )
     scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
 

@@ -212,7 +212,7 @@ def benchmark(
         typer.Option(
             metavar="<name>",
             autocompletion=_baselines,
-            help="Another method to score as well, by name, or all; may be repeated.",
+            help="Another method to score as well, by name, or all but slow ones; may be repeated.",
         ),
     ] = None,
     out: Out = Path("slg-benchmark"),

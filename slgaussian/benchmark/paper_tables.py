@@ -79,7 +79,7 @@ class _Group:
 
     title: str
     metric: str
-    methods: tuple[tuple[str, str | None], ...]
+    methods: tuple[tuple[str, str], ...]
     numbers: tuple[tuple[float, ...], ...]
     protocol: str | None = None
 
@@ -240,7 +240,7 @@ class _Run:
         }
 
     def number(
-        self, format: str, scenes: Sequence[str], method: str | None, protocol: str, metric: str
+        self, format: str, scenes: Sequence[str], method: str, protocol: str, metric: str
     ) -> str:
         """The score as it is printed, %, with its samples, or why there is none."""
         there = [scene for scene in scenes if (format, scene) in self.scenes]
@@ -248,7 +248,7 @@ class _Run:
             return ABSENT
         if len(there) < len(scenes):
             return f"{len(there)} of {len(scenes)} scenes present"
-        if method is None or method not in self.methods:
+        if method not in self.methods:
             return "not run"
         dataset = f"{format}/{scenes[0]}" if len(scenes) == 1 else format
         score = self.scores.get((dataset, method, protocol, metric))
@@ -259,9 +259,9 @@ class _Run:
         mark = f", {UNVERIFIED}" if any((format, name) in self.unsure for name in scenes) else ""
         return f"{100 * score['value']:.2f}{interval}, n {score['samples']}{mark}"
 
-    def name(self, paper: str, method: str | None) -> Name:
+    def name(self, paper: str, method: str) -> Name:
         """What a method is called, as the rows have it."""
-        return Name(paper, self.ours if method == "slgaussian" else method or "")
+        return Name(paper, self.ours if method == "slgaussian" else method)
 
     def by(self, protocols: Sequence[str]) -> str:
         """What the numbers by some protocols go by."""

@@ -4,12 +4,13 @@ LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code a Ga
 three granularities of masks. Here the Gaussians are the predicted ones, each has the code of its
 source pixel, and there is one granularity: the masks that the other methods have too. In the
 paper's ablation that is the row with the feed-forward model alone; with masks that agree across
-views it is the row above the last.
+views it is the row above the last; and with Gaussians and codes that are optimised for the
+photographs, by gradients through the rasteriser, the first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,7 +19,9 @@ from slgaussian.benchmark.baselines.autoencoder import Autoencoder, train_autoen
 from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.baselines.optimised import fit_vectors, optimise, small
 from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import seed_for
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -35,19 +38,24 @@ class LangSplatLike:
         vector of an object in either case.
     steps : int
         Of the autoencoder's training.
+    fit : int
+        Steps in which Gaussians, and then codes, are optimised for the photographs; with 0 they are
+        the predicted ones, each with the code of its pixel.
 
     Raises
     ------
     InputError
-        If ``steps`` is below 1.
+        If ``steps`` is below 1, or ``fit`` below 0.
     """
 
     association: bool = False
     steps: int = 1000
+    fit: int = 0
 
     def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise InputError(f"langsplat-like steps: found {self.steps}, expected at least 1")
+        for name, least in (("steps", 1), ("fit", 0)):
+            if (found := getattr(self, name)) < least:
+                raise InputError(f"langsplat-like {name}: found {found}, expected at least {least}")
 
     def __call__(self, inputs: Inputs) -> _Codes:
         """See :class:`slgaussian.benchmark.baselines.Method`."""
@@ -60,20 +68,30 @@ class LangSplatLike:
         table[1:, :, 3] = bank.present
         rows = np.searchsorted(bank.ids, labels.labels) + 1
         rows[labels.labels == 0] = 0
-        carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
-        return _Codes(inputs, network, np.concatenate(carried))
+        if not self.fit:
+            carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
+            return _Codes(inputs, inputs.gaussians, network, np.concatenate(carried))
+        context = inputs.sample.context
+        gaussians = optimise(context, self.fit).gaussians
+        seen = [
+            small(replace(view, instances=own)) for view, own in zip(context, rows, strict=True)
+        ]
+        images = [table[view.instances, v] for v, view in enumerate(seen)]
+        fitted, _ = fit_vectors(gaussians, [view.camera for view in seen], images, self.fit)
+        return _Codes(inputs, gaussians, network, fitted)
 
 
 @dataclass(frozen=True, eq=False)
 class _Codes:
-    """``carried`` float32 [V * H * W, 4]: the code of each context pixel and 1, or zeros."""
+    """``carried`` float32 [S, 4], by the sources of the Gaussians: a code and 1, or zeros."""
 
     inputs: Inputs
+    gaussians: Gaussians
     network: Autoencoder
     carried: np.ndarray
 
     def render(self, camera: Camera) -> DenseView:
-        gaussians = self.inputs.gaussians
+        gaussians = self.gaussians
         picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.inputs.bank.features.shape[2])
         drawn = np.empty((small.height, small.width, 4), np.float32)
