@@ -1,0 +1,81 @@
+"""The commands that look after an installation. Heavy imports wait until one is given."""
+
+from typing import Annotated
+
+import typer
+
+from flows.cli.command_settings import COMMON, FILES, UPKEEP
+from flows.cli.help import App
+from flows.cli.options import with_options
+from slgaussian.errors import InputError
+
+commands = App()
+
+
+@commands.command(rich_help_panel=UPKEEP)
+@with_options("store", "runner", *FILES, "clip.precision", common=COMMON["doctor"])
+def doctor(
+    settings: dict,
+    places: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="PLACE", help="With --models: folder, file or name of a model."),
+    ] = None,
+    models: Annotated[
+        bool, typer.Option("--models", help="Load models of CLIP, SAM and SAM 2, and try them.")
+    ] = False,
+) -> None:
+    """Check what a run needs, and say what to do about it.
+
+    Looks at packages, threads, the store, the Prefect server and the files that options name, and
+    says of each: ok, BAD with what to do, or -- for what is missing and need not be there. Nothing
+    is downloaded. The exit status is 1 if anything is BAD. With --models, it loads those of the
+    PLACEs and options, or all in the hub's cache, and asks each what any real one knows.
+
+    \b
+    slgaussian doctor
+    slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
+    slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
+    slgaussian doctor --models models/clip-vit-b-16 facebook/sam-vit-base
+    """
+    from flows.settings import make_settings
+
+    if places and not models:
+        raise InputError(f"doctor: found {places[0]!r}, which is for --models; add that, or a part")
+    if models:
+        from flows.cli.model_checks import examine_models
+
+        found = examine_models(places or [], settings)
+    else:
+        from flows.cli.doctor import examine
+
+        found = examine(make_settings(settings, "doctor"), "runner" in settings)
+    healthy = True
+    for finding in found:
+        healthy &= finding.good is not False
+        mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
+        typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
+    raise typer.Exit(0 if healthy else 1)
+
+
+@commands.command(rich_help_panel=UPKEEP)
+def parts(
+    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
+    ] = False,
+) -> None:
+    """List the parts of the method, with their settings.
+
+    Also those that other packages bring. What a file, folder or model holds decides what is
+    computed anew, not where it is.
+
+    \b
+    slgaussian parts
+    slgaussian parts --json
+    slgaussian parts --schema
+    """
+    from flows.cli import parts as known
+
+    if as_json and schema:
+        raise InputError("parts: --json and --schema are two outputs; choose one")
+    typer.echo(known.schema() if schema else known.as_json() if as_json else known.listed())
