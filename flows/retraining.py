@@ -9,23 +9,41 @@ import numpy as np
 import pyarrow as pa
 
 from flows import corpus
-from flows.training import Parted, Trained, parted, read_lessons, train_on
+from flows.training import Parted, parted, read_lessons, train_on
 from flows.training_settings import RetrainSettings, Training
-from slgaussian.benchmark.verdict import Verdict, clip_scores, gain, verdict
+from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError
-from slgaussian.semantic.versions import Version, Versions
+from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.store import ArtifactStore, table_digest
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """The settings of which another value asks for another training."""
 
 
-@dataclass(frozen=True)
+NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
+"""Liftings that need no weights. What is worse than one of them is of no use to anybody."""
+
+
+@dataclass(frozen=True, eq=False)
 class Learnt:
-    """What came of it, in a sentence, and the version that was added, if any."""
+    """What came of it.
+
+    Attributes
+    ----------
+    said : str
+        In a sentence.
+    version : Version or None
+        What was added; None if there was nothing new.
+    regressed : str
+        A sentence if the version in use, before this, is worse than no network on what was held
+        out; else empty.
+    judgements : table of spec ``judgements``, or None if there was nothing new
+    """
 
     said: str
     version: Version | None
+    regressed: str = ""
+    judgements: pa.Table | None = None
 
 
 def retrain(
@@ -46,14 +64,18 @@ def retrain(
 
 
 def learn(
-    table: pa.Table, settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
+    table: pa.Table,
+    settings: RetrainSettings,
+    store: ArtifactStore,
+    verbose: bool = False,
+    by: str = "slgaussian retrain",
 ) -> Learnt:
     """Train from the weights in use on lessons, and keep what is better.
 
-    Candidate and incumbent, or no network while there is none, are judged on the same held-out
-    lessons; the candidate is put to use if its gain is beyond noise
-    (:func:`slgaussian.benchmark.verdict.verdict`), and kept in any case. Without anything new, in
-    the lessons or the settings, nothing is trained.
+    The candidate, the version in use, ``hard`` and ``filled`` are judged on the same held-out
+    lessons. The candidate is put to use if it is better than each of the others beyond noise
+    (:func:`slgaussian.benchmark.verdict.gate`), and kept in any case. Without anything new, in the
+    lessons or the settings, nothing is trained. ``by`` goes to the history of the versions.
 
     Raises
     ------
@@ -66,19 +88,23 @@ def learn(
     lessons = parted(table, settings.held_out)
     about = _about(settings, lessons)
     if history and about["asked"] == history[-1].facts.get("asked"):
-        used = "no version" if incumbent is None else f"version {incumbent.number}"
+        used = called(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
-    start = None
+    start, rivals = None, dict(NO_NETWORK)
     if incumbent is not None:
         _check_share(settings, incumbent)
         start = versions.weights(incumbent)
+        rivals = {"before": called(incumbent.number), **rivals}
     trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
     trained.write(settings.out)
-    found = _verdict(trained, incumbent)
-    facts = {**about, "scores": _scores(trained)}
-    added = versions.add(trained.weights, facts, found.better, found.why, incumbent)
-    done = "put to use" if found.better else "kept, not used"
-    return Learnt(f"version {added.number} {done}: {found.why}", added)
+    judgements = trained.judgements
+    found = gate(judgements, rivals)
+    facts = {**about, "scores": _scores(judgements)}
+    added = versions.add(trained.weights, facts, found.better, found.why, incumbent, by)
+    done = "put to use" if added.promoted else "kept, not used"
+    regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
+    said = f"version {added.number} {done}: {added.why}"
+    return Learnt(said, added, "" if added.promoted else regressed, judgements)
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:
@@ -98,16 +124,6 @@ def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
         )
 
 
-def _verdict(trained: Trained, incumbent: Version | None) -> Verdict:
-    if incumbent is None:
-        # The best that there is without weights, and never below ``hard``.
-        return verdict(trained.judgements, "filled", "no network (filled)")
-    return verdict(trained.judgements, "before", f"version {incumbent.number}")
-
-
-def _scores(trained: Trained) -> dict[str, Any]:
-    means = {
-        lifting: float(np.mean(scores))
-        for lifting, scores in clip_scores(trained.judgements).items()
-    }
-    return {"iou": means, "over hard": vars(gain(trained.judgements, "hard"))}
+def _scores(judgements: pa.Table) -> dict[str, Any]:
+    means = {lifting: float(np.mean(scores)) for lifting, scores in clip_scores(judgements).items()}
+    return {"iou": means, "over hard": vars(gain(judgements, "hard"))}

@@ -144,9 +144,10 @@ def retrain(
     """Learn what is new in a corpus; use it if it is better.
 
     New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
-    is put to use if it is better on held-out clips, beyond noise. Every version is kept; see
-    `versions`. --every and --cron wait for their times, which needs `prefect server start` and
-    PREFECT_API_URL. A file has chunks, out, models, store and other settings; options win over it.
+    is put to use if it is better on held-out clips than those and than no network, beyond noise.
+    Every version is kept; see `versions`. --every and --cron wait for their times, which needs
+    `prefect server start` and PREFECT_API_URL. A file has chunks, out, models, store and other
+    settings; options win over it.
 
     \b
     slgaussian retrain --chunks chunks/train --out corpus --models models
@@ -177,30 +178,55 @@ def retrain(
 @commands.command(rich_help_panel=CORPORA)
 def versions(
     models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
-    use: Annotated[int | None, typer.Option(help="Put the version of this number to use.")] = None,
+    use: Annotated[
+        str | None,
+        typer.Option(
+            metavar="<number>", help="Put the version of this number to use, or none with `none`."
+        ),
+    ] = None,
     roll_back: Annotated[
-        bool, typer.Option("--roll-back", help="Put to use what the one in use was trained from.")
+        bool,
+        typer.Option(
+            "--roll-back", help="Put to use what the one in use was trained from, be it none."
+        ),
+    ] = False,
+    why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
+    history: Annotated[
+        bool, typer.Option("--history", help="Who or what put which version to use when, and why.")
     ] = False,
 ) -> None:
     """List the weights that `retrain` keeps, or switch to others.
 
+    What the gate refused can be put to use by hand, and what it let pass can be taken out of use.
+
     \b
     slgaussian versions models
-    slgaussian versions models --use 3
+    slgaussian versions models --use 3 --why "sharper in the kitchen"
     slgaussian versions models --roll-back
+    slgaussian versions models --use none
+    slgaussian versions models --history
     """
-    from flows.cli.tables import versions_table
-    from slgaussian.semantic.versions import Versions
+    from flows.cli.tables import history_lines, versions_table
+    from slgaussian.semantic.versions import Versions, somebody
 
     kept = Versions(models)
     known = {version.number: version for version in kept.all()}
     if use is not None and roll_back:
         raise InputError("versions: --use and --roll-back are two ways; choose one")
+    if why is not None and use is None and not roll_back:
+        raise InputError("versions: --why is for --use and --roll-back")
     if use is not None:
-        if use not in known:
-            numbers = ", ".join(map(str, known)) or "none"
-            raise InputError(f"--use: found {use}, expected one of the versions there: {numbers}")
-        kept.use(known[use])
+        if use != "none" and not (use.isdecimal() and int(use) in known):
+            numbers = ", ".join(map(str, known)) or "no version"
+            raise InputError(
+                f"--use: found {use}, expected one of the versions there ({numbers}), or none"
+            )
+        kept.use(None if use == "none" else known[int(use)], somebody(), why or "")
     if roll_back:
-        kept.roll_back()
-    typer.echo(versions_table(known.values(), kept.current()) if known else f"{models}: no version")
+        kept.roll_back(somebody(), why or "")
+    if history:
+        typer.echo("\n".join(history_lines(kept.history())) or f"{models}: no history")
+    elif known:
+        typer.echo(versions_table(known.values(), kept.current(), kept.history()))
+    else:
+        typer.echo(f"{models}: no version")

@@ -15,7 +15,7 @@ from slgaussian.benchmark.statistics import LEVEL
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.benchmark.verdict import clip_scores, verdict
 from slgaussian.benchmark.view_counts import Counts
-from slgaussian.semantic.versions import Version
+from slgaussian.semantic.versions import Change, Version, called
 
 
 def scores_tables(results: Sequence[SceneResult]) -> str:
@@ -158,17 +158,30 @@ def judgements_table(judgements: pa.Table) -> str:
     return "\n".join([aligned(rows), *lines])
 
 
-def versions_table(versions: Collection[Version], current: Version | None) -> str:
-    """One line a version, the one in use marked, and why it was put to use or not."""
-    rows = [["version", "from", "made", "weights"]]
+def versions_table(
+    versions: Collection[Version], current: Version | None, history: Sequence[Change]
+) -> str:
+    """One line a version and what its gate said, the one in use marked; and since when it is."""
+    rows = [["version", "from", "made", "weights", "gate"]]
     for version in versions:
         mark = " *" if version == current else ""
-        parent = str(version.parent or "-")
-        rows.append([f"{version.number}{mark}", parent, version.made, version.digest[:12]])
+        facts = [str(version.parent or "-"), version.made, version.digest[:12]]
+        rows.append([f"{version.number}{mark}", *facts, "passed" if version.promoted else "held"])
     lines = aligned(rows).splitlines()
-    whys = ["", *(f"  {'' if v.promoted else 'not used: '}{v.why}" for v in versions)]
+    whys = ["", *(f"  {version.why}" for version in versions)]
     told = [line + why for line, why in zip(lines, whys, strict=True)]
-    return "\n".join([*told, "* in use" if current is not None else "none is in use"])
+    used = "none is in use" if current is None else f"* in use: version {current.number}"
+    return "\n".join([*told, f"{used}, {_changed(history[-1])}" if history else used])
+
+
+def history_lines(history: Sequence[Change]) -> list[str]:
+    """A line for each change of the version in use, the oldest first."""
+    return [f"{called(change.version)} in use {_changed(change)}" for change in history]
+
+
+def _changed(change: Change) -> str:
+    why = f": {change.why}" if change.why else ""
+    return f"since {change.when} instead of {called(change.before)}, by {change.by}{why}"
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

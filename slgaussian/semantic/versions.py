@@ -1,18 +1,22 @@
-"""Trained weights under one folder: every version kept, one of them in use, all of it traceable.
+"""Trained weights under one folder: every version kept, at most one in use, all of it traceable.
 
 ``versions/000003.parquet`` is what is known of version 3, a row of spec ``versions``, written once
 and never changed; ``weights/<digest>.safetensors`` are its weights; ``current.json`` names the
-version in use. Each file is written whole or not at all and the pointer last, so whatever is killed
-when, the version in use is there. Two that add at the same time get different numbers.
+version in use, and has the history of that: who or what put which to use when, and why. Each file
+is written whole or not at all and the pointer last, so whatever is killed when, the version in use
+is there, and the history ends with it. Two that add at the same time get different numbers.
 """
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import json
 import os
 import re
-from dataclasses import dataclass
+import socket
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +25,7 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
+from slgaussian.storage.locks import held
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import decode_table, encode_table, sha256_of, write_atomic
 
@@ -58,6 +63,29 @@ class Version:
     facts: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Change:
+    """A change of the version in use.
+
+    Attributes
+    ----------
+    when : str
+        UTC, ISO 8601, by the clock of the machine that did it; the order is that of the list.
+    version, before : int
+        What is in use since, and what was; 0 for none.
+    by : str
+        Who or what did it: a person on a machine, or the command whose gate it was.
+    why : str
+        One sentence, empty if none was given.
+    """
+
+    when: str
+    version: int
+    before: int
+    by: str
+    why: str
+
+
 class Versions:
     """The versions in a folder, which is made when first written to."""
 
@@ -76,24 +104,26 @@ class Versions:
         return [_read(file) for file in files if re.fullmatch(r"\d{6,}", file.stem)]
 
     def current(self) -> Version | None:
-        """The version in use, None if there is none yet.
+        """The version in use, None if there is none.
 
         Raises
         ------
         SpecError
             If the pointer is damaged or names a version that is not there.
         """
-        file = self.folder / POINTER
-        if not file.exists():
-            return None
-        try:
-            number = strict_json.parse(file.read_bytes())["version"]
-            path = self._file(number)
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SpecError(
-                f'{file}: cannot be read ({error!r:.200}); write {{"version": NUMBER}} into it'
-            ) from error
-        return _read(path)
+        number, _ = self._pointer()
+        return self.version(number) if number else None
+
+    def history(self) -> list[Change]:
+        """Every change of the version in use, the oldest first; SpecError as :meth:`current`.
+
+        What happened before there was a history is not in it.
+        """
+        return self._pointer()[1]
+
+    def version(self, number: int) -> Version:
+        """The version of a number; SpecError if it is damaged or not there."""
+        return _read(self._file(number))
 
     def weights(self, version: Version) -> Path:
         """The weights file of a version.
@@ -115,8 +145,12 @@ class Versions:
         promote: bool,
         why: str,
         parent: Version | None = None,
+        by: str = "",
     ) -> Version:
         """Keep new weights, and put them to use if ``promote``.
+
+        ``parent`` is the version in use that they were trained from and compared with. If another
+        one was put to use since, they are not, whatever ``promote`` says: nobody compared the two.
 
         Raises
         ------
@@ -124,50 +158,97 @@ class Versions:
             If the folder cannot be written; then the version in use is what it was.
         """
         digest = hashlib.sha256(weights).hexdigest()
-        try:
-            for name in ("weights", "versions"):
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
-            write_atomic(self.folder / "weights" / f"{digest}.safetensors", weights)
-            number = self._claim()
-            version = Version(
-                number,
-                digest,
-                0 if parent is None else parent.number,
-                datetime.now(UTC).isoformat(timespec="seconds"),
-                promote,
-                why,
-                facts,
-            )
-            write_atomic(self._file(number), encode_table(_table(version)))
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); the version in use "
-                "stays"
-            ) from error
-        if promote:
-            self.use(version)
+        before = 0 if parent is None else parent.number
+        with self._locked():
+            try:
+                for name in ("weights", "versions"):
+                    (self.folder / name).mkdir(parents=True, exist_ok=True)
+                write_atomic(self.folder / "weights" / f"{digest}.safetensors", weights)
+                version = Version(
+                    self._claim(),
+                    digest,
+                    before,
+                    datetime.now(UTC).isoformat(timespec="seconds"),
+                    promote,
+                    why,
+                    facts,
+                )
+                now, _ = self._pointer()
+                if promote and now != before:
+                    meanwhile = f"{called(now)} came into use while it was trained; {why}"
+                    version = replace(version, promoted=False, why=meanwhile)
+                write_atomic(self._file(version.number), encode_table(_table(version)))
+            except OSError as error:
+                raise InputError(
+                    f"{self.folder}: cannot be written ({error.strerror or error}); the version in "
+                    "use stays"
+                ) from error
+            if version.promoted:
+                self._use(version, by, why)
         return version
 
-    def use(self, version: Version) -> None:
-        """Put a version to use, a new one or an old one again."""
-        self.weights(version)
-        write_atomic(self.folder / POINTER, json.dumps({"version": version.number}).encode())
-
-    def roll_back(self) -> Version:
-        """Put to use what the version in use was trained from, and return it.
+    def use(self, version: Version | None, by: str, why: str = "") -> None:
+        """Put a version to use, a new one or an old one again; None to have none in use.
 
         Raises
         ------
         InputError
-            If nothing is in use, or it has no parent.
+            If the folder cannot be written, or its weights are damaged (SpecError).
         """
-        current = self.current()
-        if current is None or not current.parent:
-            what = "nothing is in use" if current is None else "the version in use has no parent"
-            raise InputError(f"{self.folder}: cannot roll back, as {what}")
-        parent = _read(self._file(current.parent))
-        self.use(parent)
+        with self._locked():
+            self._use(version, by, why)
+
+    def roll_back(self, by: str, why: str = "") -> Version | None:
+        """Put to use what the version in use was trained from, None for none, and return it.
+
+        Raises
+        ------
+        InputError
+            If nothing is in use.
+        """
+        with self._locked():
+            current = self.current()
+            if current is None:
+                raise InputError(f"{self.folder}: cannot roll back, as nothing is in use")
+            parent = self.version(current.parent) if current.parent else None
+            self._use(parent, by, why)
         return parent
+
+    def _use(self, version: Version | None, by: str, why: str) -> None:
+        number = 0
+        if version is not None:
+            self.weights(version)
+            number = version.number
+        before, history = self._pointer()
+        if before == number:
+            return  # nothing changes, so there is nothing to tell
+        when = datetime.now(UTC).isoformat(timespec="seconds")
+        history.append(Change(when, number, before, by, why))
+        told = {"version": number, "history": [asdict(change) for change in history]}
+        try:
+            write_atomic(self.folder / POINTER, json.dumps(told, indent=1).encode())
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: cannot be written ({error.strerror or error}); {called(before)} "
+                "stays in use"
+            ) from error
+
+    def _pointer(self) -> tuple[int, list[Change]]:
+        file = self.folder / POINTER
+        if not file.exists():
+            return 0, []
+        try:
+            told = strict_json.parse(file.read_bytes())
+            number = int(told["version"])
+            return number, [Change(**change) for change in told.get("history", [])]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise SpecError(
+                f'{file}: cannot be read ({error!r:.200}); write {{"version": NUMBER}} into it, '
+                "0 for none"
+            ) from error
+
+    def _locked(self) -> AbstractContextManager[None]:
+        return held(self.folder / ".lock", "versions", wait=True)
 
     def _claim(self) -> int:
         """The next number, taken by making an empty file that nobody else can make."""
@@ -183,6 +264,20 @@ class Versions:
 
     def _file(self, number: int) -> Path:
         return self.folder / "versions" / f"{number:06d}.parquet"
+
+
+def called(number: int) -> str:
+    """A version in words; 0 is none."""
+    return f"version {number}" if number else "no version"
+
+
+def somebody() -> str:
+    """Who runs this, and on which machine."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a number without a name, as in a container
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}"
 
 
 def weights_in(folder: str | os.PathLike[str]) -> Path:

@@ -1,6 +1,7 @@
 """Training and retraining as flows: cached, resumed, refused, and put to use only if better."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -34,12 +35,18 @@ SIZE = (16, 20)
 FEW = ("--steps", "4", "--held-out", "0.4")
 
 
-def lesson(seed: int) -> Lesson:
-    """Two views of a wall painted with two objects, and one between them."""
+def lesson(seed: int, holed: bool = False) -> Lesson:
+    """Two views of a wall painted with two objects, and one between them.
+
+    Where it is ``holed``, rows of both views have no label: whoever learns to fill them beats all
+    that copy labels.
+    """
     wall = np.full(SIZE, 3.0)
     views = [camera(x) for x in (-0.2, 0.2, 0.0)]
     points = np.stack([view.unproject(wall) for view in views])
     labels = (1 + (points[..., 0] > 0.05 * (seed % 7 - 3))).astype(np.int32)
+    if holed:
+        labels[:2, 5:11] = 0
     n = 2 * SIZE[0] * SIZE[1]
     gaussians = Gaussians(
         means=torch.from_numpy(points[:2].reshape(-1, 3).astype(np.float32)),
@@ -59,11 +66,11 @@ def camera(x: float) -> Camera:
     return Camera(K, c2w, SIZE[1], SIZE[0])
 
 
-def lessons_of(folder: Path, seeds) -> pa.Table:
+def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
     """Lessons in the store of a folder, as `supervise` lists them in its ``corpus``."""
     store, rows = ArtifactStore(folder / "store"), []
     for seed in seeds:
-        made = lesson(seed)
+        made = lesson(seed, holed)
         ref = store.put("lesson", made.to_arrays())
         known = {"chunk": f"{seed // 8}.torch", "sample": made.sample, "clip": made.sample}
         counts = {"gaussians": len(made.gaussians), "objects": 2, "shared": 2}
@@ -215,20 +222,30 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     settings = retrain_settings(tmp_path)
     made = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert made.version.number == 1 and not made.version.promoted and versions.current() is None
-    assert made.said.startswith("version 1 kept, not used: no gain over no network (filled) beyond")
+    why = r"version 1 kept, not used: (no gain over|worse than) no network \((filled|hard)\)"
+    assert re.match(why, made.said)
     same = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert same.version is None
     assert same.said == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    settings = retrain_settings(tmp_path, steps=60, rate=0.02)
     made = learn(lessons_of(tmp_path, range(18)), settings, store)
-    assert made.version.promoted and made.version.parent == bad.number
-    assert made.said.startswith("version 3 put to use: better than version 2: +")
+    assert made.judgements is not None and not made.version.promoted
+    assert re.match(r"version 3 kept, not used: (no gain over|worse than) no network", made.said)
+    assert made.regressed.startswith("version 2, in use, is worse than no network (")
+
+    settings = retrain_settings(tmp_path, steps=200, rate=0.02, corrupted=0.0)
+    made = learn(lessons_of(tmp_path, range(18), holed=True), settings, store, by="the test")
+    assert made.version.promoted and made.version.parent == bad.number and not made.regressed
+    assert made.said.startswith("version 4 put to use: better than no network (")
+    assert made.said.endswith("and version 2") or "and than version 2 and no" in made.said
     assert versions.current() == made.version
+    last = versions.history()[-1]
+    assert (last.version, last.before, last.by) == (4, 2, "the test")
+    assert last.why == made.version.why
     scores = made.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
-    with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 3 .* with 0\.4"):
+    with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 4 .* with 0\.4"):
         learn(lessons_of(tmp_path, range(18)), retrain_settings(tmp_path, held_out=0.3), store)
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
@@ -264,13 +281,33 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
     assert counts == [1, 2]
 
     models = ["versions", tmp_path / "models"]
-    assert run(monkeypatch, *models, "--use", "2") == 0
+    assert run(monkeypatch, *models, "--use", "2", "--why", "tried in the kitchen") == 0
     listed = capsys.readouterr().out.splitlines()
-    assert listed[2].startswith("2 *  ") and listed[-1] == "* in use"
+    assert listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
+    assert listed[-1].startswith("* in use: version 2, since ")
+    assert "instead of no version, by " in listed[-1] and "not used" not in listed[2]
+    assert listed[-1].endswith(": tried in the kitchen")
+    assert run(monkeypatch, *models, "--roll-back") == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("none is in use, since ")
     assert run(monkeypatch, *models, "--roll-back") == 2
-    assert "the version in use has no parent" in capsys.readouterr().err
-    assert run(monkeypatch, *models, "--use", "7") == 2
-    assert "expected one of the versions there: 1, 2" in capsys.readouterr().err
+    assert "cannot roll back, as nothing is in use" in capsys.readouterr().err
+    for wrong in ("7", "two", "-1"):
+        assert run(monkeypatch, *models, "--use", wrong) == 2
+        assert "expected one of the versions there (1, 2), or none" in capsys.readouterr().err
+    assert run(monkeypatch, *models, "--why", "so") == 2
+    assert "--why is for --use and --roll-back" in capsys.readouterr().err
+    assert (
+        run(monkeypatch, *models, "--use", "1") == run(monkeypatch, *models, "--use", "none") == 0
+    )
+    capsys.readouterr()
+    assert run(monkeypatch, *models, "--history") == 0
+    told = [line.split(", by ")[0].split() for line in capsys.readouterr().out.splitlines()]
+    assert [" ".join(w for w in words if "T" not in w) for words in told] == [
+        "version 2 in use since instead of no version",
+        "no version in use since instead of version 2",
+        "version 1 in use since instead of no version",
+        "no version in use since instead of version 1",
+    ]
 
 
 def test_what_is_given_to_hand_means_the_same_anywhere(tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import pyarrow as pa
 import pytest
 
 from slgaussian.benchmark.statistics import LEAST
-from slgaussian.benchmark.verdict import clip_scores, gain, verdict
+from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression, verdict
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -40,7 +40,8 @@ def test_only_a_gain_beyond_noise_is_one(step):
     scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
     found = verdict(judged(scores, list("abcdefgh")), "hard", "no branch")
     assert found.better == (step > 0)
-    assert found.why.startswith("better than no branch" if step > 0 else "no gain over no branch")
+    begins = {0.02: "better than", 0.0: "no gain over", -0.02: "worse than"}
+    assert found.why.startswith(f"{begins[step]} no branch")
     assert f"{step:.4f} IoU (".lstrip("-") in found.why and "on 8 held-out clips" in found.why
 
 
@@ -65,3 +66,54 @@ def test_few_clips_never_are_enough():
     assert not found.better and found.why.startswith("too few clips to tell it from no branch")
     more = {name: [*own, own[0]] for name, own in scores.items()}
     assert verdict(judged(more, [*clips, "z"]), "hard", "no branch").better
+
+
+NOISE = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
+RIVALS = {"before": "version 1", "hard": "hard", "filled": "filled"}
+
+
+def with_means(**means: float) -> pa.Table:
+    """Judged on eight clips, each with noise of its own; ``None`` has none."""
+    scores = {
+        name: [mean + noise for noise in NOISE[shift:] + NOISE[:shift]]
+        for shift, (name, mean) in enumerate(means.items())
+    }
+    return judged(scores, list("abcdefgh"))
+
+
+def test_the_gate_asks_for_more_than_the_best_of_all():
+    """What once went through: better than the version in use, which was worse than no network."""
+    table = with_means(branch=0.58, before=0.55, hard=0.55, filled=0.60)
+    assert verdict(table, "before", "version 1").better
+    found = gate(table, RIVALS)
+    assert not found.better and found.why.startswith("worse than filled: -0.02")
+    found = gate(with_means(branch=0.58, before=0.55, hard=0.55, filled=0.579), RIVALS)
+    assert not found.better and found.why.startswith("no gain over filled beyond noise: +0.001")
+    found = gate(with_means(branch=0.58, before=0.6, hard=0.5, filled=0.5), RIVALS)
+    assert not found.better and found.why.startswith("worse than version 1: ")
+    found = gate(with_means(branch=0.58, before=0.54, hard=0.5, filled=0.51), RIVALS)
+    assert found.better and found.why.startswith("better than version 1: +0.04")
+    assert found.why.endswith("; and than hard and filled")
+
+
+def test_the_gate_without_a_version_in_use_asks_the_others():
+    table = with_means(branch=0.58, hard=0.5, filled=0.51)
+    found = gate(table, RIVALS)
+    assert found.better and found.why.startswith("better than filled: +0.07")
+    assert found.why.endswith("; and than hard")
+    with pytest.raises(InputError, match="expected one of"):
+        gate(with_means(branch=0.58), RIVALS)
+    few = judged({"branch": [0.9] * 5, "hard": [0.1] * 5}, list("abcde"))
+    assert not gate(few, RIVALS).better
+
+
+def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():
+    rivals = {"hard": "hard", "filled": "filled"}
+    told = regression(
+        with_means(branch=0.5, before=0.55, hard=0.5, filled=0.6), rivals, "version 1"
+    )
+    assert told.startswith("version 1, in use, is worse than filled: -0.05")
+    assert not regression(with_means(branch=0.5, before=0.6, hard=0.5, filled=0.601), rivals, "1")
+    assert not regression(with_means(branch=0.5, hard=0.6, filled=0.6), rivals, "version 1")
+    few = judged({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
+    assert not regression(few, rivals, "version 1")

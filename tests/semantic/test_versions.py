@@ -17,25 +17,55 @@ def versions(tmp_path):
 
 def test_nothing_yet(versions):
     assert versions.current() is None and versions.all() == []
+    assert versions.history() == []
     with pytest.raises(InputError, match="cannot roll back, as nothing is in use"):
-        versions.roll_back()
+        versions.roll_back("ada")
 
 
 def test_the_way_of_three_versions(versions):
-    first = versions.add(b"one", {"iou": 0.5}, True, "the first")
-    second = versions.add(b"two", {"iou": 0.6}, True, "better by 0.1", first)
+    first = versions.add(b"one", {"iou": 0.5}, True, "the first", by="gate")
+    second = versions.add(b"two", {"iou": 0.6}, True, "better by 0.1", first, "gate")
     third = versions.add(b"three", {"iou": 0.6}, False, "no gain beyond noise", second)
     assert [v.number for v in (first, second, third)] == [1, 2, 3]
     assert [(v.parent, v.promoted) for v in versions.all()] == [(0, True), (1, True), (2, False)]
     assert versions.all() == [first, second, third]
     assert versions.current() == second and versions.current().facts == {"iou": 0.6}
     assert versions.weights(third).read_bytes() == b"three"
-    assert versions.roll_back() == first == versions.current()
-    with pytest.raises(InputError, match="has no parent"):
-        versions.roll_back()
-    versions.use(third)
+    assert versions.roll_back("ada") == first == versions.current()
+    assert versions.roll_back("ada", "no weights at all") is None is versions.current()
+    versions.use(third, "bob", "sharper")
     assert versions.current() == third
     assert len(versions.all()) == 3
+    versions.use(None, "bob")
+    versions.use(None, "bob")
+    assert versions.current() is None
+    told = [(c.version, c.before, c.by, c.why) for c in versions.history()]
+    assert told == [
+        (1, 0, "gate", "the first"),
+        (2, 1, "gate", "better by 0.1"),
+        (1, 2, "ada", ""),
+        (0, 1, "ada", "no weights at all"),
+        (3, 0, "bob", "sharper"),
+        (0, 3, "bob", ""),
+    ]
+
+
+def test_what_was_not_compared_with_what_is_in_use_does_not_replace_it(versions):
+    """A person puts another version to use while a candidate is trained."""
+    first = versions.add(b"one", {}, True, "the first", by="gate")
+    versions.use(None, "ada")
+    late = versions.add(b"two", {}, True, "better by 0.1", first, "gate")
+    assert not late.promoted and versions.current() is None
+    assert late.why == "no version came into use while it was trained; better by 0.1"
+    assert versions.all() == [first, late] and len(versions.history()) == 2
+
+
+def test_a_pointer_without_a_history_is_read(versions):
+    first = versions.add(b"one", {}, True, "the first")
+    (versions.folder / "current.json").write_text('{"version": 1}')
+    assert versions.current() == first and versions.history() == []
+    versions.use(None, "ada")
+    assert [(c.version, c.before) for c in versions.history()] == [(0, 1)]
 
 
 def test_a_failed_write_leaves_what_is_in_use(versions, monkeypatch):
@@ -61,15 +91,20 @@ def test_damage_is_one_sentence(versions):
     with pytest.raises(SpecError, match=r"\.safetensors: missing or altered"):
         versions.weights(first)
     with pytest.raises(SpecError, match="missing or altered"):
-        versions.use(first)
-    for text in ("{", json.dumps({"version": 9}), "[]"):
+        versions.use(first, "ada")
+    for text in ("{", json.dumps({"version": 9}), "[]", '{"version": 1, "history": [{"by": 1}]}'):
         (versions.folder / "current.json").write_text(text)
         with pytest.raises(SpecError, match=r"current\.json: cannot be read|000009"):
             versions.current()
 
 
 def _add(folder, number):
-    Versions(folder).add(b"%d" % number, {"by": number}, True, "at the same time")
+    versions = Versions(folder)
+    current = versions.current()
+    added = versions.add(b"%d" % number, {"by": number}, True, "at the same time", current)
+    assert added.promoted or added.why.endswith(
+        "came into use while it was trained; at the same time"
+    )
 
 
 def test_two_at_the_same_time_get_different_numbers(tmp_path):
@@ -85,3 +120,5 @@ def test_two_at_the_same_time_get_different_numbers(tmp_path):
     assert [v.number for v in found] == [1, 2, 3, 4]
     assert sorted(v.facts["by"] for v in found) == list(range(4))
     assert Versions(tmp_path).current() in found
+    used = [version.number for version in found if version.promoted]
+    assert used and [change.version for change in Versions(tmp_path).history()] == used
