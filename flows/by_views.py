@@ -15,7 +15,7 @@ import pyarrow as pa
 from flows import pipeline
 from flows.pipeline import Cost, Finished, check_folder, scenes_of
 from flows.runners.shard import Failure
-from flows.runners.worker_pool import failures_table
+from flows.runners.worker_pool import failures_file
 from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.benchmark.evaluate import SceneResult
@@ -24,7 +24,7 @@ from slgaussian.benchmark.view_counts import SHOWN, Counts, counts_of, folder, r
 from slgaussian.datasets import further
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, encode_table, write_atomic
+from slgaussian.storage.store import ArtifactStore, write_atomic
 
 TABLE = "view_counts"
 PAGES = "views.html", "views.md"
@@ -121,7 +121,7 @@ def _write(
     }
     schema = load_spec(TABLE).schema
     write_table(TABLE, pa.Table.from_pylist(rows, schema=schema), settings.out)
-    write_atomic(settings.out / "failures.parquet", encode_table(failures_table(failures)))
+    write_atomic(settings.out / "failures.parquet", failures_file(failures))
     parts = ", ".join(part.name for part in settings.built_by.parts)
     said = f"Built with {parts}; further views by the rule {further.NAME}@{further.VERSION}"
     report = render_view_counts(rows, seconds, [asdict(failure) for failure in failures], said)

@@ -21,7 +21,7 @@ from flows.runners.shard import Failure, Job
 from flows.runners.worker_pool import (
     Outcome,
     WorkerPool,
-    failures_table,
+    failures_file,
     job_flow,
     work_through_all,
 )
@@ -29,11 +29,11 @@ from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
 from slgaussian.parts.method import Method
+from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
-    encode_table,
     replacing,
     write_atomic,
 )
@@ -166,7 +166,7 @@ def _write(out: Path, store: ArtifactStore, outcome: Outcome, stages: Sequence[s
             png = store.get(ArtifactRef("sheet", **sheet))["png"]
             write_atomic(sheets / f"{Path(chunk).stem}.png", png.tobytes())
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
-    write_atomic(out / "failures.parquet", encode_table(failures_table(failures)))
+    write_atomic(out / "failures.parquet", failures_file(failures))
     return Prepared(rows, refs, failures)
 
 
@@ -183,7 +183,7 @@ def _join(
     A clip belongs to the first chunk that has it, ``owners``; another with its key is a failure.
     """
     count = 0
-    schema = load_spec(stage).schema
+    schema = speaking(load_spec(stage).schema)
     with replacing(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
         for chunk, own in refs.items():
             table = _own_rows(store.get(own[stage]), chunk, owners, failures)

@@ -6,11 +6,8 @@ same kind has the same manifest.
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +20,9 @@ from slgaussian.datasets.photographs import stored_size
 from slgaussian.datasets.published import Found, standing
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
+from slgaussian.storage.provenance import software
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.stage import Stage
-
-PACKAGES = (
-    "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",
-    "matplotlib", "prefect", "transformers", "pycolmap",
-)  # fmt: skip
-"""Packages whose version may change a number; those that are not installed are left out."""
 
 
 def manifest(
@@ -63,7 +55,7 @@ def manifest(
         if settings.pairs is None
         else {"file": settings.pairs.name, "sha256": sha256_of(settings.pairs)},
         "stages": {stage.name: stage.version for stage in stages},
-        "packages": {"python": platform.python_version(), **_packages()},
+        "packages": software(),
         "kernels": threads.kernels(),
         "data": {
             scene.name: _data(scene, refs[scene.name]) for scene in scenes if scene.name in refs
@@ -119,14 +111,3 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
     name = str(scene.options.get("scene") or scene.labels.name)
     known = standing(Found(scene.format, name, asked, frames, sizes))
     return {} if known is None else asdict(known)
-
-
-@cache
-def _packages() -> dict[str, str]:
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

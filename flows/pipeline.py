@@ -26,7 +26,7 @@ from flows.runners.shard import Failure, Job
 from flows.runners.worker_pool import (
     Outcome,
     WorkerPool,
-    failures_table,
+    failures_file,
     job_flow,
     work_through_all,
 )
@@ -50,7 +50,6 @@ from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
-    encode_table,
     write_atomic,
 )
 from tasks.artifacts import predictions_of, result_from_arrays
@@ -189,7 +188,7 @@ def _write(
 ) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
-    write_atomic(out / "failures.parquet", encode_table(failures_table(made.failures)))
+    write_atomic(out / "failures.parquet", failures_file(made.failures))
     results, times, costs = [], [], []
     for scene, ref in made.results():
         arrays = store.get(ref)

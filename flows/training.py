@@ -78,8 +78,8 @@ class Trained:
         """Write the :data:`FILES`; InputError if that fails."""
         contents = {
             "weights": self.weights,
-            "metrics": encode_table(self.metrics),
-            "judgements": encode_table(self.judgements),
+            "metrics": encode_table(self.metrics, load_spec("metrics")),
+            "judgements": encode_table(self.judgements, load_spec("judgements")),
             "report": self.report,
         }
         try:

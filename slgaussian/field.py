@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -47,6 +48,7 @@ from slgaussian.semantic.decode import (
 from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
+from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import Arrays, arrays_digest, packed
 
@@ -534,6 +536,13 @@ class SemanticField:
             "objects": self.objects(),
         }
 
+    def made(self) -> Made:
+        """What made the field, as its files say it where no stage of a run does."""
+        said = {
+            name: own for name, own in self.settings.items() if name not in ("account", "quality")
+        }
+        return Made("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
+
     def about(self, digests: Mapping[str, str]) -> About:
         """What the field says of itself, given the digests of its contents by spec."""
         return About(self.settings, self.cameras, digests)
@@ -552,10 +561,11 @@ class SemanticField:
         """
         path = Path(path)
         field_folder.check_target(path)
-        files = {
-            spec: packed(spec, content, field_folder.FILES[spec])
-            for spec, content in self.contents().items()
-        }
+        with making(self.made()):
+            files = {
+                spec: packed(spec, content, field_folder.FILES[spec])
+                for spec, content in self.contents().items()
+            }
         about = self.about({spec: digest for spec, (digest, _) in files.items()})
         field_folder.write(
             path,

@@ -19,6 +19,7 @@ from slgaussian.formats.images import opened
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
 from slgaussian.storage.field_folder import About
+from slgaussian.storage.provenance import current, making
 from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, address
 
 TARGET = "target_"
@@ -162,11 +163,13 @@ def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
 
     ``meta`` says how many ``gaussians`` and ``objects`` it has, and its ``account``.
     """
-    refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
-    about = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
-    said = {"account": field.settings.get("account"), "parts": [ref.uri for ref in refs.values()]}
-    return store.put("field", {"about": np.array(about)}, counts | said)
+    with making(current() or field.made()):
+        refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
+        about = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
+        parts = [ref.uri for ref in refs.values()]
+        said = {"account": field.settings.get("account"), "parts": parts}
+        return store.put("field", {"about": np.array(about)}, counts | said)
 
 
 def about_field(store: ArtifactStore, ref: ArtifactRef) -> tuple[About, dict[str, ArtifactRef]]:

@@ -21,12 +21,13 @@ from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, State
 
 from slgaussian.kernels import compiling, threads
+from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, DamagedError
 from tasks.events import Finished, Listener, Repeated, Said, Started
 from tasks.keys import cache_key, canonical
 
-Made = TypeVar("Made")
+Read = TypeVar("Read")
 
 
 @dataclass
@@ -57,11 +58,11 @@ class Worksite:
     key: str = ""
     _known: dict[Hashable, Any] = field(default_factory=dict)
 
-    def read(self, ref: ArtifactRef, made_of: Callable[[Arrays], Made]) -> Made:
+    def read(self, ref: ArtifactRef, made_of: Callable[[Arrays], Read]) -> Read:
         """What ``made_of`` makes of a stored artifact; see :meth:`once`."""
         return self.once((ref.digest, made_of), lambda: made_of(self.store.get(ref)))
 
-    def once(self, what: Hashable, make: Callable[[], Made]) -> Made:
+    def once(self, what: Hashable, make: Callable[[], Read]) -> Read:
         """What ``make`` makes: once for each ``what``, however many stages of the scene ask for it.
 
         It is shared between them, so none may change it.
@@ -99,8 +100,9 @@ class Stage:
     It is called with all parameters of the function but the first, which is the
     :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
     method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
-    made, whose ``meta`` says what settings made it, how many ``seconds`` that took and on which
-    ``processor``.
+    made, whose ``meta`` says what settings made it of which ``inputs``, how many ``seconds`` that
+    took and on which ``processor``. The files that it writes say the stage, its version and the
+    settings.
     """
 
     def __init__(
@@ -157,26 +159,35 @@ class Stage:
         if found is not None:
             site.made[self.name] = found
             return Completed(name="Cached", message="found in the store")
+        settings, inputs = self._parted(arguments)
+        of = {name: ref.spec for name, ref in inputs.items()}
+        given = frozenset(ref.digest for ref in inputs.values())
+        made = Made(self.name, self.version, settings, of, given)
         threads.limit(site.workers)
         compiling.watch()
         start = time.perf_counter()
         try:
-            with compiling.told_to(site.tell):
+            with compiling.told_to(site.tell), making(made):
                 ref = self.work(site, **arguments)
         except DamagedError as error:
             # Then the stage that made it makes it again.
             site.store.remove([error.uri])
             raise
-        settings = {
-            name: canonical(value, name)
-            for name, value in arguments.items()
-            if name not in self.unkeyed and not isinstance(value, ArtifactRef)
-        }
         took = {"seconds": time.perf_counter() - start, "processor": threads.processor()}
-        ref = replace(ref, meta={**ref.meta, "settings": settings, **took})
+        known = {"settings": settings, "inputs": {n: own.digest for n, own in inputs.items()}}
+        ref = replace(ref, meta={**ref.meta, **known, **took})
         records.keep(site.key, ref)
         site.made[self.name] = ref
         return None
+
+    def _parted(
+        self, arguments: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, ArtifactRef]]:
+        """The arguments that are settings, as plain data, and those that are artifacts."""
+        counted = {name: value for name, value in arguments.items() if name not in self.unkeyed}
+        inputs = {name: own for name, own in counted.items() if isinstance(own, ArtifactRef)}
+        rest = {name: own for name, own in counted.items() if name not in inputs}
+        return {name: canonical(own, name) for name, own in rest.items()}, inputs
 
 
 def stage(

@@ -30,7 +30,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -574,7 +574,8 @@ def make_arrays(folder: Path) -> None:
     labels = picture(0).astype(np.int32)[None]
     arrays = {"labels": labels, "margin": np.ones(labels.shape, np.float32)}
     for compress in (False, True):
-        (folder / f"labels{compress}.npz").write_bytes(encode_arrays(arrays, compress))
+        spec = replace(load_spec("labels"), compress=compress)
+        (folder / f"labels{compress}.npz").write_bytes(encode_arrays(arrays, spec))
 
 
 def read_arrays(folder: Path) -> None:
@@ -588,14 +589,14 @@ def make_tables(folder: Path) -> None:
         {"scene": f"s{i % 3}", "stage": "views", "kind": "InputError", "reason": f"why {i}" * 3}
         for i in range(40)
     ]
-    columns = load_spec("failures").schema
-    rows = [{name: row.get(name, "x") for name in columns.names} for row in rows]
-    table = pa.Table.from_pylist(rows, schema=columns)
-    (folder / "failures.parquet").write_bytes(encode_table(table))
-    objects = load_spec("objects").schema
-    numbers = [dict.fromkeys(objects.names, i) for i in range(40)]
-    table = pa.Table.from_pylist(numbers, schema=objects)
-    (folder / "objects.parquet").write_bytes(encode_table(table))
+    spec = load_spec("failures")
+    rows = [{name: row.get(name, "x") for name in spec.columns} for row in rows]
+    table = pa.Table.from_pylist(rows, schema=spec.schema)
+    (folder / "failures.parquet").write_bytes(encode_table(table, spec))
+    spec = load_spec("objects")
+    numbers = [dict.fromkeys(spec.columns, i) for i in range(40)]
+    table = pa.Table.from_pylist(numbers, schema=spec.schema)
+    (folder / "objects.parquet").write_bytes(encode_table(table, spec))
 
 
 def read_tables(folder: Path) -> None:

@@ -38,7 +38,7 @@ def fill(root: Path, count: int) -> None:
         digest = arrays_digest(arrays)
         ref = ArtifactRef("weights", address("weights", digest), digest)
         key = f"{digest[::-1]}.json"
-        _write(root / ref.uri, encode_arrays(arrays, False))
+        _write(root / ref.uri, encode_arrays(arrays, load_spec(ref.spec)))
         if number % 10:
             _write(root / FOLDER / "train" / "v1" / key[:2] / key, json.dumps(asdict(ref)).encode())
 
@@ -91,7 +91,7 @@ def reads() -> None:
     }
     for spec, arrays in cases.items():
         rules = load_spec(spec)
-        data = encode_arrays(arrays, rules.compress)
+        data = encode_arrays(arrays, rules)
         parts = {
             "decode": lambda data=data, rules=rules: decode_arrays(data, rules, "file"),
             "spec": lambda arrays=arrays, rules=rules: rules.check_arrays(arrays, "file"),

@@ -20,6 +20,7 @@ from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
 from slgaussian.semantic.lesson import Lesson
+from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import encode_arrays, write_atomic
 
 SIZE = 256
@@ -63,7 +64,9 @@ class Rooms(Sequence[Lesson]):
                 true = [np.stack([v.instances for v in vs]).astype(np.int32)
                         for vs in (sample.context, sample.targets)]  # fmt: skip
                 lesson = lesson_of(sample, gaussians, *true)
-                write_atomic(self._file(index), encode_arrays(lesson.to_arrays(), False))
+                write_atomic(
+                    self._file(index), encode_arrays(lesson.to_arrays(), load_spec("lesson"))
+                )
 
     def _file(self, index: int) -> Path:
         return self.folder / f"{self.seeds[index]}.npz"

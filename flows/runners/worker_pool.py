@@ -39,7 +39,7 @@ from flows.runners.task_runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, encode_table
 from tasks.events import Event, Failed
 
 Made = TypeVar("Made")
@@ -314,3 +314,8 @@ def failures_table(failures: Sequence[Failure]) -> pa.Table:
     """The failures as a table of spec ``failures``."""
     rows = [vars(failure) for failure in failures]
     return pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
+
+
+def failures_file(failures: Sequence[Failure]) -> bytes:
+    """The same as a Parquet file."""
+    return encode_table(failures_table(failures), load_spec("failures"))

@@ -51,8 +51,13 @@ def write_costs(rows: Sequence[Row], out: str | Path) -> None:
 
 
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:
-    """Write a table as ``<name>.parquet`` and ``<name>.csv`` into folder ``out``."""
-    write_file(Path(out) / f"{name}.parquet", encode_table(table))
+    """Write a table of spec ``name`` as ``<name>.parquet`` and ``.csv`` into folder ``out``.
+
+    SpecError if the table is not what its spec says.
+    """
+    file, spec = Path(out) / f"{name}.parquet", load_spec(name)
+    spec.check_table(table, str(file))
+    write_file(file, encode_table(table, spec))
     text = io.StringIO()
     writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
     writer.writeheader()

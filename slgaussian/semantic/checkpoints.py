@@ -55,7 +55,7 @@ def save_checkpoint(
         tensors |= {f"optimiser.{index}.{name}": t.detach() for name, t in state.items()}
     about = {"step": len(rows), "run": run}
     try:
-        write_atomic(folder / METRICS, encode_table(table_of(rows)))
+        write_atomic(folder / METRICS, encode_table(table_of(rows), load_spec("metrics")))
         write_atomic(folder / CHECKPOINT, encode_tensors(tensors, about))
     except OSError as error:
         raise InputError(

@@ -177,7 +177,8 @@ class Versions:
                 if promote and now != before:
                     meanwhile = f"{called(now)} came into use while it was trained; {why}"
                     version = replace(version, promoted=False, why=meanwhile)
-                write_atomic(self._file(version.number), encode_table(_table(version)))
+                file = encode_table(_table(version), load_spec("versions"))
+                write_atomic(self._file(version.number), file)
             except OSError as error:
                 raise InputError(
                     f"{self.folder}: cannot be written ({error.strerror or error}); the version in "

@@ -20,6 +20,7 @@ from slgaussian.formats import strict_json
 from slgaussian.parts.identity import file_digest
 from slgaussian.storage.derived import Arrays, Derived
 from slgaussian.storage.field_folder import AGAIN
+from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import encode_arrays, unpacked
 
 FILE = "photographs.json"
@@ -75,7 +76,7 @@ class Origin:
             for key, own in derived.kept.items()
             for name, array in own.items()
         }
-        data = encode_arrays(arrays, compress=False)  # float noise, which deflate hardly shrinks
+        data = encode_arrays(arrays, load_spec("derived"))
         content = {"format": FORMAT, "what": WHAT, **asdict(self)}
         content["derived"] = hashlib.sha256(data).hexdigest()
         text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -118,7 +119,7 @@ def _derived(file: Path, digest: str) -> dict[str, Arrays]:
         if hashlib.sha256(data).hexdigest() != digest:
             return {}
         found: dict[str, dict[str, Any]] = {}
-        for name, array in unpacked(data).items():
+        for name, array in unpacked(data)[0].items():
             key, _, own = name.rpartition("/")
             found.setdefault(key, {})[own] = array
     except Exception:  # a damaged file raises almost anything

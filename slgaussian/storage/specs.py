@@ -1,67 +1,134 @@
 """What the data look like: one ``.toml`` file a spec, read by one validator.
 
-A spec of kind ``arrays`` lists named arrays with dtype and shape; the letters of a shape are sizes
-that must agree within one artifact. A spec of kind ``table`` lists columns. Both are checked when
-an artifact is written and again when it is read.
+A spec with ``fields`` lists named arrays with dtype and shape; the letters of a shape are axes,
+whose sizes must agree within one artifact. A spec with ``columns`` lists those of a table. Both are
+checked when an artifact is written and again when it is read.
+
+A spec has a version, and files carry its name, version and meaning with the unit, bounds and
+meaning of each field (:mod:`slgaussian.storage.provenance` adds what made them): in Parquet as
+Arrow's metadata of fields and schema, in NPZ as a member :data:`ABOUT` of JSON.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from slgaussian.errors import SpecError
 
-COLUMN_TYPES = {
+ABOUT = "about.json"
+"""The member of an ``.npz`` file that says what the arrays are and what made them."""
+
+OWNER = "slgaussian"
+"""Whose specs these are: a file names its spec as ``slgaussian/labels@1``."""
+
+_PLAIN = {
     "string": pa.string(),
     "int64": pa.int64(),
+    "int32": pa.int32(),
+    "uint8": pa.uint8(),
     "float64": pa.float64(),
+    "float32": pa.float32(),
     "bool": pa.bool_(),
-    "float64 list": pa.list_(pa.float64()),
-    "string list": pa.list_(pa.string()),
+    "binary": pa.binary(),
 }
+COLUMN_TYPES = {**_PLAIN, **{f"{name} list": pa.list_(kind) for name, kind in _PLAIN.items()}}
+
+UNITS = {
+    "1": "a pure number, as a share, a ratio or a direction",
+    "count": "how many",
+    "id": "a name in numbers: equal or not, nothing else",
+    "index": "a place in an order, from 0 unless the meaning says otherwise",
+    "pixel": "pixels; the centre of the first one is at 0.5",
+    "scene unit": "the length that the cameras of the scene are given in; metres where they are",
+    "second": "seconds",
+    "microsecond": "microseconds",
+    "byte": "bytes of 8 bits",
+    "octet": "one byte of a file that the array holds, encoded as its meaning says",
+    "decibel": "dB",
+    "grey level": "0 black to 255 full",
+}
+"""Every unit of the specs, and what it means."""
+
+ROUNDING = 1e-9
+"""By how much a number of a table may be out of its bounds: a sum of shares may end above 1."""
 
 
 @dataclass(frozen=True)
 class Field:
     """One array of an artifact.
 
-    ``shape`` mixes numbers and letters; ``low`` and ``high`` are inclusive bounds of the values.
-    Floats are finite. ``dtype`` is a NumPy name, or ``str`` for text of any length.
+    ``shape`` mixes numbers and letters; ``low`` and ``high`` are inclusive bounds of the values,
+    and ``values`` are all that there may be. Floats are finite. ``dtype`` is a NumPy name, or
+    ``str`` for text of any length; what is no text and no bool has a ``unit`` of :data:`UNITS`.
     """
 
     dtype: str
     shape: tuple[int | str, ...]
     doc: str
     optional: bool = False
+    unit: str = ""
     low: float | None = None
     high: float | None = None
+    values: tuple[str | int, ...] = ()
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table; a column that is not ``nullable`` has a value in every row."""
+    """One column of a table; a column that is not ``nullable`` has a value in every row.
+
+    ``unit``, ``low``, ``high`` and ``values`` as of a :class:`Field`; of lists, each entry.
+    """
 
     type: str
     doc: str
     nullable: bool = False
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    values: tuple[str | int, ...] = ()
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What one kind of artifact holds: ``fields`` of an ``.npz`` or ``columns`` of a table."""
+    """What one kind of artifact holds: ``fields`` of an ``.npz`` or ``columns`` of a table.
+
+    Attributes
+    ----------
+    name, doc : str
+    version : int
+        Raised by hand when files of the version before are no longer what the spec says.
+    compress : bool
+        Whether arrays are deflated.
+    axes : mapping
+        What each letter of a shape counts.
+    open : bool
+        Whether arrays may have any names, and are not listed.
+    """
 
     name: str
     doc: str
-    compress: bool
-    fields: Mapping[str, Field]
-    columns: Mapping[str, Column]
+    version: int = 1
+    compress: bool = True
+    open: bool = False
+    axes: Mapping[str, str] = field(default_factory=dict)
+    fields: Mapping[str, Field] = field(default_factory=dict)
+    columns: Mapping[str, Column] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """How a file names its spec."""
+        return f"{OWNER}/{self.name}@{self.version}"
 
     @property
     def suffix(self) -> str:
@@ -70,21 +137,56 @@ class Spec:
 
     @property
     def schema(self) -> pa.Schema:
-        """The Arrow schema of a table spec."""
-        columns = self.columns.items()
-        return pa.schema([pa.field(n, COLUMN_TYPES[c.type], c.nullable) for n, c in columns])
+        """The Arrow schema of a table spec, which says what it is."""
+        return pa.schema(
+            [
+                pa.field(name, COLUMN_TYPES[column.type], column.nullable, _said_of(column))
+                for name, column in self.columns.items()
+            ],
+            {"spec": self.label, "meaning": self.doc},
+        )
+
+    def about(self, names: Iterable[str]) -> dict[str, Any]:
+        """What an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
+        known = {name: self.fields[name] for name in names if name in self.fields}
+        letters = {axis for own in known.values() for axis in own.shape}
+        return {
+            "spec": self.label,
+            "meaning": self.doc,
+            "axes": {letter: said for letter, said in self.axes.items() if letter in letters},
+            "fields": {
+                name: {"axes": list(own.shape), **_said_of(own, plain=True)}
+                for name, own in known.items()
+            },
+        }
+
+    def check_stated(self, label: str | None, file: str, repair: str) -> None:
+        """Raise :class:`SpecError` if a file that names its spec so is not to be read by this one.
+
+        None is a file from before specs were named; whether it fits is seen of its content.
+        """
+        if label is None or label == self.label:
+            return
+        name, version = parse_label(label)
+        if name != self.name:
+            raise mismatch(file, "spec", f"{label:.80}", f"{self.label}; {repair}")
+        if version > self.version:
+            said = f"{self.label} at most: a later {OWNER} wrote it, so install that one"
+            raise mismatch(file, "spec", label, f"{said}, or {repair}")
 
     def check_arrays(self, arrays: Mapping[str, np.ndarray], file: str) -> None:
         """Raise :class:`SpecError` at the first array that is not what this spec says."""
+        if self.open:
+            return
         unknown = sorted(set(arrays) - set(self.fields))
         if unknown:
             raise mismatch(file, unknown[0], "an unknown field", f"only {', '.join(self.fields)}")
         sizes: dict[str, tuple[int, str]] = {}
-        for name, field in self.fields.items():
+        for name, own in self.fields.items():
             if name in arrays:
-                _check_array(arrays[name], field, name, file, sizes)
-            elif not field.optional:
-                raise mismatch(file, name, "no such field", _describe(field))
+                _check_array(arrays[name], own, name, file, sizes)
+            elif not own.optional:
+                raise mismatch(file, name, "no such field", _describe(own))
 
     def check_table(self, table: pa.Table, file: str) -> None:
         """Raise :class:`SpecError` at the first column that is not what this spec says."""
@@ -96,6 +198,7 @@ class Spec:
                 raise mismatch(file, name, f"{data.type}", f"{COLUMN_TYPES[column.type]}")
             if data.null_count and not column.nullable:
                 raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
+            _check_column(data, column, name, file)
         unknown = [name for name in table.column_names if name not in self.columns]
         if unknown:
             raise mismatch(file, unknown[0], "an unknown column", f"only {list(self.columns)}")
@@ -113,12 +216,9 @@ def load_spec(name: str) -> Spec:
     if name not in spec_names():
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")
     raw = tomllib.loads((files("data_specs") / f"{name}.toml").read_text("utf-8"))
-    fields = {
-        n: Field(**{**table, "shape": tuple(table["shape"])})
-        for n, table in raw.pop("fields", {}).items()
-    }
-    columns = {n: Column(**table) for n, table in raw.pop("columns", {}).items()}
-    return Spec(name=name, fields=fields, columns=columns, **{"compress": True, **raw})
+    fields = {n: Field(**_tuples(own)) for n, own in raw.pop("fields", {}).items()}
+    columns = {n: Column(**_tuples(own)) for n, own in raw.pop("columns", {}).items()}
+    return Spec(name=name, fields=fields, columns=columns, **raw)
 
 
 @cache
@@ -128,13 +228,57 @@ def spec_names() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
 
 
+def parse_label(label: str) -> tuple[str, int]:
+    """Name and version of a spec as a file names it; of any other text the text and 0."""
+    found = re.fullmatch(rf"{OWNER}/([a-z_]+)@([1-9]\d{{0,5}})", label)
+    return (label, 0) if found is None else (found[1], int(found[2]))
+
+
 def mismatch(file: str, field: str, found: str, expected: str) -> SpecError:
     """The one form of a :class:`SpecError` about a file."""
     return SpecError(f"{file}: {field}: found {found}, expected {expected}")
 
 
+def _tuples(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: tuple(own) if isinstance(own, list) else own for name, own in table.items()}
+
+
+def _said_of(entry: Field | Column, plain: bool = False) -> dict[str, Any]:
+    """Meaning, unit, bounds and values of a field or column: text as Arrow has it, or plain."""
+    said: dict[str, Any] = {"meaning": entry.doc, "unit": entry.unit}
+    said |= {"low": entry.low, "high": entry.high, "values": list(entry.values)}
+    known = {name: value for name, value in said.items() if value not in (None, "", [])}
+    if plain:
+        return known
+    return {n: v if isinstance(v, str) else json.dumps(v) for n, v in known.items()}
+
+
 def _describe(field: Field) -> str:
     return f"{field.dtype} [{', '.join(map(str, field.shape))}]"
+
+
+def _check_column(data: pa.ChunkedArray, column: Column, name: str, file: str) -> None:
+    if pa.types.is_list(data.type):
+        data = pc.list_flatten(data)
+    if pa.types.is_floating(data.type) and not pc.all(pc.is_finite(data), min_count=0).as_py():
+        raise mismatch(file, name, "NaN or infinity", "finite numbers")
+    if column.values:
+        strange = pc.filter(data, pc.invert(pc.is_in(data, pa.array(column.values, data.type))))
+        for value in strange.drop_null()[:1].to_pylist():
+            raise mismatch(file, name, f"{value!r:.80}", f"one of {list(column.values)}")
+    if column.low is not None or column.high is not None:
+        found = pc.min_max(data).as_py()
+        _check_bounds(found["min"], found["max"], column, name, file, ROUNDING)
+
+
+def _check_bounds(
+    least: Any, most: Any, entry: Field | Column, name: str, file: str, slack: float = 0.0
+) -> None:
+    """``least`` and ``most`` are None where there is no value."""
+    if entry.low is not None and least is not None and least < entry.low - slack:
+        raise mismatch(file, name, f"{least:g}", f"values of at least {entry.low:g}")
+    if entry.high is not None and most is not None and most > entry.high + slack:
+        raise mismatch(file, name, f"{most:g}", f"values of at most {entry.high:g}")
 
 
 def _check_array(
@@ -152,10 +296,16 @@ def _check_array(
             sizes.setdefault(letter, (size, f"{letter} = {size} as in {name}"))
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise mismatch(file, name, "NaN or infinity", "finite numbers")
-    if array.size and field.low is not None and array.min() < field.low:
-        raise mismatch(file, name, f"{array.min():g}", f"values of at least {field.low:g}")
-    if array.size and field.high is not None and array.max() > field.high:
-        raise mismatch(file, name, f"{array.max():g}", f"values of at most {field.high:g}")
+    if field.values and array.size:
+        strange = np.setdiff1d(array, np.array(field.values))
+        if strange.size:
+            found = f"{strange[0].item()!r:.80}"
+            raise mismatch(file, name, found, f"one of {list(field.values)}")
+    if array.size and array.dtype.kind in "iuf":
+        # One pass for each bound that there is: arrays may be large.
+        least = array.min() if field.low is not None else None
+        most = array.max() if field.high is not None else None
+        _check_bounds(least, most, field, name, file)
 
 
 def _resolve(

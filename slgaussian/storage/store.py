@@ -1,8 +1,8 @@
 """Content-addressed artifacts: arrays and tables on any file system, written whole or not at all.
 
-The same content has the same digest, the same path and, within one version of NumPy, zlib and
-Arrow, the same bytes. The digest is over the content and not over the file, so it outlives those
-versions.
+The same content has the same digest and the same path. The digest is over the content and not over
+the file, whose bytes also depend on the versions of NumPy, zlib and Arrow, and say what made it
+(:mod:`slgaussian.storage.provenance`): the digest outlives all of these.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,9 +32,11 @@ from fsspec.implementations.local import LocalFileSystem
 from fsspec.implementations.memory import MemoryFileSystem
 
 from slgaussian.errors import InputError, SpecError
+from slgaussian.formats import strict_json
 from slgaussian.storage.local_copies import LocalCache
+from slgaussian.storage.provenance import speaking, statement
 from slgaussian.storage.remote import explained, open_place, troubles
-from slgaussian.storage.specs import Spec, load_spec, mismatch
+from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
 
 Arrays = dict[str, np.ndarray]
 Item = TypeVar("Item")
@@ -144,6 +146,9 @@ class ArtifactStore:
 
         It is written even if it is there: one that is damaged is then whole again, and one that
         nothing refers to yet is young again for :func:`slgaussian.storage.housekeeping.collect`.
+        Where other work made the same content before, of the two statements of what made it the
+        one that is first in order stays, so that the bytes do not depend on who came first.
+        ``meta`` of the ref also has the ``bytes`` of the file.
 
         Raises
         ------
@@ -153,11 +158,30 @@ class ArtifactStore:
             If the store cannot be written to.
         """
         digest, data = packed(spec, content, f"new {spec} artifact")
-        uri = address(spec, digest)
-        self.write(uri, data)
+        ref = ArtifactRef(spec, address(spec, digest), digest)
+        data = self._settle(ref, data)
         if self.cache is not None:
-            self.cache.put(uri, data)
-        return ArtifactRef(spec, uri, digest, dict(meta or {}))
+            self.cache.put(ref.uri, data)
+        return replace(ref, meta={**(meta or {}), "bytes": len(data)})
+
+    def _settle(self, ref: ArtifactRef, data: bytes) -> bytes:
+        """Write an artifact: these bytes, or again those that are there; returns which."""
+        new = True
+        while True:
+            there = None
+            try:
+                there = self.read(ref.uri)
+                if _precedence(there) < _precedence(data):
+                    self.understood(ref, there)
+                    data = there
+            except SpecError:
+                pass  # nothing there, or nothing whole
+            try:
+                self.write(ref.uri, data, new=new and there is None)
+            except FileExistsError:  # others made the same in between, or it cannot be read
+                new = False
+                continue
+            return data
 
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, checked against its spec and its digest.
@@ -305,18 +329,25 @@ class ArtifactStore:
         finally:
             self.remove([probe])
 
-    def write(self, uri: str, data: bytes) -> None:
-        """Write a file that is no artifact, whole or not at all; InputError if that fails."""
+    def write(self, uri: str, data: bytes, new: bool = False) -> None:
+        """Write a file that is no artifact, whole or not at all; InputError if that fails.
+
+        FileExistsError if it is to be ``new`` and is there, where the file system can tell.
+        """
         path = f"{self.path}/{uri}"
         try:
             if self.local:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
-                write_atomic(path, data, sync=True)
+                write_atomic(path, data, sync=True, new=new)
             elif self.near:
                 self.fs.pipe_file(path, data)
             else:
                 # One put, or parts that are shown when the last has arrived: whole or not at all.
                 self.fs.pipe_file(path, data, chunksize=PART)
+        except FileExistsError as error:
+            if new:
+                raise
+            raise self._failed("write", error) from error
         except troubles() as error:
             raise self._failed("write", error) from error
 
@@ -423,13 +454,14 @@ def _written(info: Mapping[str, Any]) -> float:
 
 
 def write_atomic(
-    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False
+    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False, new: bool = False
 ) -> None:
     """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
 
-    With ``sync``, no crash of the machine either: it is on the disk when this returns.
+    With ``sync``, no crash of the machine either: it is on the disk when this returns. With
+    ``new``, FileExistsError if there is one already and the disk knows hard links, which can tell.
     """
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with replacing(path, new) as temporary, open(temporary, "wb") as file:
         file.write(data)
         if sync:
             file.flush()
@@ -437,12 +469,25 @@ def write_atomic(
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
-    """A name to write a local file under, which takes the place of ``path`` once it is whole."""
+def replacing(path: str | os.PathLike[str], new: bool = False) -> Iterator[str]:
+    """A name to write a local file under, which takes the place of ``path`` once it is whole.
+
+    ``new`` as :func:`write_atomic` has it.
+    """
     folder, name = os.path.split(os.fspath(path))
     temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         yield temporary
+        if new:
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                raise
+            except OSError:
+                pass  # one that has no links
+            else:
+                os.remove(temporary)
+                return
         os.replace(temporary, path)
     except BaseException:
         if os.path.exists(temporary):
@@ -510,46 +555,65 @@ def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -
     rules = load_spec(spec)
     if rules.columns:
         rules.check_table(content, file)
-        return table_digest(content), encode_table(content)
+        digest = table_digest(content)
+        return digest, encode_table(content, rules, digest)
     arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
     rules.check_arrays(arrays, file)
-    return arrays_digest(arrays), encode_arrays(arrays, rules.compress)
+    digest = arrays_digest(arrays)
+    return digest, encode_arrays(arrays, rules, digest)
 
 
-def encode_arrays(arrays: Mapping[str, np.ndarray], compress: bool) -> bytes:
-    """An ``.npz`` file whose bytes depend on nothing but the arrays."""
+def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = "") -> bytes:
+    """An ``.npz`` file whose bytes depend on nothing but the arrays and what made them.
+
+    That is not said of what only passed through (:attr:`slgaussian.storage.provenance.Made.given`).
+    """
     buffer = io.BytesIO()
-    method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+    method = zipfile.ZIP_DEFLATED if spec.compress else zipfile.ZIP_STORED
+    about = json.dumps({**spec.about(sorted(arrays)), **statement(digest)}, ensure_ascii=False)
     with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(_member(ABOUT), about, zipfile.ZIP_DEFLATED, compresslevel=9)
         for name in sorted(arrays):
             member = io.BytesIO()
             np.lib.format.write_array(member, arrays[name], allow_pickle=False)
-            info = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
-            info.external_attr = 0o644 << 16
-            archive.writestr(info, member.getbuffer(), method, compresslevel=1)
+            archive.writestr(_member(f"{name}.npy"), member.getbuffer(), method, compresslevel=1)
     return buffer.getvalue()
 
 
-def encode_table(table: pa.Table) -> bytes:
-    """A Parquet file of the table."""
+def _member(name: str) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.external_attr = 0o644 << 16
+    return info
+
+
+def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
+    """A Parquet file of the table, which says what it is and what made it.
+
+    Its own metadata are those of the spec in any case; ``digest`` as :func:`encode_arrays` has it.
+    """
+    known = spec.schema
+    schema = pa.schema([known.field(name) for name in table.column_names], known.metadata)
+    table = pa.Table.from_arrays(table.columns, schema=speaking(schema, digest)).combine_chunks()
     buffer = io.BytesIO()
-    pq.write_table(table.combine_chunks(), buffer, compression="zstd")
+    pq.write_table(table, buffer, compression="zstd")
     return buffer.getvalue()
 
 
 def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
-    """Read what :func:`encode_table` wrote.
+    """Read what :func:`encode_table` wrote, or wrote before files said what they are.
 
     Raises
     ------
     SpecError
-        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, or do not
-        hold what ``spec`` says.
+        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, are of
+        another spec or a later version of it, or do not hold what ``spec`` says.
     """
     with _whole(data, file, spec, repair):
         # A third of the time of pq.read_table, which asks what else may be in a folder.
         table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
         table.validate(full=True)
+        label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
+    spec.check_stated(label, file, repair)
     spec.check_table(table, file)
     return table
 
@@ -557,22 +621,55 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
     """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
     with _whole(data, file, spec, repair):
-        arrays = unpacked(data)
+        arrays, about = unpacked(data)
+        label = about.get("spec")
+    spec.check_stated(label, file, repair)
     spec.check_arrays(arrays, file)
     return arrays
 
 
-def unpacked(data: bytes) -> Arrays:
-    """The arrays of what :func:`encode_arrays` wrote; almost any error if it is something else."""
-    with zipfile.ZipFile(io.BytesIO(data)) as members:
-        if sum(member.file_size for member in members.infolist()) > MOST_UNPACKED:
+def unpacked(data: bytes) -> tuple[Arrays, dict[str, Any]]:
+    """The arrays of what :func:`encode_arrays` wrote and what they say of themselves.
+
+    Nothing, where they were written before they did. Almost any error if it is something else.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archived:
+        if sum(member.file_size for member in archived.infolist()) > MOST_UNPACKED:
             raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
     # Not np.load, which takes whatever is no zip file for a pickle and says so.
     with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    if any(isinstance(array, bytes) for array in arrays.values()):
+        members: dict[str, Any] = {name: archive[name] for name in archive.files}
+    about = strict_json.parse(members.pop(ABOUT, b"{}"))
+    if any(isinstance(array, bytes) for array in members.values()):
         raise ValueError("a member is no array")
-    return arrays
+    if not isinstance(about, dict) or not isinstance(about.get("spec", ""), str):
+        raise ValueError(f"{ABOUT} says no spec")
+    return members, about
+
+
+def stated(data: bytes) -> dict[str, Any]:
+    """What the bytes of a Parquet or NPZ file say of themselves, without reading what they hold.
+
+    Plain data: ``spec``, ``meaning``, ``made`` ...; nothing where they say nothing. Almost any
+    error if they are no such file.
+    """
+    if data[:4] != b"PAR1":
+        with zipfile.ZipFile(io.BytesIO(data)) as members:
+            text = members.read(ABOUT) if ABOUT in members.namelist() else b"{}"
+        about: dict[str, Any] = strict_json.parse(text)
+        return about
+    metadata = pq.read_schema(pa.BufferReader(data)).metadata or {}
+    known = {name.decode(): text.decode() for name, text in metadata.items()}
+    return {n: strict_json.parse(text) if n == "made" else text for n, text in known.items()}
+
+
+def _precedence(data: bytes) -> tuple[bool, str]:
+    """What decides between two files of the same content: one that names its maker is first."""
+    try:
+        made = stated(data).get("made", {})
+        return "stage" not in made, json.dumps(made, sort_keys=True)
+    except Exception:  # a damaged file raises almost anything
+        return True, "~"
 
 
 @contextmanager

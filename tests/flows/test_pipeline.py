@@ -14,6 +14,7 @@ from command import run, said
 
 from flows import pipeline
 from flows.jobs import scene_job
+from flows.road import STAGES
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -22,7 +23,9 @@ from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.parts.method import Method
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.records import Records
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactStore, stated
 from tasks.benchmark import benchmark
 from tasks.events import Failed, Finished, Started
 from tasks.ingest import ingest
@@ -95,6 +98,25 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
 
 
+def test_every_artifact_says_which_stage_made_it(first):
+    folder, _, _ = first
+    store = ArtifactStore(folder / "store")
+    seen = set()
+    for records in Records(store).all():
+        for record in records:
+            said = stated(store.read(record.ref.uri))
+            assert said["spec"] == load_spec(record.ref.spec).label
+            assert (said["made"]["stage"], said["made"]["stage_version"]) == (
+                record.stage,
+                record.version,
+            )
+            assert said["made"]["settings"] == record.ref.meta["settings"]
+            assert said["made"]["of"].keys() == record.ref.meta["inputs"].keys()
+            assert record.ref.meta["bytes"] == len(store.read(record.ref.uri))
+            seen.add(record.stage)
+    assert seen == {*(stage.name for stage in STAGES), "baselines", "report"}
+
+
 def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     folder, missing, _ = first
     store = ArtifactStore(tmp_path / "store")
@@ -125,7 +147,15 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     sample = scene.sample(ROOM["context"], size=settings.size)
     own = build_field(replace(sample, scene="room"), settings.built_by)
     own.save(tmp_path / "own")
-    assert files_below(left) == files_below(tmp_path / "own")
+    for file in left.iterdir():
+        data, mine = file.read_bytes(), (tmp_path / "own" / file.name).read_bytes()
+        if file.suffix == ".json":  # which has the digests of what the others hold
+            assert data == mine
+            continue
+        made, by = ({**stated(one)["made"]} for one in (data, mine))
+        stage = "supervision" if file.name == "bank.npz" else "field"
+        assert (made["stage"], by["stage"]) == (stage, "build_field")
+        assert made["software"] == by["software"]
     assert finished.ready.startswith("slgaussian query ")
     assert shlex.split(finished.look) == ["slgaussian", "view", str(left)]
 

@@ -78,7 +78,7 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
         rows.append({**known, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
     (folder / "corpus").mkdir(exist_ok=True)
-    (folder / "corpus" / "lessons.parquet").write_bytes(encode_table(table))
+    (folder / "corpus" / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
     return table
 
 
@@ -119,7 +119,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
 
     # Another order, and other chunks, are no other lessons.
     again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
-    (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again))
+    (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again, load_spec("lessons")))
     assert run(monkeypatch, *command(tmp_path, "again", *FEW)) == 0
     assert "branch  train  cached" in capsys.readouterr().err
     assert files_in(tmp_path / "again") == made

@@ -1,21 +1,40 @@
+import tomllib
+from importlib import resources
+
 import numpy as np
 import pyarrow as pa
 import pytest
 
+from slgaussian.benchmark import attribution
 from slgaussian.errors import SpecError
-from slgaussian.storage.specs import COLUMN_TYPES, load_spec, spec_names
+from slgaussian.storage.specs import COLUMN_TYPES, UNITS, load_spec, parse_label, spec_names
+
+SPECS = resources.files("data_specs")
 
 
 @pytest.mark.parametrize("name", spec_names())
 def test_every_spec_is_complete(name):
     spec = load_spec(name)
     assert spec.doc
-    assert bool(spec.fields) != bool(spec.columns)
-    for entry in (*spec.fields.values(), *spec.columns.values()):
-        assert entry.doc
+    assert "version" in tomllib.loads((SPECS / f"{name}.toml").read_text("utf-8"))
+    assert parse_label(spec.label) == (name, spec.version)
+    assert bool(spec.fields) + bool(spec.columns) + spec.open == 1
     for field in spec.fields.values():
         assert field.dtype == "str" or np.dtype(field.dtype).name == field.dtype
-    assert all(column.type in COLUMN_TYPES for column in spec.columns.values())
+        assert bool(field.unit) == (field.dtype not in ("str", "bool"))
+    for column in spec.columns.values():
+        assert column.type in COLUMN_TYPES
+        assert bool(column.unit) == (column.type.split()[0] not in ("string", "bool", "binary"))
+    for entry in (*spec.fields.values(), *spec.columns.values()):
+        assert entry.doc
+        assert entry.unit in ("", *UNITS)
+    letters = {axis for own in spec.fields.values() for axis in own.shape if axis == str(axis)}
+    assert set(spec.axes) == letters
+
+
+def test_what_lost_a_miss_is_one_of_what_the_attribution_says():
+    said = {*attribution.STAGES.values(), attribution.UNDECIDED, attribution.BEYOND}
+    assert set(load_spec("attribution").columns["lost"].values) == said
 
 
 def test_an_unknown_spec_says_which_there_are():
@@ -99,3 +118,28 @@ def test_tables_are_checked_by_column():
         spec.check_table(good.set_column(1, "stage", pa.array([None], pa.string())), "t")
     with pytest.raises(SpecError, match="t: more: found an unknown column"):
         spec.check_table(good.append_column("more", pa.array([1])), "t")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"iou": 1.01}, "t: iou: found 1.01, expected values of at most 1"),
+        ({"iou": -0.5}, "t: iou: found -0.5, expected values of at least 0"),
+        ({"iou": float("nan")}, "t: iou: found NaN or infinity, expected finite numbers"),
+        ({"iou_curve": [0.2, 1.5]}, "t: iou_curve: found 1.5, expected values of at most 1"),
+        ({"absent": "keep"}, "t: absent: found 'keep', expected one of ['skip', 'zero']"),
+        ({"iou": 1 + 1e-12, "absent": None}, ""),
+    ],
+)
+def test_values_of_tables_have_bounds(changed, message):
+    spec = load_spec("samples")
+    row = {name: "" if column.type == "string" else 1 for name, column in spec.columns.items()}
+    row |= {"selection": "none", "absent": "skip", "iou_curve": [0.5], "hit_mask": True}
+    row |= {"hit_box": None, "hit_peak": None}
+    table = pa.Table.from_pylist([row | changed], schema=spec.schema)
+    if not message:
+        spec.check_table(table, "t")
+        return
+    with pytest.raises(SpecError) as error:
+        spec.check_table(table, "t")
+    assert message in str(error.value)

@@ -1,0 +1,257 @@
+"""Files say what they hold and what made them, to whoever has pyarrow or NumPy alone."""
+
+import io
+import json
+import uuid
+import zipfile
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from contents import failures, labels
+
+from slgaussian import __version__
+from slgaussian.errors import SpecError
+from slgaussian.storage import store as stores
+from slgaussian.storage.provenance import Made, making, software, statement
+from slgaussian.storage.specs import UNITS, load_spec
+from slgaussian.storage.store import (
+    ArtifactStore,
+    arrays_digest,
+    decode_arrays,
+    decode_table,
+    encode_arrays,
+    encode_table,
+    stated,
+)
+
+MADE = Made(
+    "masks",
+    5,
+    {"replicas": 3},
+    {"sample": "sample"},
+    source="drawn here",
+    licence="CC0-1.0",
+)
+SAID = {
+    "program": f"slgaussian {__version__}",
+    "stage": "masks",
+    "stage_version": 5,
+    "settings": {"replicas": 3},
+    "of": {"sample": "sample"},
+    "software": software(),
+}
+
+
+@pytest.fixture
+def store() -> ArtifactStore:
+    return ArtifactStore(f"memory://{uuid.uuid4().hex}")
+
+
+def test_arrays_say_what_they_are_and_what_made_them(store):
+    with making(MADE):
+        ref = store.put("labels", labels())
+    with np.load(io.BytesIO(store.read(ref.uri))) as file:
+        assert set(file.files) == {"about.json", "labels", "margin"}
+        about = json.loads(file["about.json"])
+    assert about["spec"] == "slgaussian/labels@1"
+    assert about["meaning"] == load_spec("labels").doc
+    assert about["made"] == SAID
+    assert (about["source"], about["licence"]) == ("drawn here", "CC0-1.0")
+    assert about["axes"].keys() == {"V", "H", "W"}
+    margin = about["fields"]["margin"]
+    assert margin["axes"] == ["V", "H", "W"]
+    assert (margin["unit"], margin["low"], margin["high"]) == ("1", 0, 1)
+    assert about["fields"]["labels"]["meaning"] == load_spec("labels").fields["labels"].doc
+    assert stated(store.read(ref.uri)) == about
+
+
+def test_tables_say_so_in_arrows_metadata(store):
+    with making(MADE):
+        ref = store.put("failures", failures("a"))
+    data = store.read(ref.uri)
+    schema = pq.read_schema(io.BytesIO(data))
+    said = {key.decode(): value.decode() for key, value in schema.metadata.items()}
+    assert said["spec"] == "slgaussian/failures@1"
+    assert said["meaning"] == load_spec("failures").doc
+    assert json.loads(said["made"]) == SAID
+    assert (said["source"], said["licence"]) == ("drawn here", "CC0-1.0")
+    for name, column in load_spec("failures").columns.items():
+        assert schema.field(name).metadata[b"meaning"].decode() == column.doc
+    assert stated(data)["made"] == SAID
+    assert store.get(ref).equals(failures("a"))
+
+
+def test_units_bounds_and_values_are_metadata_of_the_column():
+    schema = load_spec("scores").schema
+    assert schema.field("share").metadata[b"unit"] == b"1"
+    assert json.loads(schema.field("share").metadata[b"high"]) == 1
+    assert json.loads(schema.field("absent").metadata[b"values"]) == ["skip", "zero"]
+
+
+def test_only_fields_that_are_there_are_spoken_of():
+    spec = load_spec("sample")
+    about = spec.about(["images", "K"])
+    assert about["fields"].keys() == {"images", "K"}
+    assert about["axes"].keys() == {"C", "H", "W"}
+    units = {own["unit"] for own in about["fields"].values()}
+    assert units < UNITS.keys()
+
+
+def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):
+    plain = store.put("labels", labels())
+    with making(MADE):
+        ref = store.put("labels", labels())
+        bytes_then = store.read(ref.uri)
+        monkeypatch.setattr(
+            stores, "statement", lambda digest: {"made": {"program": "slgaussian 99"}}
+        )
+        later = store.put("labels", labels(4))
+    assert plain == ref and plain.uri == ref.uri
+    assert bytes_then != encode_arrays(labels(), load_spec("labels"))
+    assert later.digest == arrays_digest(labels(4))
+
+
+def test_of_two_works_with_one_result_the_same_is_named_in_any_order():
+    works = [MADE, Made("masks", 5, {"replicas": 5}), Made("other", 1)]
+    left = []
+    for order in (works, works[::-1], [works[1], works[2], works[0]]):
+        store = ArtifactStore(f"memory://{uuid.uuid4().hex}")
+        store.put("labels", labels())  # nobody says who
+        for made in order:
+            with making(made):
+                ref = store.put("labels", labels())
+        store.put("labels", labels())
+        left.append(store.read(ref.uri))
+    assert left[0] == left[1] == left[2]
+    assert stated(left[0])["made"]["stage"] == "masks"
+
+
+def test_what_only_passes_through_was_made_by_others(store):
+    digest = arrays_digest(labels())
+    with making(Made("a", 1, given={digest})):
+        ref = store.put("labels", labels())
+        assert "stage" not in stated(store.read(ref.uri))["made"]
+    with making(Made("z", 1)):
+        store.put("labels", labels())
+    with making(Made("a", 1, given={digest})):
+        store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "z"
+
+
+def test_a_damaged_file_is_replaced_whatever_it_says(store):
+    with making(Made("a", 1)):
+        ref = store.put("labels", labels())
+    whole = store.read(ref.uri)
+    cut = bytearray(whole)
+    cut[-200] ^= 255
+    store.write(ref.uri, bytes(cut))
+    with making(Made("z", 1)):
+        store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "z"
+    np.testing.assert_array_equal(store.get(ref)["labels"], labels()["labels"])
+
+
+def mute(arrays) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def test_files_from_before_they_spoke_are_read(store):
+    data = mute(labels())
+    assert stated(data) == {}
+    back = decode_arrays(data, load_spec("labels"), "f.npz")
+    np.testing.assert_array_equal(back["labels"], labels()["labels"])
+    ref = store.put("labels", labels())
+    store.write(ref.uri, data)
+    store.get(ref)
+    buffer = io.BytesIO()
+    pq.write_table(failures("a").replace_schema_metadata(None), buffer)
+    assert decode_table(buffer.getvalue(), load_spec("failures"), "f").equals(failures("a"))
+    # And made to speak when the same is put again.
+    with making(MADE):
+        store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "masks"
+
+
+@pytest.mark.parametrize(
+    ("label", "message"),
+    [
+        (
+            "slgaussian/bank@1",
+            "f: spec: found slgaussian/bank@1, expected slgaussian/labels@1; mend",
+        ),
+        (
+            "slgaussian/labels@7",
+            "f: spec: found slgaussian/labels@7, expected slgaussian/labels@1 at most: a later "
+            "slgaussian wrote it, so install that one, or mend",
+        ),
+        ("else's", "f: spec: found else's, expected slgaussian/labels@1; mend"),
+    ],
+)
+def test_files_of_another_spec_or_a_later_version_are_refused(label, message):
+    spec = load_spec("labels")
+    data = rewritten(encode_arrays(labels(), spec), json.dumps({"spec": label}))
+    with pytest.raises(SpecError) as error:
+        decode_arrays(data, spec, "f", "mend")
+    assert str(error.value) == message
+    table = failures("a").replace_schema_metadata({"spec": label.replace("labels", "failures")})
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    with pytest.raises(SpecError, match="f: spec: found"):
+        decode_table(buffer.getvalue(), load_spec("failures"), "f", "mend")
+
+
+def rewritten(data: bytes, about: str) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, about if name == "about.json" else old.read(name))
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("about", ["", "[]", '{"spec": 3}', "{"])
+def test_a_statement_that_is_none_is_damage(about):
+    spec = load_spec("labels")
+    data = rewritten(encode_arrays(labels(), spec), about)
+    with pytest.raises(SpecError, match=r"f: file: found .* bytes that cannot be read"):
+        decode_arrays(data, spec, "f")
+
+
+def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
+    spec, table = load_spec("failures"), failures("a", "b")
+    named = table.set_column(0, "scene", pa.array(["a", "b"]))
+    with making(MADE):
+        assert encode_table(named, spec) == encode_table(table, spec)
+        assert json.dumps(statement()) == json.dumps(statement())
+
+
+def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
+    """Another process makes the same content after this one saw that nobody has."""
+    store = ArtifactStore(tmp_path / "store")
+    first, second = Made("a", 1), Made("b", 1)
+    read = ArtifactStore.read
+
+    def interrupted(self, uri, what="a file"):
+        monkeypatch.setattr(ArtifactStore, "read", read)
+        with making(first):
+            ArtifactStore(tmp_path / "store").put("labels", labels())
+        raise SpecError("nothing")
+
+    monkeypatch.setattr(ArtifactStore, "read", interrupted)
+    with making(second):
+        ref = store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "a"
+    assert [file.name for file in tmp_path.rglob("*.*")] == [ref.uri.split("/")[-1]]
+
+
+def test_a_file_that_cannot_be_read_is_replaced(tmp_path, monkeypatch):
+    store = ArtifactStore(tmp_path / "store")
+    ref = store.put("labels", labels())
+    (tmp_path / "store" / ref.uri).unlink()
+    (tmp_path / "store" / ref.uri).symlink_to(tmp_path / "nowhere")
+    with making(MADE):
+        store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "masks"
