@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from slgaussian.cameras.check import check_pairs, refuse
 from slgaussian.cameras.quality import Quality, measure
@@ -121,7 +120,7 @@ def predict(sample: Sample, predictor: Part, seed: int, trust_cameras: bool = Fa
         gaussians = loaded(sample, seed)
     opaque = _opaque(sample.context)
     if opaque is not None:
-        gaussians = gaussians[torch.from_numpy(opaque.ravel()[gaussians.source.numpy()])]
+        gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]
     quality = measure(SceneGeometry.of(sample.context, gaussians), checks)
     return Predicted(gaussians, quality, depths)
 

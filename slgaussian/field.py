@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import torch
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats.brief import brief, said
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels import compiling
+from slgaussian.labels import VISIBLE
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.nearest import nearest_code
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.placed import Layout, ask_placed
 from slgaussian.language.query import (
@@ -36,15 +33,7 @@ from slgaussian.language.query import (
 )
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.parts.part import Part
-from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Camera
-from slgaussian.semantic.decode import (
-    VISIBLE,
-    Decoder,
-    NearestCode,
-    decoder_of,
-    elected_ids,
-)
 from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import edits, field_folder
 from slgaussian.storage.field_folder import About
@@ -53,6 +42,10 @@ from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import Arrays, arrays_digest, packed
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from slgaussian.rasterize.picture import Picture
+    from slgaussian.semantic.decode import Decoder, NearestCode
     from slgaussian.things import Thing
 
 HATCH = 5
@@ -259,7 +252,7 @@ class SemanticField:
     def _points(self, row: int) -> np.ndarray:
         """Centres of the Gaussians of an object of the bank, float32 [P, 3]."""
         order, spans = self._by_object
-        return self.gaussians.means.numpy()[order[slice(*spans[row])]]
+        return self.gaussians.to_arrays()["means"][order[slice(*spans[row])]]
 
     @cached_property
     def _by_object(self) -> tuple[np.ndarray, np.ndarray]:
@@ -290,24 +283,43 @@ class SemanticField:
         return things_of(self, texts, Rules(**rules))
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
-        """See the field through ``camera``: colour, ids and depth in one pass."""
-        gaussians = self.drawn
-        values, rows = harmonics.colors(gaussians, camera), None
-        if self.bank.dimension:
-            values = torch.cat([values, gaussians.require_features()], 1)
-        else:
-            rows = gaussians.require_features()[:, 0].int()
-        image = rasterize(gaussians, values, camera, backend=backend, labels=rows)
-        drawn = image.values.float().numpy()
+        """See the field through ``camera``: colour, ids and depth in one pass.
+
+        ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
+        """
+        from slgaussian.semantic.decode import elected_ids
+
+        image = self._picture(camera, backend)
+        drawn, alpha, depth = image.values, image.alpha, image.depth
         if self.bank.dimension:
             ids, confidence = self._decoder(drawn[..., 3:])
         else:
-            ids, confidence = elected_ids(image, self.bank.ids)
-        alpha, depth = image.alpha.float().numpy(), image.depth.float().numpy()
+            ids, confidence = elected_ids(image.label, image.label_weights, self.bank.ids)
         rgb = shown(drawn[..., :3], alpha)
         if self.removed:
             rgb = hatched(rgb, alpha < VISIBLE)
         return FieldView(rgb, ids, confidence, alpha, depth, self, camera)
+
+    def _picture(self, camera: Camera, backend: str) -> Picture:
+        """Colours and codes, or colours and the rows of objects, as arrays on the CPU."""
+        from slgaussian.rasterize.picture import Picture, picture, seen_colors
+
+        gaussians = self.drawn
+        if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
+            values, features = seen_colors(gaussians, camera), gaussians.to_arrays()["features"]
+            if self.bank.dimension:
+                return picture(gaussians, np.concatenate([values, features], 1), camera)
+            return picture(gaussians, values, camera, labels=features[:, 0].astype(np.int32))
+        import torch
+
+        from slgaussian.rasterize import harmonics, rasterize
+
+        colours, carried = harmonics.colors(gaussians, camera), gaussians.require_features()
+        rows = None if self.bank.dimension else carried[:, 0].int()
+        if self.bank.dimension:
+            colours = torch.cat([colours, carried], 1)
+        image = rasterize(gaussians, colours, camera, backend=backend, labels=rows)
+        return Picture.of(image)
 
     def changed(self, **parts: Any) -> SemanticField:
         """The same field with other ``parts``; what is known of both is not worked out again."""
@@ -386,7 +398,7 @@ class SemanticField:
     def only(self, ids: Iterable[int]) -> SemanticField:
         """The field with the Gaussians of these objects alone; InputError if one is none."""
         chosen = np.isin(self.labels(), list(self._known(ids)))
-        return self.changed(gaussians=self.gaussians[torch.from_numpy(chosen)])
+        return self.changed(gaussians=self.gaussians[chosen])
 
     def like(self, image: np.ndarray) -> tuple[tuple[int, float], ...]:
         """What is like a picture uint8 [H, W, 3] of a thing: (id, relevancy) of all, best first.
@@ -458,7 +470,7 @@ class SemanticField:
         """The Gaussians but those that are :attr:`gone`."""
         if not self.gone.any():
             return self.gaussians
-        return self.gaussians[torch.from_numpy(~self.gone)]
+        return self.gaussians[~self.gone]
 
     @cached_property
     def gone(self) -> np.ndarray:
@@ -475,7 +487,7 @@ class SemanticField:
         views = [view for view in np.flatnonzero(held).tolist() if view < len(cameras)]
         seen = [self._seen_whole(view) for view in views]
         edge = fringe(
-            self.gaussians.means.numpy(),
+            self.gaussians.to_arrays()["means"],
             gone,
             [cameras[view] for view in views],
             [depth for _, depth in seen],
@@ -497,6 +509,8 @@ class SemanticField:
 
     @cached_property
     def _decoder(self) -> Decoder | NearestCode:
+        from slgaussian.semantic.decode import decoder_of
+
         return decoder_of(self.bank, self.settings)
 
     def labels(self) -> np.ndarray:
@@ -505,18 +519,22 @@ class SemanticField:
 
     @cached_property
     def _labels(self) -> np.ndarray:
-        features = self.gaussians.require_features().numpy()
+        features = self.gaussians.to_arrays()["features"]
         if not self.bank.dimension:
             return np.append(np.int32(0), self.bank.ids)[features[:, 0].astype(np.int64)]
         labelled = features[:, -1] >= VISIBLE
         ids = np.zeros(len(features), np.int32)
         if labelled.any():
+            from slgaussian.language.nearest import nearest_code
+
             rows = nearest_code(features[labelled, :-1] / features[labelled, -1:], self.bank.codes)
             ids[labelled] = self.bank.ids[rows]
         return ids
 
     def objects(self) -> pa.Table:
         """One row an object: its id, its code and how many Gaussians carry it most of all."""
+        import pyarrow as pa
+
         labels = self.labels()
         rows = np.searchsorted(self.bank.ids, labels[labels > 0])  # ids are positive and ascending
         counts = np.bincount(rows, minlength=len(self.bank.ids))
@@ -595,7 +613,12 @@ class SemanticField:
         return edits.files(self.taught, self.names, self.removed)
 
     @staticmethod
-    def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
+    def load(
+        path: str | Path,
+        encoder: Mapping[str, str | Path] | None = None,
+        *,
+        later: bool = False,
+    ) -> SemanticField:
         """Read a field folder.
 
         Parameters
@@ -604,6 +627,9 @@ class SemanticField:
         encoder : {setting: path or name on the hub}, optional
             Where the files of its encoder are now, if not where they were when it was built, as in
             ``{"model": "models/clip"}``. They are looked at when the field is first asked.
+        later : bool
+            Whether to read the Gaussians, and to see whether they are damaged, when they are first
+            needed.
 
         Raises
         ------
@@ -611,18 +637,21 @@ class SemanticField:
             If a file of it is missing or damaged, or the encoder is no longer that of the bank;
             the message names the file.
         """
-        compiling.watch()
         path = Path(path)
         about, where = field_folder.read_about(path)
         where |= {key: str(place) for key, place in (encoder or {}).items()}
-        arrays = {
-            spec: field_folder.read_arrays(path, spec, about.digests[spec])
-            for spec in ("gaussians", "bank")
-        }
-        try:
-            loaded = SemanticField.of(about, arrays, where)
-        except InputError as error:
-            raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
+        with _of_folder(path), _naming_file("bank"):
+            read = field_folder.read_arrays(path, "bank", about.digests["bank"])
+            bank = MemoryBank.from_arrays(read)
+
+        def gaussians() -> Arrays:
+            with _of_folder(path):
+                arrays = field_folder.read_arrays(path, "gaussians", about.digests["gaussians"])
+                _checked(arrays, bank)
+            return arrays
+
+        held = Gaussians.later(gaussians) if later else Gaussians.from_arrays(gaussians())
+        loaded = SemanticField(held, bank, about.cameras, about.settings, where)
         identity = encoder_identity(about.settings)
         taught, names, removed = edits.read(path, identity, loaded.bank.ids)
         loaded = replace(loaded, taught=taught, names=names, removed=removed)
@@ -644,12 +673,19 @@ class SemanticField:
         InputError
             If the arrays hold none, or do not belong together; the message begins with the file.
         """
-        with _naming_file("gaussians"):
-            gaussians = Gaussians.from_arrays(arrays["gaussians"])
         with _naming_file("bank"):
             bank = MemoryBank.from_arrays(arrays["bank"])
-        _check_features(gaussians, bank)
+        gaussians = _checked(arrays["gaussians"], bank)
         return SemanticField(gaussians, bank, about.cameras, about.settings, places or {})
+
+
+@contextmanager
+def _of_folder(path: Path) -> Iterator[None]:
+    """Turn an InputError about what a folder holds into a SpecError that names the folder."""
+    try:
+        yield
+    except InputError as error:
+        raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
 
 
 @contextmanager
@@ -694,11 +730,16 @@ def _check_places(encoder: Part) -> None:
             )
 
 
-def _check_features(gaussians: Gaussians, bank: MemoryBank) -> None:
+def _checked(arrays: Arrays, bank: MemoryBank) -> Gaussians:
+    """The Gaussians of arrays; InputError, which names the file, if they are none of this bank."""
+    with _naming_file("gaussians"):
+        gaussians = Gaussians.from_arrays(arrays)
     file, wide = field_folder.FILES["gaussians"], bank.dimension + 1
-    if gaussians.features is None or gaussians.features.shape[1] != wide:
+    features = gaussians.to_arrays().get("features")
+    if features is None or features.shape[1] != wide:
         raise InputError(f"{file}: no features [N, {wide}]")
     if bank.dimension == 0:
-        rows = gaussians.features[:, 0]
-        if not ((rows >= 0) & (rows <= len(bank)) & (rows == rows.round())).all():
+        rows = features[:, 0]
+        if not ((rows >= 0) & (rows <= len(bank)) & (rows == np.rint(rows))).all():
             raise InputError(f"{file}: features are no rows of a bank of {len(bank)} objects")
+    return gaussians

@@ -6,19 +6,67 @@ Spherical harmonics follow the standard 3D Gaussian splatting convention (Kerbl 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
-import torch
-from scipy.ndimage import minimum_filter
 
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.scene import Camera
 
+if TYPE_CHECKING:  # a field is asked and drawn without torch, which takes a second to import
+    import torch
+
+Held = TypeVar("Held")
+Numbers = TypeVar("Numbers", "torch.Tensor", "np.ndarray")
+
 SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic, 1 / (2 sqrt(pi))."""
+
+
+class _Tensor(Generic[Held]):
+    """A tensor among the fields of :class:`Gaussians`, made of its array when first asked for.
+
+    What is held is a tensor or an array; and where neither is, all arrays are still to be read.
+    """
+
+    def __init__(self, optional: bool = False) -> None:
+        self.optional = optional
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, of: None, owner: type) -> Held: ...
+    @overload
+    def __get__(self, of: object, owner: type) -> Held: ...
+    def __get__(self, of: object | None, owner: type) -> Any:
+        if of is None:  # dataclasses ask for the default
+            if self.optional:
+                return None
+            raise AttributeError(self.name)
+        held = _held(of)
+        value = held.get(self.name)
+        if isinstance(value, np.ndarray):
+            import torch
+
+            value = held[self.name] = torch.from_numpy(value)
+        return value
+
+    def __set__(self, of: object, value: Held) -> None:
+        of.__dict__[self.name] = value
+
+
+def _held(of: object) -> dict[str, Any]:
+    """What Gaussians hold by name of the field: tensors and arrays."""
+    held = of.__dict__
+    if "_read" in held:
+        whole = Gaussians.from_arrays(held["_read"]())
+        held.clear()
+        held.update(whole.__dict__)
+    return held
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,44 +100,60 @@ class Gaussians:
         If shapes disagree; :meth:`check` looks at the numbers.
     """
 
-    means: torch.Tensor
-    scales: torch.Tensor
-    quats: torch.Tensor
-    opacities: torch.Tensor
-    sh: torch.Tensor
-    source: torch.Tensor
-    features: torch.Tensor | None = None
-    guessed: torch.Tensor | None = None
+    means: _Tensor[torch.Tensor] = _Tensor()
+    scales: _Tensor[torch.Tensor] = _Tensor()
+    quats: _Tensor[torch.Tensor] = _Tensor()
+    opacities: _Tensor[torch.Tensor] = _Tensor()
+    sh: _Tensor[torch.Tensor] = _Tensor()
+    source: _Tensor[torch.Tensor] = _Tensor()
+    features: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
+    guessed: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        n = self.means.shape[0]
+        shapes = {name: tuple(value.shape) for name, value in self._present()}
+        n = shapes["means"][0]
         tails = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "source": ()}
         for name, tail in tails.items():
-            shape = tuple(getattr(self, name).shape)
-            if shape != (n, *tail):
-                raise InputError(f"gaussians {name}: found shape {shape}, expected {(n, *tail)}")
-        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[2] != 3:
-            raise InputError(f"gaussians sh: found {tuple(self.sh.shape)}, expected ({n}, K, 3)")
-        if self.features is not None and self.features.shape[0] != n:
-            raise InputError(f"gaussians features: {self.features.shape[0]} rows, expected {n}")
-        if self.guessed is not None and self.guessed.shape != (n,):
-            raise InputError(
-                f"gaussians guessed: found shape {tuple(self.guessed.shape)}, expected ({n},)"
-            )
+            if shapes[name] != (n, *tail):
+                raise InputError(
+                    f"gaussians {name}: found shape {shapes[name]}, expected {(n, *tail)}"
+                )
+        sh = shapes["sh"]
+        if len(sh) != 3 or sh[0] != n or sh[2] != 3:
+            raise InputError(f"gaussians sh: found {sh}, expected ({n}, K, 3)")
+        if "features" in shapes and shapes["features"][0] != n:
+            raise InputError(f"gaussians features: {shapes['features'][0]} rows, expected {n}")
+        if "guessed" in shapes and shapes["guessed"] != (n,):
+            raise InputError(f"gaussians guessed: found shape {shapes['guessed']}, expected ({n},)")
 
     def __len__(self) -> int:
-        return self.means.shape[0]
+        return int(_held(self)["means"].shape[0])
 
-    def __getitem__(self, keep: torch.Tensor) -> Gaussians:
-        """The Gaussians chosen by a boolean mask [N] or an index tensor."""
+    def __getitem__(self, keep: torch.Tensor | np.ndarray) -> Gaussians:
+        """The Gaussians chosen by a boolean mask [N], or indices: an array or a tensor."""
+        if isinstance(keep, np.ndarray):
+            if all(isinstance(value, np.ndarray) for _, value in self._present()):
+                return Gaussians.from_arrays({name: value[keep] for name, value in self._present()})
+            import torch
+
+            keep = torch.from_numpy(keep)
         return replace(self, **{name: value[keep] for name, value in self.items()})
+
+    def _present(self) -> list[tuple[str, Any]]:
+        """The (name, tensor or array) pairs that are held, as they are."""
+        held = _held(self)
+        return [(f.name, held[f.name]) for f in fields(self) if held.get(f.name) is not None]
+
+    @property
+    def is_cuda(self) -> bool:
+        """Whether they lie on a GPU; of arrays no."""
+        return bool(getattr(_held(self)["means"], "is_cuda", False))
 
     def items(self) -> list[tuple[str, torch.Tensor]]:
         """The (name, tensor) pairs that are present."""
-        pairs = ((f.name, getattr(self, f.name)) for f in fields(self))
-        return [(name, value) for name, value in pairs if value is not None]
+        return [(name, getattr(self, name)) for name, _ in self._present()]
 
     def require_features(self) -> torch.Tensor:
         """The features, float32 [N, D]; InputError if there are none."""
@@ -103,18 +167,20 @@ class Gaussians:
         That is NaN or infinity anywhere, a negative scale, an opacity outside [0, 1] or a
         quaternion of length zero.
         """
-        for name, value in self.items():
+        for name, value in self._present():
             if (index := first_not_finite(value)) is not None:
                 raise InputError(f"gaussians {name}[{index}]: holds NaN or infinity")
+        arrays = self.to_arrays()
+        scales, opacities, quats = (arrays[name] for name in ("scales", "opacities", "quats"))
         rules = {
-            "scales": ((self.scales < 0).any(1), "expected 0 or more"),
-            "opacities": ((self.opacities < 0) | (self.opacities > 1), "expected 0 to 1"),
-            "quats": ((self.quats == 0).all(1), "a quaternion of length zero is no rotation"),
+            "scales": ((scales < 0).any(1), "expected 0 or more"),
+            "opacities": ((opacities < 0) | (opacities > 1), "expected 0 to 1"),
+            "quats": ((quats == 0).all(1), "a quaternion of length zero is no rotation"),
         }
         for name, (bad, expected) in rules.items():
             if bad.any():
-                index = int(bad.nonzero()[0, 0])
-                found = getattr(self, name)[index].tolist()
+                index = int(np.flatnonzero(bad)[0])
+                found = arrays[name][index].tolist()
                 raise InputError(f"gaussians {name}[{index}]: found {found}, {expected}")
 
     def colors(self) -> torch.Tensor:
@@ -123,24 +189,58 @@ class Gaussians:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """NumPy arrays by field name, as stored in ``gaussians.npz``."""
-        return {name: value.detach().cpu().numpy() for name, value in self.items()}
+        return {
+            name: value if isinstance(value, np.ndarray) else value.detach().cpu().numpy()
+            for name, value in self._present()
+        }
 
     @staticmethod
-    def from_arrays(arrays: dict[str, np.ndarray]) -> Gaussians:
-        """Inverse of :meth:`to_arrays`."""
-        return Gaussians(**{name: torch.from_numpy(np.array(a)) for name, a in arrays.items()})
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> Gaussians:
+        """Inverse of :meth:`to_arrays`. Tensors are made of the arrays when they are asked for.
+
+        Both share memory with them, if they may be written to.
+        """
+        held: Any = {n: a if a.flags.writeable else a.copy() for n, a in arrays.items()}
+        return Gaussians(**held)
+
+    def with_arrays(self, **arrays: np.ndarray) -> Gaussians:
+        """These with other fields; the others are shared, whatever they are."""
+        held: Any = {**dict(self._present()), **arrays}
+        return Gaussians(**held)
+
+    @staticmethod
+    def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
+        """One structure of the Gaussians of all parts, in order; they have the same fields."""
+        names = [name for name, _ in parts[0]._present()]
+        if all(isinstance(value, np.ndarray) for part in parts for _, value in part._present()):
+            several = [part.to_arrays() for part in parts]
+            return Gaussians.from_arrays(
+                {n: np.concatenate([a[n] for a in several]) for n in names}
+            )
+        import torch
+
+        return Gaussians(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})
+
+    @staticmethod
+    def later(read: Callable[[], Mapping[str, np.ndarray]]) -> Gaussians:
+        """As :meth:`from_arrays` of what ``read`` returns, which is called when it is needed."""
+        made = object.__new__(Gaussians)
+        made.__dict__["_read"] = read
+        return made
 
 
-def first_not_finite(values: torch.Tensor) -> int | None:
+def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:
     """Index of the first row that holds NaN or infinity, or None."""
     # In NumPy: a check is a fraction of a millisecond, less than torch needs to wake its threads.
-    finite = np.isfinite(values.detach().cpu().numpy())
+    finite = np.isfinite(
+        values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+    )
     if finite.all():
         return None
     return int(np.argwhere(~finite)[0, 0])
 
 
-def rgb_to_sh(rgb: torch.Tensor) -> torch.Tensor:
+def rgb_to_sh(rgb: Numbers) -> Numbers:
     """Degree-0 coefficients [N, 1, 3] of view-independent colours [N, 3] in [0, 1]."""
     return ((rgb - 0.5) / SH_C0)[:, None]
 
@@ -153,6 +253,8 @@ def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
+    import torch
+
     return torch.stack(rows, -1).reshape(*quats.shape[:-1], 3, 3)
 
 
@@ -179,10 +281,12 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     float32 [V, H, W]
         z-depth in scene units; 0 where nothing is drawn, and in views that draw nothing (left).
     """
+    from scipy.ndimage import minimum_filter
+
     H, W = cameras[0].height, cameras[0].width
     depths = np.zeros((len(cameras), H * W), np.float32)
-    source = gaussians.source.numpy()
-    means = gaussians.means.numpy().astype(np.float64)
+    arrays = gaussians.to_arrays()
+    source, means = arrays["source"], arrays["means"].astype(np.float64)
     for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         mine = source // (H * W) == index
         pixels, z = camera.project(means)

@@ -9,6 +9,9 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 
+VISIBLE = 0.5
+"""A pixel has an object when at least this fraction of its light comes from labelled Gaussians."""
+
 
 @dataclass(frozen=True, eq=False)
 class LabelMaps:

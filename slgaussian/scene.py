@@ -15,7 +15,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from slgaussian.errors import InputError, listed
 from slgaussian.formats.brief import brief
@@ -529,6 +528,8 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
                     "poses differ; one of the two photographs is the wrong file"
                 )
             joined[i, j] = _may_overlap(a.camera, b.camera, baseline)
+    from scipy.sparse.csgraph import connected_components
+
     count, piece = connected_components(joined, directed=False)
     if count == 1:
         return

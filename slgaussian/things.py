@@ -90,7 +90,7 @@ def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -
         areas += np.bincount(rows, minlength=len(bank))
         sums += np.bincount(rows, look.confidence[look.ids > 0], minlength=len(bank))
     up = find_room([small(c) for c in field.cameras.values()], [look.depth for look in looks]).up
-    labels, means = field.labels(), field.gaussians.means.numpy()
+    labels, means = field.labels(), field.gaussians.to_arrays()["means"]
     order = np.argsort(labels, kind="stable")
     estimated = any(camera.estimated for camera in field.cameras.values())
     names = list(field.cameras)

@@ -20,6 +20,12 @@ hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
 
 
+@pytest.fixture(autouse=True, scope="session")
+def own_copies(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Views and files of stores are kept apart from those of the user."""
+    os.environ.setdefault("SLGAUSSIAN_CACHE", str(tmp_path_factory.mktemp("copies")))
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Folder with real photographs, from the environment; tests that need it skip without it."""

@@ -52,6 +52,31 @@ def test_arrays_round_trip_and_selection_keeps_rows_together():
     assert made[made.source > 3].source.tolist() == [4, 5, 6]
 
 
+def test_stored_gaussians_are_read_when_needed_and_need_no_tensor():
+    made, asked = some(), []
+
+    def read() -> dict[str, np.ndarray]:
+        asked.append(1)
+        return made.to_arrays()
+
+    later = Gaussians.later(read)
+    assert not asked
+    assert len(later) == len(made) and asked == [1]
+    kept = later[np.array([True] * 3 + [False] * (len(made) - 3))]
+    assert all(isinstance(value, np.ndarray) for _, value in kept._present())
+    both = Gaussians.concatenated([kept, later.with_arrays(source=later.to_arrays()["source"] + 1)])
+    assert both.source.tolist() == [0, 1, 2, *(made.source + 1).tolist()]
+    assert asked == [1]
+    # A tensor and the array that it was made of are one memory.
+    assert np.shares_memory(later.means.numpy(), later.to_arrays()["means"])
+
+
+def test_arrays_that_may_not_be_written_to_are_copied():
+    fixed = some().to_arrays()
+    fixed["means"].flags.writeable = False
+    assert Gaussians.from_arrays(fixed).to_arrays()["means"].flags.writeable
+
+
 def test_source_depths_puts_each_depth_at_its_pixel():
     cam = Camera(np.array([[4.0, 0, 2], [0, 4, 1.5], [0, 0, 1]]), np.eye(4), 4, 3)
     depth = np.arange(1, 13, dtype=np.float64).reshape(3, 4)

@@ -82,8 +82,13 @@ def draw(room: Room, rows: torch.Tensor, codes: np.ndarray, camera: Camera) -> R
 
 def decode(image: Render, bank: Codes) -> tuple[np.ndarray, np.ndarray]:
     if bank.codes.shape[1] == 0:
-        return elected_ids(image, bank.ids)
+        return _elected(image, bank)
     return Decoder(bank)(image.values.numpy()[..., 3:])
+
+
+def _elected(image: Render, bank: Codes) -> tuple[np.ndarray, np.ndarray]:
+    assert image.label is not None and image.label_weights is not None  # drawn with labels
+    return elected_ids(image.label.numpy(), image.label_weights.numpy(), bank.ids)
 
 
 def nearest_only(image: Render, bank: Codes) -> np.ndarray:
@@ -216,7 +221,7 @@ def time_rows(room: Room) -> list[dict]:
         drawing[name] = lambda w=what: rasterize(room.gaussians, camera=camera, **w)
         image = drawing[name]()
         if made.shape[1] == 0:
-            reading[f"read {name}"] = lambda image=image, bank=bank: elected_ids(image, bank.ids)
+            reading[f"read {name}"] = lambda image=image, bank=bank: _elected(image, bank)
             continue
         decoder, features = Decoder(bank), image.values.numpy()[..., 3:]
         reading[f"read {name}"] = lambda d=decoder, f=features: d(f)

@@ -1,26 +1,60 @@
 """Which settings each command takes, and the headings under which commands are listed."""
 
-from flows.settings import files_of, tables_of
+from collections.abc import Callable
+
 from slgaussian.parts.registry import KINDS
 
-RULES = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
-METHOD = (
+
+def _tables(*kinds: str) -> Callable[[], tuple[str, ...]]:
+    """The tables of the parts of these kinds, looked up when a command is looked at."""
+
+    def named() -> tuple[str, ...]:
+        from flows.settings import tables_of
+
+        return tables_of(*kinds)
+
+    return named
+
+
+def _files(*kinds: str) -> Callable[[], tuple[str, ...]]:
+    """Likewise the settings of these parts that are files."""
+
+    def named() -> tuple[str, ...]:
+        from flows.settings import files_of
+
+        return files_of(*kinds)
+
+    return named
+
+
+def _with_files() -> tuple[str, ...]:
+    """The kinds of parts some of which have files."""
+    from flows.settings import files_of
+
+    return tuple(kind for kind in KINDS if files_of(kind))
+
+
+Names = tuple[str | Callable[[], tuple[str, ...]], ...]
+"""Settings, and functions that name several."""
+
+RULES: Names = ("protocol", "threshold", "share", "temperature", "canonical", "absent")
+METHOD: Names = (
     "size", "near", "far", "trust_cameras", *KINDS, "replicas", *RULES, "seed", "keep", "bank",
-    *tables_of(),
+    _tables(),
 )  # fmt: skip
-PLACES = files_of("encoder")
-FILES = (*(kind for kind in KINDS if files_of(kind)), *files_of(*KINDS))
-BUILD = ("preset", *(name for name in METHOD if name not in RULES))
-RUN = ("preset", *METHOD, "store", "runner", "workers", "method")
+PLACES = (_files("encoder"),)
+FILES = (_with_files, _files(*KINDS))
+BUILD: Names = ("preset", *(name for name in METHOD if name not in RULES))
+RUN: Names = ("preset", *METHOD, "store", "runner", "workers", "method")
 INGEST = (
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
     "most", "store", "runner", "workers",
 )  # fmt: skip
 LABEL = ("predictor", "proposer", "tracker")
-SUPERVISE = ("size", "near", "far", *LABEL, "replicas", "seed", *tables_of(*LABEL), *INGEST)
-MASKS = (
+SUPERVISE: Names = ("size", "near", "far", *LABEL, "replicas", "seed", _tables(*LABEL), *INGEST)
+MASKS: Names = (
     "preset", "size", "near", "far", "trust_cameras", *LABEL, "replicas", "seed",
-    *tables_of(*LABEL),
+    _tables(*LABEL),
 )  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 

@@ -10,8 +10,6 @@ from flows.cli.command_settings import COMMON, CORPORA, INGEST, SUPERVISE, TRAIN
 from flows.cli.help import App
 from flows.cli.options import with_options
 from flows.cli.running import performed, prepare_and_say
-from flows.corpus_settings import CorpusSettings, PackSettings
-from flows.training_settings import RetrainSettings, TrainSettings
 from slgaussian.errors import InputError
 
 commands = App()
@@ -23,7 +21,7 @@ Chunks = Annotated[
 
 
 @commands.command(rich_help_panel=CORPORA)
-@with_options(*PackSettings.model_fields, of=PackSettings)
+@with_options(of="flows.corpus_settings:PackSettings")
 def pack(
     settings: dict,
     sources: Annotated[
@@ -44,6 +42,7 @@ def pack(
     slgaussian pack procedural:0-39 office_walk -o chunks/train
     slgaussian pack procedural:40-59 -o chunks/train --views 24 --baseline 1.6
     """
+    from flows.corpus_settings import PackSettings
     from flows.packing import pack as write
     from flows.settings import checked
 
@@ -55,7 +54,7 @@ def pack(
 
 
 @commands.command(rich_help_panel=CORPORA)
-@with_options(*INGEST, of=CorpusSettings, common=COMMON["ingest"])
+@with_options(*INGEST, of="flows.corpus_settings:CorpusSettings", common=COMMON["ingest"])
 def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Choose samples to learn from in a corpus of chunks.
 
@@ -71,7 +70,7 @@ def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -
 
 
 @commands.command(rich_help_panel=CORPORA)
-@with_options(*SUPERVISE, of=CorpusSettings, common=COMMON["supervise"])
+@with_options(*SUPERVISE, of="flows.corpus_settings:CorpusSettings", common=COMMON["supervise"])
 def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Label the samples of a corpus: lessons for `train`.
 
@@ -88,7 +87,7 @@ def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False
 
 
 @commands.command(rich_help_panel=CORPORA)
-@with_options(*TRAIN, "store", of=TrainSettings, common=COMMON["train"])
+@with_options(*TRAIN, "store", of="flows.training_settings:TrainSettings", common=COMMON["train"])
 def train(
     settings: dict,
     lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
@@ -112,6 +111,7 @@ def train(
         --branch-weights trained/branch.safetensors -o field/
     """
     from flows.settings import checked
+    from flows.training_settings import TrainSettings
 
     given = {"lessons": lessons, "out": out} | ({} if start is None else {"start": start})
     chosen = checked(TrainSettings, {**settings, **given}, "train")
@@ -126,7 +126,13 @@ def train(
 
 @commands.command(rich_help_panel=CORPORA)
 @with_options(
-    "chunks", "out", "models", *TRAIN, *SUPERVISE, of=RetrainSettings, common=COMMON["retrain"]
+    "chunks",
+    "out",
+    "models",
+    *TRAIN,
+    *SUPERVISE,
+    of="flows.training_settings:RetrainSettings",
+    common=COMMON["retrain"],
 )
 def retrain(
     settings: dict,

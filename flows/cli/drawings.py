@@ -8,14 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.formats.written import write_file
-from slgaussian.masks.precomputed import encode_ids
-from slgaussian.storage.store import replacing
 
 PICTURES = (".png", ".jpg", ".jpeg")
 FILMS = (".mp4", ".gif")
@@ -95,6 +92,8 @@ def write_picture(path: Path, image: np.ndarray) -> None:
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
     """Write ids int32 [H, W] as :func:`slgaussian.masks.precomputed.encode_ids` does."""
+    from slgaussian.masks.precomputed import encode_ids
+
     write_file(path, encode_ids(ids)[1])
 
 
@@ -116,6 +115,10 @@ def _gif(frames: Sequence[Image.Image]) -> bytes:
 
 @contextmanager
 def _mp4(path: Path) -> Iterator[Draw]:
+    import cv2
+
+    from slgaussian.storage.store import replacing
+
     with replacing(path) as temporary:
         # OpenCV knows a format by the suffix.
         draft = f"{temporary}{path.suffix}"

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,22 +16,21 @@ from flows.cli.drawings import check_drawing, drawing
 from flows.cli.posing import posed_sample
 from flows.cli.viewpoints import Choice, Viewpoint
 from flows.settings import make_settings
-from slgaussian.benchmark import pictures
 from slgaussian.build import build_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import load_ply
-from slgaussian.gaussians import Gaussians
+from slgaussian.labels import VISIBLE
 from slgaussian.parts.method import Method
-from slgaussian.rasterize import harmonics, rasterize
 from slgaussian.scene import Sample
-from slgaussian.semantic.decode import VISIBLE
 from slgaussian.storage.account import Account
 from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.origin import Origin
 from slgaussian.things import COMMON_THINGS
+
+if TYPE_CHECKING:
+    from slgaussian.gaussians import Gaussians
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 """A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
@@ -113,6 +112,9 @@ def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> Non
     A field is seen from one of its own cameras, unless ``choice`` names a camera file; a ``.ply``
     has none. With ``stats`` the account of the field is printed, and how long this took.
     """
+    from slgaussian.benchmark import pictures
+    from slgaussian.formats.ply import load_ply
+
     begun = time.perf_counter()
     check_drawing(out, choice.film)
     if source.suffix.lower() != ".ply" or source.is_dir():
@@ -129,7 +131,7 @@ def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> Non
         if not len(gaussians):
             raise InputError(f"{source}: holds no Gaussians, so there is nothing to draw")
         account = [f"Gaussians: {len(gaussians):,}"]
-        viewpoints = choice.of_points(gaussians.means.numpy())
+        viewpoints = choice.of_points(gaussians.to_arrays()["means"])
         look = partial(_ply_panels, gaussians, source)
     opened, drawn, depths = time.perf_counter(), 0, None
     with drawing(out, choice.film) as draw:
@@ -154,14 +156,19 @@ def _account(field: SemanticField) -> list[str]:
 
 
 def _field_panels(field: SemanticField, viewpoint: Viewpoint) -> Panels:
+    from slgaussian.benchmark import pictures
+
     seen = field.render(viewpoint.camera)
     return seen.rgb, seen.depth, [("objects", pictures.paint_labels(seen.ids, seen.rgb))]
 
 
 def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panels:
+    from slgaussian.rasterize.picture import picture as drawn
+    from slgaussian.rasterize.picture import seen_colors
+
     camera = viewpoint.camera
-    seen = rasterize(gaussians, harmonics.colors(gaussians, camera), camera)
-    alpha = seen.alpha.numpy()
+    seen = drawn(gaussians, seen_colors(gaussians, camera), camera)
+    alpha = seen.alpha
     if not (alpha >= VISIBLE).any():
         middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
         print(
@@ -171,8 +178,8 @@ def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panel
             file=sys.stderr,
         )
     # Over black, as such files are trained; where little is seen, its mean depth says nothing.
-    rgb = np.rint(seen.values.numpy().clip(0, 1) * 255).astype(np.uint8)
-    return rgb, np.where(alpha >= VISIBLE, seen.depth.numpy(), 0), []
+    rgb = np.rint(seen.values.clip(0, 1) * 255).astype(np.uint8)
+    return rgb, np.where(alpha >= VISIBLE, seen.depth, 0), []
 
 
 def _word(field: SemanticField) -> str:

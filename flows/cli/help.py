@@ -12,7 +12,10 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
 
+from flows.cli.options import LATER
 from slgaussian.errors import did_you_mean
 
 ALL = "--help-all"
@@ -37,8 +40,22 @@ class App(typer.Typer):
     def command(  # type: ignore[override]  # it takes what Typer's takes
         self, *args: Any, **settings: Any
     ) -> Callable[[Callable], Callable]:
-        """As of Typer; ``rich_help_panel`` is the heading under which a group lists it."""
-        return super().command(*args, cls=Command, **settings)
+        """As of Typer; ``rich_help_panel`` is the heading under which a group lists it.
+
+        Its arguments and options are worked out when it is first looked at: a group's help names
+        commands, and needs none of them.
+        """
+        add = super().command(*args, cls=Command, **settings)
+
+        def register(command: Callable) -> Callable:
+            def later() -> None: ...
+
+            later.__name__, later.__doc__ = command.__name__, command.__doc__
+            later.whole = command  # type: ignore[attr-defined]  # for Command
+            add(later)
+            return command
+
+        return register
 
 
 class Command(TyperCommand):
@@ -48,6 +65,21 @@ class Command(TyperCommand):
     """
 
     _all: Any = None
+
+    @property
+    def params(self) -> list:
+        """Arguments and options, worked out when they are first asked for."""
+        command = getattr(self.callback, "whole", None)
+        if command is not None:
+            command = getattr(command, LATER, lambda: command)()
+            info = CommandInfo(name=self.name, callback=command, cls=TyperCommand)
+            made = get_command_from_info(info, pretty_exceptions_short=False, rich_markup_mode=None)
+            self._params, self.callback = made.params, made.callback
+        return self._params
+
+    @params.setter
+    def params(self, params: list) -> None:
+        self._params = params
 
     def get_params(self, ctx: Any) -> list:
         """The command's own, `--help` and `--help-all`."""

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import ImageOps
 
+from flows.cli import kept_views
 from flows.cli.drawings import check_drawing, drawing, write_ids
 from flows.cli.viewpoints import Choice, Viewpoint
 from flows.settings import RULES, TABLES, over_preset
-from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.formats import images
@@ -70,7 +69,7 @@ def ask(
     answers = []
     with drawing(out, choice.film) as draw:
         for viewpoint in choice.of_field(folder, field):
-            seen = field.render(viewpoint.camera)
+            seen = kept_views.seen(folder, field, viewpoint.camera)
             found = seen.query_all(asked, **rules) if asked else []
             hits = dict(zip(asked, found, strict=True))
             hits |= {
@@ -83,6 +82,8 @@ def ask(
                 answers.append({"view": viewpoint.name, **answer, "picture": picture})
             if out is not None:
                 rows = [_hit_panels(viewpoint, seen, hit) for hit in hits.values()]
+                from slgaussian.benchmark import pictures
+
                 draw(np.concatenate([pictures.side_by_side(row) for row in rows]))
     return answers
 
@@ -128,7 +129,7 @@ def segmented(
         raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
     with drawing(out, choice.film) as draw:
         for viewpoint in viewpoints:
-            seen = field.render(viewpoint.camera)
+            seen = kept_views.seen(folder, field, viewpoint.camera)
             relevancy = np.stack([hit.relevancy for hit in seen.query_all(asked, **rules)])
             best = relevancy.max(0)
             labels = np.where(best > least, numbers[seen.segment(asked, **rules)], 0)
@@ -292,6 +293,8 @@ def _counted(number: int, what: str) -> str:
 
 def _read_picture(file: Path) -> np.ndarray:
     """The photograph in a file, upright, uint8 [H, W, 3]."""
+    from PIL import ImageOps
+
     try:
         with images.opened(file) as image:
             return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
@@ -307,6 +310,8 @@ def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def _hit_panels(
     viewpoint: Viewpoint, seen: FieldView, hit: QueryResult
 ) -> list[tuple[str, np.ndarray]]:
+    from slgaussian.benchmark import pictures
+
     relevancy = pictures.paint_relevancy(hit.relevancy, seen.rgb)
     where, caption = seen.rgb, f"nothing found (best score {hit.score:.3f})"
     if hit.found:
@@ -326,6 +331,8 @@ def _labels_picture(
     texts: Sequence[str],
     asked: Sequence[str],
 ) -> np.ndarray:
+    from slgaussian.benchmark import pictures
+
     painted = pictures.spotlight(pictures.paint_labels(labels, seen.rgb), labels > 0)
     shares = np.bincount(labels.ravel(), minlength=len(texts) + 1) / labels.size
     entries = [(texts.index(text) + 1, text) for text in asked] + [(0, NOTHING)]
@@ -349,7 +356,7 @@ def opened(
         given = over_preset(settings["preset"], dict(settings), "options")
     rules = {name: value for name, value in given.items() if name in RULES}
     Rules(**rules)
-    field = SemanticField.load(folder)
+    field = SemanticField.load(folder, later=True)
     used = field.settings["encoder"]
     where = {part: table for part, table in settings.items() if part in TABLES}
     for part in where:

@@ -10,7 +10,6 @@ from flows.cli.command_settings import COMMON, RUN, SCORES
 from flows.cli.help import App
 from flows.cli.options import with_options
 from flows.cli.running import run_and_say
-from flows.corpus_settings import IndexSettings
 
 commands = App()
 
@@ -162,7 +161,7 @@ def leaderboard(
 
 
 @commands.command(rich_help_panel=SCORES)
-@with_options(*IndexSettings.model_fields, of=IndexSettings, common=COMMON["pairs"])
+@with_options(of="flows.corpus_settings:IndexSettings", common=COMMON["pairs"])
 def pairs(
     settings: dict,
     data: Annotated[
@@ -186,7 +185,7 @@ def pairs(
     slgaussian pairs 3dovs --format ovs3d -o pairs.json --max-baseline 0.6
     slgaussian pairs walk --labels walk/labels -o walk/pairs.json
     """
-    from flows.corpus_settings import check_bounds
+    from flows.corpus_settings import IndexSettings, check_bounds
     from flows.settings import checked
 
     chosen = checked(IndexSettings, settings, "pairs")

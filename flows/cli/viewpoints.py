@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from slgaussian.cameras.trajectories import between, orbit
-from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.scene import Camera, Scene
@@ -71,25 +69,31 @@ class Choice:
     def of_field(self, folder: Path, field: SemanticField) -> list[Viewpoint]:
         """The viewpoints on a field; InputError if there is no such view."""
         own = _scene(str(folder), field.cameras) if self.file is None else self._listed()
-        return self._among(own, field.gaussians.means.numpy())
+        return self._among(own, lambda: field.gaussians.to_arrays()["means"])
 
     def of_points(self, points: np.ndarray) -> list[Viewpoint]:
         """The viewpoints on points [N, 3] that have no cameras of their own: those of the file."""
-        return self._among(self._listed(), points)
+        return self._among(self._listed(), lambda: points)
 
     def _listed(self) -> Scene:
         assert self.file is not None  # where a field's own cameras are not asked for
+        from slgaussian.datasets.recognise import cameras_in
+
         return _scene(str(self.file), cameras_in(self.file))
 
-    def _among(self, scene: Scene, points: np.ndarray) -> list[Viewpoint]:
+    def _among(self, scene: Scene, points: Callable[[], np.ndarray]) -> list[Viewpoint]:
         if self.orbit is not None:
-            turn = orbit(list(scene.cameras.values()), points, self.orbit)
+            from slgaussian.cameras.trajectories import orbit
+
+            turn = orbit(list(scene.cameras.values()), points(), self.orbit)
             names = [f"turn {number} of {self.orbit}" for number in range(1, self.orbit + 1)]
             return [
                 Viewpoint(name, f"rendering, {name}", camera)
                 for name, camera in zip(names, turn, strict=True)
             ]
         if self.between is not None:
+            from slgaussian.cameras.trajectories import between
+
             a, b = (choose(scene, view) for view in self.between[:2])
             share = self.between[2]
             camera = between(scene.cameras[a], scene.cameras[b], share)

@@ -115,7 +115,8 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
     nothing = torch.zeros((len(gaussians), 0))
     image = rasterize(gaussians, nothing, camera, labels=torch.from_numpy(labels))
     every = np.arange(1, int(labels.max(initial=0)) + 1, dtype=np.int32)
-    return elected_ids(image, every)[0]
+    assert image.label is not None and image.label_weights is not None  # asked for
+    return elected_ids(image.label.numpy(), image.label_weights.numpy(), every)[0]
 
 
 def each_view(gaussians: Gaussians, count: int, size: int) -> list[Gaussians]:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
@@ -49,6 +48,8 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
             f"between: found {t:g}, expected a share of the way from 0 to 1; beyond the two views "
             "nothing was seen"
         )
+    from scipy.spatial.transform import Rotation, Slerp
+
     turn = Slerp([0, 1], Rotation.from_matrix([a.c2w[:3, :3], b.c2w[:3, :3]]))
     # Half a turn is ambiguous, and what noise makes of it is not told by the cameras.
     if (turn.rotations[0].inv() * Rotation.from_matrix(b.c2w[:3, :3])).magnitude() > np.pi - 1e-6:
@@ -88,6 +89,8 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
         raise InputError(
             f"orbit: found {n} frames among {len(cameras)} cameras, expected at least two of each"
         )
+    from scipy.spatial.transform import Rotation
+
     cameras = _facing_alike(cameras)
     centers = np.stack([camera.center for camera in cameras])
     start = cameras[int(np.linalg.norm(centers - centers.mean(0), axis=1).argmin())]
@@ -146,6 +149,8 @@ def _aimed(camera: Camera, place: np.ndarray, focus: np.ndarray) -> Camera:
     before, after = camera.c2w[:3, 2], focus - place
     axis = np.cross(before, after)
     sine, cosine = np.linalg.norm(axis), before @ after
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.from_rotvec(axis / max(sine, 1e-300) * np.arctan2(sine, cosine))
     c2w = np.eye(4)
     c2w[:3, :3] = turn.as_matrix() @ camera.c2w[:3, :3]

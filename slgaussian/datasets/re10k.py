@@ -20,11 +20,10 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import fsspec
 import numpy as np
-import torch
 from PIL import Image
 
 from slgaussian.datasets.photographs import rgb
@@ -35,13 +34,16 @@ from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.store import write_atomic
 
+if TYPE_CHECKING:  # the name of its index is asked for where nobody waits for torch
+    import torch
+
 INDEX = "index.json"
 CHUNK_BYTES = 100_000_000
 """Chunks are begun anew when the images of one reach this, as the published ones are."""
 JPEG_QUALITY = 95
 ROW = 18
-WHOLE = (torch.int64, torch.int32)
-REAL = (torch.float32, torch.float64, torch.float16)
+WHOLE = ("torch.int64", "torch.int32")
+REAL = ("torch.float32", "torch.float64", "torch.float16")
 FRAME_TIME = 33_333
 """Microseconds between the frames of a scene that has no timestamps."""
 
@@ -229,6 +231,8 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
     def wrong(what: str) -> InputError:
         return InputError(f"{file}: clip {number}: {what}")
 
+    import torch
+
     if not isinstance(entry, dict):
         raise wrong(f"found a {type(entry).__name__}, expected a dict")
     kinds = {"key": str, "url": str, "timestamps": torch.Tensor, "cameras": torch.Tensor}
@@ -238,7 +242,7 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
     images, cameras = entry["images"], entry["cameras"]
     for name, types in (("timestamps", WHOLE), ("cameras", REAL)):
         tensor = entry[name]
-        if not _is_plain(tensor) or tensor.dtype not in types or not tensor.ndim:
+        if not _is_plain(tensor) or str(tensor.dtype) not in types or not tensor.ndim:
             raise wrong(f"{name} is a tensor of {tensor.dtype}, expected one of {types[0]}")
     if tuple(cameras.shape) != (len(images), ROW) or len(entry["timestamps"]) != len(images):
         raise wrong(
@@ -262,6 +266,8 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
 
 def _is_plain(tensor: torch.Tensor) -> bool:
     """Whether all its numbers are stored, each once."""
+    import torch
+
     if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
         return False
     stored = tensor.untyped_storage().nbytes()
@@ -356,6 +362,8 @@ def _batches(clips: Iterable[Clip], chunk_bytes: int) -> Iterator[list[Clip]]:
 
 def _encoded(clips: list[Clip]) -> bytes:
     buffer = io.BytesIO()
+    import torch
+
     entries = [
         {
             "url": clip.url,
@@ -378,6 +386,7 @@ def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
     InputError
         If the file cannot be read, or a line is no camera; the message names the line.
     """
+
     try:
         address, *lines = Path(file).read_text("utf-8").splitlines() or [""]
     except (OSError, UnicodeDecodeError) as error:

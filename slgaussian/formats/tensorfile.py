@@ -11,8 +11,6 @@ import zipfile
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import torch
-
 LONGEST = 200
 """Letters of the longest name of code that is looked at: torch takes the square of them in time."""
 
@@ -63,6 +61,8 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
             stream.seek(0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what they warn of ends in an error
+            import torch
+
             return torch.load(stream, map_location="cpu", weights_only=True, mmap=mapped and zipped)
     except pickle.UnpicklingError as bad:
         code = re.search(r"nsupported (?:global: )?GLOBAL (\S+)", str(bad))

@@ -1,5 +1,15 @@
 """What is seen of a scene: depth, borders and the room, each derived once and read by many."""
 
-from slgaussian.geometry.seen import SceneGeometry, SeenView
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # loaded on first use: a field's bank needs the room alone, and no kernels
+    from slgaussian.geometry.seen import SceneGeometry, SeenView
 
 __all__ = ["SceneGeometry", "SeenView"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(import_module("slgaussian.geometry.seen"), name)
+    raise AttributeError(f"module 'slgaussian.geometry' has no attribute {name!r}")

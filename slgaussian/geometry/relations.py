@@ -12,14 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from slgaussian.formats.brief import brief
 from slgaussian.geometry.boxes import FAR, upright_box
 from slgaussian.scene import Camera
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 MOST = 1200
 """Points of an object that are looked at, evenly of all."""
@@ -181,6 +183,8 @@ def joined(things: Sequence[np.ndarray]) -> np.ndarray:
     for i, one in enumerate(points):
         for j in range(i):
             touch[i, j] = touching(one, points[j])
+    from scipy.sparse.csgraph import connected_components
+
     _, number = connected_components(touch, directed=False)
     return number.astype(np.int64)
 
@@ -193,7 +197,7 @@ def touching(a: np.ndarray, b: np.ndarray) -> bool:
 def distance(a: np.ndarray, b: np.ndarray) -> float:
     """Between the nearest points of two things, but for the nearest hundredth of the smaller."""
     small, large = (a, b) if _length(a) <= _length(b) else (b, a)
-    return float(np.percentile(cKDTree(large).query(_evenly(small))[0], 100 * SEAM))
+    return float(np.percentile(_tree(large).query(_evenly(small))[0], 100 * SEAM))
 
 
 def _seam(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -206,8 +210,8 @@ def _seam(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return large
     small, large = _evenly(small), _evenly(large)
     near = max(SPACINGS * _spacing(small), SPACINGS * _spacing(large), CLOSE * size)
-    seam = small[cKDTree(large).query(small)[0] <= near]
-    other = int(np.count_nonzero(cKDTree(small).query(large)[0] <= near))
+    seam = small[_tree(large).query(small)[0] <= near]
+    other = int(np.count_nonzero(_tree(small).query(large)[0] <= near))
     return seam if min(len(seam), other) >= max(1.0, SEAM * len(small)) else seam[:0]
 
 
@@ -219,7 +223,7 @@ def _spacing(points: np.ndarray) -> float:
     """Median distance of a point to its neighbour of rank :data:`NEIGHBOURS`."""
     if len(points) <= NEIGHBOURS:
         return 0.0
-    return float(np.median(cKDTree(points).query(points, k=[NEIGHBOURS + 1])[0]))
+    return float(np.median(_tree(points).query(points, k=[NEIGHBOURS + 1])[0]))
 
 
 def _on(a: Extent, b: Extent, up: np.ndarray) -> bool:
@@ -249,6 +253,12 @@ def _together(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, np.float64)
     away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     return points[away <= FAR * np.median(away)]
+
+
+def _tree(points: np.ndarray) -> cKDTree:
+    from scipy.spatial import cKDTree  # which takes long to import, and few questions need it
+
+    return cKDTree(points)
 
 
 def _evenly(points: np.ndarray) -> np.ndarray:

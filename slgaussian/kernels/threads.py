@@ -23,7 +23,7 @@ import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from torch import nn
@@ -37,6 +37,27 @@ LARGE_THREADS = 4
 ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread and with four."""
 
 
+class Sources(NamedTuple):
+    """Digests of the package's sources: of those that use Numba, and of all."""
+
+    kernels: str
+    whole: str
+
+
+@cache
+def sources() -> Sources:
+    """What this code is, by content."""
+    package = Path(__file__).parents[1]
+    kernels, whole = hashlib.sha256(), hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        source = file.read_bytes()
+        named = str(file.relative_to(package)).encode() + b"\0" + source
+        whole.update(named)
+        if b"numba" in source:
+            kernels.update(named)
+    return Sources(kernels.hexdigest(), whole.hexdigest())
+
+
 def kernel_folder() -> Path:
     """Folder in the user's cache for the compiled kernels of exactly this source code.
 
@@ -44,14 +65,8 @@ def kernel_folder() -> Path:
     from another file does: after an update it would go on with old code. So the folder's name is a
     digest of all the package's sources that use Numba.
     """
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
-        source = file.read_bytes()
-        if b"numba" in source:
-            digest.update(str(file.relative_to(package)).encode() + b"\0" + source)
     caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(caches).expanduser() / "slgaussian" / "kernels" / digest.hexdigest()[:16]
+    return Path(caches).expanduser() / "slgaussian" / "kernels" / sources().kernels[:16]
 
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
-import numba
 import numpy as np
+
+ROUNDED = 1e-6
+"""Relative error of OpenCV's distances, at most: they are float32."""
 
 
 def central_point(region: np.ndarray) -> tuple[int, int]:
@@ -17,116 +17,50 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
     largest; the image ends at its edges. Ties go to the first pixel in row-major order.
     """
     x, y, w, h = cv2.boundingRect(region.view(np.uint8))
-    row, column = _deepest(_largest_part(region[y : y + h, x : x + w]))
-    return int(column) + x - 1, int(row) + y - 1
+    part, left, top = _largest_part(region[y : y + h, x : x + w])
+    row, column = _deepest(part)
+    return int(column) + x + left - 1, int(row) + y + top - 1
 
 
-@numba.njit(cache=True)
-def _largest_part(region: np.ndarray) -> np.ndarray:
-    """The largest 4-connected part of bool [h, w], the first of equal ones, in a border of False.
+def _largest_part(region: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """The largest 4-connected part of bool [h, w], the first of equal ones, in a border of 0.
 
-    Runs of set pixels are joined with those that they touch in the row above; each points to an
-    earlier run of its part, and the first stands for all.
+    uint8, cut to the part, and the column and row where that begins.
     """
-    h, w = region.shape
-    most = h * ((w + 1) // 2)
-    start, stop, row = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    parent = np.empty(most, np.int32)
-    runs, above = 0, 0
-    for i in range(h):
-        first, touching = runs, above
-        j = 0
-        while j < w:
-            if not region[i, j]:
-                j += 1
-                continue
-            start[runs], row[runs], parent[runs] = j, i, runs
-            while j < w and region[i, j]:
-                j += 1
-            stop[runs] = j
-            while touching < first and stop[touching] <= start[runs]:
-                touching += 1
-            k = touching
-            while k < first and start[k] < j:
-                a, b = _root(parent, k), _root(parent, runs)
-                parent[max(a, b)] = min(a, b)
-                k += 1
-            runs += 1
-        above = first
-    sizes = np.zeros(runs, np.int64)
-    for k in range(runs):
-        parent[k] = parent[parent[k]]
-        sizes[parent[k]] += stop[k] - start[k]
-    largest = sizes.argmax()
-    part = np.zeros((h + 2, w + 2), np.bool_)
-    for k in range(runs):
-        if parent[k] == largest:
-            part[row[k] + 1, start[k] + 1 : stop[k] + 1] = True
-    return part
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(
+        np.ascontiguousarray(region).view(np.uint8), connectivity=4, ltype=cv2.CV_32S
+    )
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    largest = 1 + np.flatnonzero(areas == areas.max())
+    number = largest[0]
+    if len(largest) > 1:
+        flat = parts.ravel()
+        number = flat[np.isin(flat, largest).argmax()]
+    left, top, width, height = stats[number, :4]
+    part = np.zeros((height + 2, width + 2), np.uint8)
+    part[1:-1, 1:-1] = parts[top : top + height, left : left + width] == number
+    return part, int(left), int(top)
 
 
-@numba.njit(cache=True)
-def _root(parent: np.ndarray, run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
-
-
-@numba.njit(cache=True)
 def _deepest(inside: np.ndarray) -> tuple[int, int]:
     """First pixel, in row-major order, with the greatest distance to the nearest one outside.
 
-    What the exact distance transform would say, without most of it: distances are whole numbers
-    once squared, and from a pixel to the next they grow by 1 at most, so a pixel known to be too
-    near the outside rules out those beside it. ``inside`` [h, w] is False along its borders.
+    ``inside`` uint8 [h, w] is 0 along its borders. Squared distances are whole numbers: what is
+    nearly as deep by the rounded distances of OpenCV is measured exactly.
     """
-    h, w = inside.shape
-    upright = np.zeros((h, w), np.int32)  # distance to the nearest pixel outside in the column
-    for i in range(1, h):
-        for j in range(w):
-            upright[i, j] = upright[i - 1, j] + 1 if inside[i, j] else 0
-    for i in range(h - 2, -1, -1):
-        for j in range(w):
-            upright[i, j] = min(upright[i, j], upright[i + 1, j] + 1)
-    # A first guess, halfway across the row that holds the highest column, is what others must beat.
-    guess = np.int64(0)
-    row, column = 0, 0
-    for i in range(h):
-        start = 0
-        for j in range(1, w):
-            if inside[i, j] and not inside[i, j - 1]:
-                start = j
-            if inside[i, j - 1] and not inside[i, j]:
-                middle = (start + j - 1) // 2
-                half = np.int64(min(upright[i, middle], middle - start + 1))
-                if half > guess:
-                    guess, row, column = half, i, middle
-    best = _squared_distance(upright[row], column) - 1
-    root = math.sqrt(best)
-    for i in range(h):
-        if not inside[i].any():
-            continue
-        j = 0
-        while j < w:
-            reach = float(upright[i, j])
-            if reach > root:
-                squared = _squared_distance(upright[i], j)
-                reach = math.sqrt(squared)
-                if squared > best:
-                    best, root, row, column = squared, reach, i, j
-            j += 1 + max(0, int(root - reach - 1e-6))
+    depth = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    greatest = float(depth.max())
+    near = np.argwhere(depth >= greatest * (1 - ROUNDED))
+    squared = np.rint(depth[near[:, 0], near[:, 1]].astype(np.float64) ** 2)
+    if 2 * ROUNDED * greatest**2 > 0.5:
+        squared = np.array([_squared_distance(inside, y, x, greatest) for y, x in near.tolist()])
+    row, column = near[squared.argmax()]
     return row, column
 
 
-@numba.njit(cache=True)
-def _squared_distance(upright: np.ndarray, column: int) -> np.int64:
-    """To the nearest pixel outside, by its distances along every column of the pixel's row."""
-    nearest = np.int64(upright[column]) ** 2
-    step = np.int64(1)
-    while step * step < nearest:
-        for j in (column - step, column + step):
-            if 0 <= j < len(upright):
-                nearest = min(nearest, step * step + np.int64(upright[j]) ** 2)
-        step += 1
-    return nearest
+def _squared_distance(inside: np.ndarray, row: int, column: int, about: float) -> int:
+    """To the nearest pixel outside, which is nearly ``about`` away."""
+    reach = int(about) + 2
+    top, left = max(0, row - reach), max(0, column - reach)
+    outside = np.argwhere(inside[top : row + reach + 1, left : column + reach + 1] == 0)
+    return int(((outside - (row - top, column - left)) ** 2).sum(1).min())

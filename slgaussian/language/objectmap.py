@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from slgaussian.errors import InputError
@@ -37,23 +36,14 @@ class ObjectMap:
             raise InputError(
                 f"id map: found {ids_map.dtype} {ids_map.shape}, expected int32 [H, W]"
             )
-        self.rows = np.empty(ids_map.shape, np.uint16 if len(ids) < 2**16 else np.int32)
-        areas = np.zeros(len(ids) + 1, np.int64)
-        ids_map = ids_map.astype(np.int32 if np.can_cast(ids_map.dtype, np.int32) else np.int64)
-        strange = _look_up(ids_map.ravel(), ids, self.rows.ravel(), areas)
-        if strange < 0:
-            raise InputError(f"id map: found the negative id {strange}")
-        if strange:
-            raise InputError(f"id map: object {strange} is not in the memory bank")
-        self.areas = areas[1:]
+        self.rows = _look_up(ids_map, ids)
+        self.areas = np.bincount(self.rows.ravel(), minlength=len(ids) + 1)[1:]
         self._points: dict[int, tuple[int, int]] = {}
 
     def spread(self, values: np.ndarray, nothing: object = 0) -> np.ndarray:
         """An image [H, W] with each object's value of ``values`` [N], ``nothing`` where none is."""
         table = np.concatenate([np.array([nothing], values.dtype), values])
-        image = np.empty(self.rows.shape, values.dtype)
-        _spread(table, self.rows.ravel(), image.ravel())
-        return image
+        return table[self.rows]
 
     def areas_within(self, mask: np.ndarray) -> np.ndarray:
         """Pixels of each object in a mask bool [H, W]: int64 [N]."""
@@ -66,27 +56,21 @@ class ObjectMap:
         return self._points[place]
 
 
-@numba.njit(cache=True)
-def _look_up(ids_map: np.ndarray, ids: np.ndarray, rows: np.ndarray, areas: np.ndarray) -> int:
-    """Fill ``rows`` and ``areas`` (from 0, none); the first id that is not there, or 0.
+def _look_up(ids_map: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Rows [H, W], 1 + the place in ``ids``; InputError for the first id that is not there.
 
     Neighbours mostly show the same object, so an id is searched for only where it changes.
     """
-    last, row = np.int64(0), 0
-    for i in range(len(ids_map)):
-        if ids_map[i] != last:
-            last = ids_map[i]
-            row = 0
-            if last != 0:
-                row = 1 + np.searchsorted(ids, last)
-                if row > len(ids) or ids[row - 1] != last:
-                    return last
-        rows[i] = row
-        areas[row] += 1
-    return 0
-
-
-@numba.njit(cache=True)
-def _spread(table: np.ndarray, rows: np.ndarray, image: np.ndarray) -> None:
-    for i in range(len(rows)):
-        image[i] = table[rows[i]]
+    flat = ids_map.ravel()
+    starts = np.flatnonzero(np.concatenate([[len(flat) > 0], flat[1:] != flat[:-1]]))
+    shown = flat[starts]
+    places = np.searchsorted(ids, shown)
+    known = np.append(ids, 0)[places] == shown
+    strange = shown[(shown != 0) & ~known]
+    if len(strange):
+        if strange[0] < 0:
+            raise InputError(f"id map: found the negative id {strange[0]}")
+        raise InputError(f"id map: object {strange[0]} is not in the memory bank")
+    rows = np.where(shown == 0, 0, places + 1)
+    rows = rows.astype(np.uint16 if len(ids) < 2**16 else np.int32)
+    return np.repeat(rows, np.diff(starts, append=len(flat))).reshape(ids_map.shape)

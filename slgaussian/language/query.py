@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.special import expit, logit
 
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.brief import said
@@ -18,7 +17,7 @@ from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import Confidence, confidence
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature
+from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.sentences import Sentence, parse
 from slgaussian.language.taught import TaughtWords, normal, spelled
 
@@ -260,7 +259,7 @@ class BankReader(TextReader):
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Relevancies float64 [Q, N] in [0, 1] of texts to the objects; errors as :meth:`gaps`."""
-        relevancies: np.ndarray = expit(rules.temperature * self.gaps(texts, rules))
+        relevancies: np.ndarray = sigmoid(rules.temperature * self.gaps(texts, rules))
         return relevancies
 
     def understood(self, text: str) -> Understood:
@@ -508,7 +507,7 @@ def answer(
     best = gaps[ranked[0]] if len(ranked) else np.inf
     as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
     chosen = chosen_by(rules, gaps, best)
-    scores = expit(rules.temperature * gaps)
+    scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
     why = "" if read.kind == "named" else unmeasured
     if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
@@ -529,6 +528,8 @@ def _unmeasured(encoder: Encoder, rules: Rules) -> str:
 def chosen_by(rules: Rules, gaps: np.ndarray, best: float) -> np.ndarray:
     """Which objects the rules select, bool [N], by their gaps [N] and that of the best visible."""
     if rules.threshold is not None:
+        from scipy.special import logit  # which takes long to import
+
         chosen: np.ndarray = gaps > logit(rules.threshold) / rules.temperature
         return chosen
     return (gaps > 0) & (gaps >= rules.share * best)
@@ -543,7 +544,7 @@ def find(
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
     taken = np.flatnonzero(chosen_by(rules, gaps, gaps.max(initial=-np.inf)))
-    scores = expit(rules.temperature * gaps)
+    scores = sigmoid(rules.temperature * gaps)
     ranked = taken[np.argsort(-gaps[taken], kind="stable")]
     return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)
 
@@ -598,7 +599,7 @@ def describe(texts: Sequence[str], reader: BankReader, rules: Rules) -> list[Des
         If there is no text, or the encoder cannot use one.
     """
     gaps = reader.gaps(texts, rules)
-    scores = expit(rules.temperature * gaps)
+    scores = sigmoid(rules.temperature * gaps)
     bank = reader.bank
     return [
         Description(

@@ -21,8 +21,9 @@ cosines of an encoder (its ``soft``).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from scipy.special import expit
 
 from slgaussian.errors import InputError, did_you_mean
 
@@ -33,6 +34,9 @@ that; features that were never normalised do not pass."""
 SOFT = 0.05
 """How much greater one lead in cosine is than another if it counts e times as much, where there
 are groups, if the encoder says nothing else. From 0.02 to 0.1 the answers are about as good."""
+
+LOG_MOST = math.log(np.finfo(np.float64).max)
+"""Exponentials of more than this are infinite."""
 
 ABSENT = ("skip", "zero")
 """What a view says about an object that it does not hold. ``skip``: nothing. ``zero``: what the
@@ -173,7 +177,17 @@ def relevancy(
         As :class:`Scorer`, and if the temperature is not positive.
     """
     check_temperature(temperature)
-    return expit(temperature * Scorer(features, present, canonical, absent).gaps(queries))
+    return sigmoid(temperature * Scorer(features, present, canonical, absent).gaps(queries))
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    """``1 / (1 + exp(-x))``, float64 in the shape of ``x``.
+
+    By the C library's exponential, number by number: they are a few an object and a text. NumPy's
+    own differs in the last digit from processor to processor; SciPy's is this one.
+    """
+    made = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
+    return np.array(made, np.float64).reshape(np.shape(x))
 
 
 def check_temperature(temperature: float) -> None:

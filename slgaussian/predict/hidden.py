@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
-from slgaussian.predict.unproject import THICKNESS, concatenate
+from slgaussian.predict.unproject import THICKNESS
 from slgaussian.scene import Camera
 
 BLOCK = 4
@@ -79,13 +78,18 @@ def hidden(
         turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
         scales = width[:, None] * (1, 1, THICKNESS)
         source = (i * camera.height + row) * camera.width + column
-        fields = (means, scales, np.tile(turn, (len(means), 1)), opacity, rgb)
-        place, size, quats, light, colours = (
-            torch.from_numpy(f[unseen].astype(np.float32)) for f in fields
-        )
-        labels = torch.from_numpy(source[unseen].astype(np.int32))
-        parts.append(Gaussians(place, size, quats, light, rgb_to_sh(colours), labels))
-    return concatenate(parts)
+        fields = {
+            "means": means,
+            "scales": scales,
+            "quats": np.tile(turn, (len(means), 1)),
+            "opacities": opacity,
+            "sh": rgb,
+        }
+        made = {name: values[unseen].astype(np.float32) for name, values in fields.items()}
+        made["sh"] = rgb_to_sh(made["sh"])
+        made["source"] = source[unseen].astype(np.int32)
+        parts.append(Gaussians.from_arrays(made))
+    return Gaussians.concatenated(parts)
 
 
 def _beyond(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
@@ -37,7 +35,7 @@ from slgaussian.predict.lend import SPECKLE, Swept, lend
 from slgaussian.predict.links import Link, link_views
 from slgaussian.predict.settle import kept_near
 from slgaussian.predict.sgm import aggregate, winners
-from slgaussian.predict.unproject import concatenate, unproject
+from slgaussian.predict.unproject import unproject
 from slgaussian.scene import Sample, View
 from slgaussian.storage.derived import once
 
@@ -83,12 +81,12 @@ def predict(settings: PlaneSweep, sample: Sample) -> tuple[Gaussians, Depths]:
     shown = unproject(cameras, colors, whole, opacities)
     known = [s.known for s in swept]
     kept = np.concatenate([keep.ravel() for keep in needed(graph, whole, known, steps)])
-    guessed = torch.from_numpy(~np.isfinite(np.concatenate([values.ravel() for values in known])))
-    shown = replace(shown, guessed=guessed)[torch.from_numpy(kept)]
+    guessed = ~np.isfinite(np.concatenate([values.ravel() for values in known]))
+    shown = shown.with_arrays(guessed=guessed)[kept]
     beyond = hidden(cameras, colors, whole, steps)
-    beyond = replace(beyond, guessed=torch.ones(len(beyond), dtype=torch.bool))
+    beyond = beyond.with_arrays(guessed=np.ones(len(beyond), bool))
     depths = Depths(sum(len(s.steps) for s in swept), len(swept) * settings.depth_candidates)
-    return concatenate([shown, beyond]), depths
+    return Gaussians.concatenated([shown, beyond]), depths
 
 
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:

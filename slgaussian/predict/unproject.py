@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numba import njit, prange
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
@@ -53,20 +52,16 @@ def unproject(
     parts = [_discs_of(*one) for one in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))
     rgb = np.concatenate([c.reshape(-1, 3) for c in colors])
-    return Gaussians(
-        means=torch.from_numpy(means),
-        scales=torch.from_numpy(scales),
-        quats=torch.from_numpy(quats),
-        opacities=torch.from_numpy(np.concatenate([o.ravel() for o in opacities])),
-        sh=rgb_to_sh(torch.from_numpy(rgb)),
-        source=torch.arange(len(means), dtype=torch.int32),
+    return Gaussians.from_arrays(
+        {
+            "means": means,
+            "scales": scales,
+            "quats": quats,
+            "opacities": np.concatenate([o.ravel() for o in opacities]),
+            "sh": rgb_to_sh(rgb),
+            "source": np.arange(len(means), dtype=np.int32),
+        }
     )
-
-
-def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
-    """One structure of the Gaussians of all parts, in order; they have the same fields."""
-    names = [name for name, _ in parts[0].items()]
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts]) for name in names})
 
 
 def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -131,6 +126,10 @@ def _normals(values, K, radius, same):
     return out
 
 
+# Numbers and no slices: to assign to slices takes seconds to compile, with all that says what is
+# wrong with their shapes.
+
+
 @njit(cache=True, parallel=True)
 def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
     """Local axes are (across the line of sight, uphill along the surface, normal)."""
@@ -139,55 +138,53 @@ def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
     scales = np.empty((H * W, 3), np.float32)
     quats = np.empty((H * W, 4), np.float32)
     for y in prange(H):
-        axes = np.empty((3, 3))
         turned = np.empty((3, 3))
-        s = np.empty(3)
+        q = np.empty(4)
         for x in range(W):
             k = y * W + x
             depth = 1 / float(inverse_depth[y, x])
+            s0 = K_inverse[0, 0] * (x + 0.5) + K_inverse[0, 1] * (y + 0.5) + K_inverse[0, 2]
+            s1 = K_inverse[1, 0] * (x + 0.5) + K_inverse[1, 1] * (y + 0.5) + K_inverse[1, 2]
+            s2 = K_inverse[2, 0] * (x + 0.5) + K_inverse[2, 1] * (y + 0.5) + K_inverse[2, 2]
             for i in range(3):
-                s[i] = K_inverse[i, 0] * (x + 0.5) + K_inverse[i, 1] * (y + 0.5) + K_inverse[i, 2]
-            for i in range(3):
-                ray = R[i, 0] * s[0] + R[i, 1] * s[1] + R[i, 2] * s[2]
-                means[k, i] = center[i] + depth * ray
-            s /= math.sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
-            axes[:, 2] = normal[y, x]
-            tilt = _cross(axes[:, 2], s, axes[:, 0])
+                means[k, i] = center[i] + depth * (R[i, 0] * s0 + R[i, 1] * s1 + R[i, 2] * s2)
+            length = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+            s0, s1, s2 = s0 / length, s1 / length, s2 / length
+            n0, n1, n2 = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            a0, a1, a2, tilt = _cross(n0, n1, n2, s0, s1, s2)
             if tilt < 1e-6:
                 # Seen squarely: any axis in the plane will do.
-                s[:] = 0
-                s[1] = 1
-                tilt = _cross(axes[:, 2], s, axes[:, 0])
-                s[:] = -axes[:, 2]
-            axes[:, 0] /= tilt
-            _cross(axes[:, 2], axes[:, 0], axes[:, 1])
+                a0, a1, a2, tilt = _cross(n0, n1, n2, 0.0, 1.0, 0.0)
+                s0, s1, s2 = -n0, -n1, -n2
+            a0, a1, a2 = a0 / tilt, a1 / tilt, a2 / tilt
+            b0, b1, b2, _ = _cross(n0, n1, n2, a0, a1, a2)
             for i in range(3):
-                for j in range(3):
-                    turned[i, j] = (
-                        R[i, 0] * axes[0, j] + R[i, 1] * axes[1, j] + R[i, 2] * axes[2, j]
-                    )
-            cosine = abs(axes[0, 2] * s[0] + axes[1, 2] * s[1] + axes[2, 2] * s[2])
+                turned[i, 0] = R[i, 0] * a0 + R[i, 1] * a1 + R[i, 2] * a2
+                turned[i, 1] = R[i, 0] * b0 + R[i, 1] * b1 + R[i, 2] * b2
+                turned[i, 2] = R[i, 0] * n0 + R[i, 1] * n1 + R[i, 2] * n2
+            cosine = abs(n0 * s0 + n1 * s1 + n2 * s2)
             width = footprint * depth
             scales[k, 0] = width
             scales[k, 1] = width / max(cosine, MIN_COSINE)
             scales[k, 2] = width * THICKNESS
-            _quaternion(turned, quats[k])
+            _quaternion(turned, q)
+            length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+            for i in range(4):
+                quats[k, i] = q[i] / length
     return means, scales, quats
 
 
 @njit(cache=True)
-def _cross(a, b, out):
-    """Write ``a x b`` to ``out`` and return its length."""
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    out[0], out[1], out[2] = x, y, z
-    return math.sqrt(x * x + y * y + z * z)
+def _cross(a0, a1, a2, b0, b1, b2):
+    """``a x b`` and its length."""
+    x, y, z = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
 @njit(cache=True)
-def _quaternion(R, out):
-    """Unit quaternion wxyz of a rotation, from its largest component (Shepperd 1978)."""
+def _quaternion(R, q):
+    """Quaternion wxyz of a rotation, from its largest component (Shepperd 1978), of any length."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
-    q = np.empty(4)
     if trace > max(R[0, 0], R[1, 1], R[2, 2]):
         q[0] = 1 + trace
         q[1] = R[2, 1] - R[1, 2]
@@ -204,4 +201,3 @@ def _quaternion(R, out):
         q[1 + i] = 1 + 2 * R[i, i] - trace
         q[1 + j] = R[j, i] + R[i, j]
         q[1 + k] = R[k, i] + R[i, k]
-    out[:] = q / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])

@@ -1,12 +1,16 @@
 """Splat Gaussians onto an image: one public call, several backends with one meaning."""
 
 import sys
+from importlib import import_module
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from slgaussian.rasterize.api import BACKENDS, Render, rasterize
-from slgaussian.rasterize.planned import SplatPlan, plan
-from slgaussian.rasterize.pruning import Pruned, prune
 from slgaussian.rasterize.render_settings import PRESETS, Settings
+
+if TYPE_CHECKING:
+    from slgaussian.rasterize.planned import SplatPlan, plan
+    from slgaussian.rasterize.pruning import Pruned, prune
 
 __all__ = [
     "BACKENDS",
@@ -19,6 +23,20 @@ __all__ = [
     "prune",
     "rasterize",
 ]
+
+# Loaded on first use: whoever draws a field waits for neither torch nor their kernels.
+_LATER = {
+    "SplatPlan": "slgaussian.rasterize.planned",
+    "plan": "slgaussian.rasterize.planned",
+    "Pruned": "slgaussian.rasterize.pruning",
+    "prune": "slgaussian.rasterize.pruning",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return getattr(import_module(_LATER[name]), name)
+    raise AttributeError(f"module 'slgaussian.rasterize' has no attribute {name!r}")
 
 
 class _CallablePackage(ModuleType):

@@ -9,17 +9,20 @@ rounded to float32, and of the index where these are equal.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-import torch
+import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.kernels import compiling
 from slgaussian.parts.registry import resolve
-from slgaussian.rasterize.harmonics import colors
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.scene import Camera
+
+if TYPE_CHECKING:
+    import torch
 
 BACKENDS = {
     "cpu": "slgaussian.rasterize.cpu:render",
@@ -125,6 +128,8 @@ def rasterize(
     compiling.watch()
     settings = find_settings(settings)
     if values is None:
+        from slgaussian.rasterize.harmonics import colors
+
         values = colors(gaussians, camera)
     if values.ndim != 2 or values.shape[0] != len(gaussians):
         raise InputError(
@@ -139,6 +144,8 @@ def rasterize(
 
 
 def _check_labels(labels: torch.Tensor, n: int) -> None:
+    import torch
+
     if labels.dtype != torch.int32 or labels.shape != (n,):
         raise InputError(
             f"rasterize labels: found {labels.dtype} {tuple(labels.shape)}, expected int32 ({n},)"
@@ -150,7 +157,7 @@ def _check_labels(labels: torch.Tensor, n: int) -> None:
         )
 
 
-def check_inputs(gaussians: Gaussians, values: torch.Tensor) -> None:
+def check_inputs(gaussians: Gaussians, values: torch.Tensor | np.ndarray) -> None:
     """Raise InputError naming the first number that cannot be drawn."""
     gaussians.check()
     if (index := first_not_finite(values)) is not None:

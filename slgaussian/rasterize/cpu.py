@@ -14,14 +14,13 @@ import numpy as np
 import torch
 
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.api import Render, check_inputs
-from slgaussian.rasterize.blend import draw, draw_backward
-from slgaussian.rasterize.project import Eye, eye_of, project, project_backward
+from slgaussian.rasterize.api import Render
+from slgaussian.rasterize.blend import draw_backward
+from slgaussian.rasterize.picture import GEOMETRY, checked, splatted
+from slgaussian.rasterize.project import Eye, eye_of, project_backward
 from slgaussian.rasterize.render_settings import Settings
-from slgaussian.rasterize.tiles import bin_splats, count_tiles
+from slgaussian.rasterize.tiles import count_tiles
 from slgaussian.scene import Camera
-
-GEOMETRY = ("means", "scales", "quats", "opacities")
 
 
 def render(
@@ -59,18 +58,9 @@ def as_kernels_take_them(
 def project_checked(
     gaussians: Gaussians, values: torch.Tensor, eye: Eye
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Splats and boxes as :func:`slgaussian.rasterize.project.project` makes them.
-
-    Raises
-    ------
-    InputError
-        Naming the first Gaussian with a number that makes no sense.
-    """
+    """As :func:`slgaussian.rasterize.picture.checked`, of tensors."""
     arrays = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
-    splats, boxes, sensible = project(*arrays, values.detach().numpy(), eye)
-    if not sensible:
-        check_inputs(gaussians, values)
-    return splats, boxes
+    return checked(gaussians, arrays, values.detach().numpy(), eye)
 
 
 class _Splatting(torch.autograd.Function):
@@ -88,18 +78,11 @@ class _Splatting(torch.autograd.Function):
         median: bool,
         labels: torch.Tensor | None,
     ) -> tuple[torch.Tensor, ...]:
-        splats, boxes = project_checked(gaussians, values, eye)
-        bins = bin_splats(boxes, eye.width, eye.height)
-        limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
-        if labels is None:
-            named, most = np.empty(0, np.int32), -1
-        else:
-            named = labels.cpu().contiguous().numpy()
-            most = int(named.max(initial=0))
-        drawn = draw(
-            splats, boxes, values.detach().numpy(), bins, eye.width, eye.height, *limits, median,
-            named, most,
-        )  # fmt: skip
+        arrays = [t.detach().numpy() for t in (means, scales, quats, opacities)]
+        named = None if labels is None else labels.cpu().contiguous().numpy()
+        drawn, splats, boxes, bins, limits = splatted(
+            gaussians, arrays, values.detach().numpy(), eye, settings, median, named
+        )
         image, alpha, depth, *others = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)

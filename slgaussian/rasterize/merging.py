@@ -11,18 +11,16 @@ little light was tried, and costs more than it saves (`docs/measured/kept.md`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
-import torch
 from scipy import ndimage
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians
-from slgaussian.rasterize.api import rasterize
+from slgaussian.rasterize.picture import picture, seen_colors
 from slgaussian.rasterize.render_settings import PRESETS
 from slgaussian.scene import Camera
 
@@ -107,7 +105,7 @@ class Merged:
     """
 
     gaussians: Gaussians
-    into: torch.Tensor
+    into: np.ndarray
     change: Change
 
 
@@ -147,16 +145,15 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
         changes = _changes(merged, cameras, before)
         change = _summary(changes)
         if change.rms <= MOST / GREY:
-            return Merged(merged, torch.from_numpy(into), change)
-    return Merged(gaussians, torch.arange(len(gaussians)), Change())
+            return Merged(merged, into, change)
+    return Merged(gaussians, np.arange(len(gaussians)), Change())
 
 
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Colours float32 [H, W, 3] as a field shows them, and depth float32 [H, W]."""
-    with torch.no_grad():
-        drawn = rasterize(gaussians, None, camera)
-    shown = drawn.values / drawn.alpha.clamp_min(VISIBLE)[..., None]
-    return shown.clamp(0, 1).cpu().numpy(), drawn.depth.cpu().numpy()
+    drawn = picture(gaussians, seen_colors(gaussians, camera), camera)
+    shown = drawn.values / np.maximum(drawn.alpha, np.float32(VISIBLE))[..., None]
+    return shown.clip(0, 1), drawn.depth
 
 
 def _changes(
@@ -241,7 +238,8 @@ class _Grid:
         if len(found) != 1:
             raise InputError(f"merge cameras: found sizes {sorted(found)}, expected one size")
         shape = (len(cameras), *found.pop())
-        source = gaussians.source.cpu().numpy().astype(np.int64)
+        arrays = gaussians.to_arrays()
+        source = arrays["source"].astype(np.int64)
         if len(source) and not 0 <= source.min() <= source.max() < np.prod(shape):
             raise InputError(
                 f"merge source: found pixels {source.min()} to {source.max()}, expected those of "
@@ -249,7 +247,6 @@ class _Grid:
             )
         rows = np.full(shape, -1, np.int64)
         rows.ravel()[source[::-1]] = np.arange(len(source) - 1, -1, -1)
-        arrays = gaussians.to_arrays()
         traits = _traits(gaussians)
         first = _Level(*_spread(rows, arrays["means"], traits, arrays["scales"]))
         levels = [first]
@@ -267,103 +264,93 @@ class _Grid:
 
 def _traits(gaussians: Gaussians) -> np.ndarray:
     """What must be alike, float32 [N, C], in units of what it may differ by."""
+    arrays = gaussians.to_arrays()
     columns = [
-        gaussians.sh.flatten(1) * (SH_C0 / COLOUR),
-        gaussians.opacities[:, None] / OPACITY,
+        arrays["sh"].reshape(len(gaussians), 3 * arrays["sh"].shape[1]) * (SH_C0 / COLOUR),
+        arrays["opacities"][:, None] / OPACITY,
     ]
-    if gaussians.features is not None:
-        columns.append(gaussians.features / FEATURE)
-    return torch.cat(columns, 1).detach().cpu().float().numpy()
+    if "features" in arrays:
+        columns.append(arrays["features"] / FEATURE)
+    return np.concatenate(columns, 1).astype(np.float32, copy=False)
 
 
-@numba.njit(cache=True, parallel=True)
-def _spread(rows, means, traits, scales):
+def _spread(
+    rows: np.ndarray, means: np.ndarray, traits: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """The arrays of a :class:`_Level` of single pixels."""
-    V, H, W = rows.shape
-    C = traits.shape[1]
-    there = np.zeros((V, H, W), np.bool_)
-    places = np.zeros((V, H, W, 3), np.float32)
-    low = np.zeros((V, H, W, C), np.float32)
-    widest = np.zeros((V, H, W), np.float32)
-    for line in numba.prange(V * H):
-        v, y = line // H, line % H
-        for x in range(W):
-            i = rows[v, y, x]
-            if i >= 0:
-                there[v, y, x] = True
-                places[v, y, x] = means[i]
-                low[v, y, x] = traits[i]
-                widest[v, y, x] = max(scales[i, 0], scales[i, 1], scales[i, 2])
+    there = rows >= 0
+    made = []
+    for table in (means, traits, scales.max(1, initial=0)):
+        image = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
+        image[there] = table[rows[there]]
+        made.append(image)
+    places, low, widest = made
     return there, places, low, low, widest
 
 
-@numba.njit(cache=True, parallel=True)
-def _halve(there, means, low, high, widest, apart, bent):
-    """The arrays of the next :class:`_Level`: cells of which four may become one."""
-    V, H, W, C = low.shape
-    h, w = H // 2, W // 2
-    joined = np.zeros((V, h, w), np.bool_)
-    places = np.zeros((V, h, w, 3), np.float32)
-    least = np.zeros((V, h, w, C), np.float32)
-    most = np.zeros((V, h, w, C), np.float32)
-    wide = np.zeros((V, h, w), np.float32)
-    for line in numba.prange(V * h):
-        v, y = line // h, line % h
-        for x in range(w):
-            top, left = 2 * y, 2 * x
-            corners = means[v, top : top + 2, left : left + 2]
-            reach = widest[v, top : top + 2, left : left + 2].max()
-            if not _even(there[v], low[v], high[v], top, left):
-                continue
-            if not _flat(corners, reach * apart, bent):
-                continue
-            joined[v, y, x] = True
-            wide[v, y, x] = 2 * reach
-            for k in range(3):
-                places[v, y, x, k] = corners[:, :, k].sum() / 4
-            for c in range(C):
-                least[v, y, x, c] = low[v, top : top + 2, left : left + 2, c].min()
-                most[v, y, x, c] = high[v, top : top + 2, left : left + 2, c].max()
-    return joined, places, least, most, wide
+def _halve(
+    there: np.ndarray,
+    means: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    widest: np.ndarray,
+    apart: np.float32,
+    bent: np.float32,
+) -> tuple[np.ndarray, ...]:
+    """The arrays of the next :class:`_Level`: cells of which four may become one.
+
+    They are there and alike with the cells around them, close, and nearly a parallelogram.
+    """
+    a, b, c, d = _corners(means)
+    reach = np.maximum.reduce(_corners(widest))
+    around = _around(np.minimum, there)
+    spread = _around(np.maximum, high) - _around(np.minimum, low)
+    joined = around & (spread <= 1).all(-1)
+    joined &= _flat(a, b, c, d, reach * apart, bent)
+
+    def only(values: np.ndarray) -> np.ndarray:
+        return np.where(joined.reshape(joined.shape + (1,) * (values.ndim - 3)), values, 0)
+
+    least, most = np.minimum.reduce(_corners(low)), np.maximum.reduce(_corners(high))
+    return joined, only((a + b + c + d) / 4), only(least), only(most), only(2 * reach)
 
 
-@numba.njit(cache=True)
-def _even(there, low, high, top, left):
-    """Whether a cell of 2x2 and the cells around it are there and alike."""
-    H, W, C = low.shape
-    up, down = max(0, top - 1), min(H, top + 3)
-    first, last = max(0, left - 1), min(W, left + 3)
-    for y in range(up, down):
-        for x in range(first, last):
-            if not there[y, x]:
-                return False
-    for c in range(C):
-        least, most = low[top, left, c], high[top, left, c]
-        for y in range(up, down):
-            for x in range(first, last):
-                least, most = min(least, low[y, x, c]), max(most, high[y, x, c])
-        if most - least > 1:
-            return False
-    return True
+def _corners(values: np.ndarray) -> list[np.ndarray]:
+    """The four of each cell of 2x2 of an image [V, H, W, ...], row by row: views [V, h, w, ...]."""
+    h, w = values.shape[1] // 2, values.shape[2] // 2
+    return [values[:, y : 2 * h : 2, x : 2 * w : 2] for y in (0, 1) for x in (0, 1)]
 
 
-@numba.njit(cache=True)
-def _flat(corners, apart, bent):
-    """Whether 2x2 places [2, 2, 3] are close, and nearly a parallelogram."""
-    across = down = twist = np.float32(0)
-    for k in range(3):
-        a, b, c, d = corners[0, 0, k], corners[0, 1, k], corners[1, 0, k], corners[1, 1, k]
-        across += ((b - a + d - c) / 2) ** 2
-        down += ((c - a + d - b) / 2) ** 2
-        twist += (a - b - c + d) ** 2
-    return max(across, down) <= apart * apart and twist <= bent * bent * min(across, down)
+def _around(best: np.ufunc, values: np.ndarray) -> np.ndarray:
+    """``best`` of each cell of 2x2 and those around it, within the image: [V, h, w, ...]."""
+    for axis in (1, 2):
+        size = values.shape[axis]
+        half = size // 2
+        values = np.moveaxis(values, axis, 0)
+        # From the pixel before each cell to that after it, or to the last.
+        before = np.maximum(2 * np.arange(half) - 1, 0)
+        after = np.minimum(2 * np.arange(half) + 2, size - 1)
+        first, second = values[: 2 * half : 2], values[1 : 2 * half : 2]
+        made = best(best(values[before], first), best(second, values[after]))
+        values = np.moveaxis(made, 0, axis)
+    return values
 
 
-@numba.njit(cache=True)
-def _mark(sizes, there, side, size):
+def _flat(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, apart: np.ndarray, bent: np.float32
+) -> np.ndarray:
+    """Whether 2x2 places [..., 3] are close, and nearly a parallelogram: bool [...]."""
+    across, down = (np.square(one.astype(np.float64) / 2) for one in (b - a + d - c, c - a + d - b))
+    twist = np.square(a - b - c + d)
+    wide, high, off = (one[..., 0] + one[..., 1] + one[..., 2] for one in (across, down, twist))
+    close = np.maximum(wide, high) <= apart * apart
+    return close & (off <= bent * bent * np.minimum(wide, high))
+
+
+def _mark(sizes: np.ndarray, there: np.ndarray, side: int, size: int) -> None:
     """Say of the pixels of cells of so many along a side what size they have."""
-    for v, y, x in np.argwhere(there):
-        sizes[v, y * side : (y + 1) * side, x * side : (x + 1) * side] = size
+    whole = there.repeat(side, 1).repeat(side, 2)
+    sizes[:, : whole.shape[1], : whole.shape[2]][whole] = size
 
 
 def _take_back(
@@ -422,34 +409,29 @@ def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gauss
     leaders = _leaders(grid.rows, sizes, len(gaussians))
     kept = leaders == np.arange(len(gaussians))
     places = np.cumsum(kept) - 1
-    left = gaussians[torch.from_numpy(np.flatnonzero(kept))]  # a copy, which may be written to
+    left = {name: array[kept] for name, array in arrays.items()}  # copies, which may be written to
     v, y, x = _merged_cells(grid.rows, sizes)
     cells = np.stack([v, y, x, sizes[v, y, x]], 1)
-    to = torch.from_numpy(places[grid.rows[v, y, x]])
+    to = places[grid.rows[v, y, x]]
     for name in ("means", "opacities", "sh"):
-        given, made = arrays[name], getattr(left, name)
+        given, made = arrays[name], left[name]
         table = given.reshape(len(given), int(np.prod(given.shape[1:])))
-        values = torch.from_numpy(_average(table, grid.rows, cells))
+        values = _average(table, grid.rows, cells)
         made[to] = values.reshape(made[to].shape)
     shape = arrays["means"], arrays["scales"], arrays["quats"]
-    left.scales[to] = torch.from_numpy(_scales(*shape, grid.rows, cells, LOW_PASS))
-    if left.guessed is not None:
+    left["scales"][to] = _scales(*shape, grid.rows, cells, LOW_PASS)
+    if "guessed" in left:
         share = _average(arrays["guessed"][:, None].astype(np.float32), grid.rows, cells)
-        left.guessed[to] = torch.from_numpy(share[:, 0] > 0.5)
-    return left, places[leaders]
+        left["guessed"][to] = share[:, 0] > 0.5
+    return Gaussians.from_arrays(left), places[leaders]
 
 
-@numba.njit(cache=True)
-def _leaders(rows, sizes, n):
+def _leaders(rows: np.ndarray, sizes: np.ndarray, n: int) -> np.ndarray:
     """For each Gaussian the first one of its cell, int64 [N]; those of no pixel lead themselves."""
     leaders = np.arange(n)
-    V, H, W = rows.shape
-    for v in range(V):
-        for y in range(H):
-            for x in range(W):
-                size = sizes[v, y, x]
-                if size > 1:
-                    leaders[rows[v, y, x]] = rows[v, y - y % size, x - x % size]
+    v, y, x = np.nonzero(sizes > 1)
+    size = sizes[v, y, x]
+    leaders[rows[v, y, x]] = rows[v, y - y % size, x - x % size]
     return leaders
 
 
@@ -460,24 +442,35 @@ def _merged_cells(rows: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]
     return np.nonzero((sizes > 1) & (y % sizes == 0) & (x % sizes == 0))
 
 
-@numba.njit(cache=True, parallel=True)
-def _average(table, rows, cells):
+def _members(rows: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Which of the cells int64 [M, 4] (view, row, column, size) have one size, int64 [K], and the
+    Gaussians of their pixels: int64 [K, size, size]; for each size."""
+    for size in np.unique(cells[:, 3]).tolist():
+        which = np.flatnonzero(cells[:, 3] == size)
+        v, top, left = (cells[which, k, None, None] for k in range(3))
+        steps = np.arange(size)
+        yield which, rows[v, top + steps[:, None], left + steps]
+
+
+def _average(table: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Means float32 [M, C] of a table [N, C] over cells int64 [M, 4]: view, row, column, size."""
-    M, C = len(cells), table.shape[1]
-    means = np.empty((M, C), np.float32)
-    for m in numba.prange(M):
-        v, top, left, size = cells[m]
-        for c in range(C):
-            total = 0.0
-            for y in range(top, top + size):
-                for x in range(left, left + size):
-                    total += table[rows[v, y, x], c]
-            means[m, c] = total / (size * size)
+    means = np.empty((len(cells), table.shape[1]), np.float32)
+    for which, members in _members(rows, cells):
+        total = np.zeros((len(which), table.shape[1]))
+        for one in members.reshape(len(which), -1).T:
+            total += table[one]
+        means[which] = total / members[0].size
     return means
 
 
-@numba.njit(cache=True, parallel=True)
-def _scales(means, scales, quats, rows, cells, low_pass):
+def _scales(
+    means: np.ndarray,
+    scales: np.ndarray,
+    quats: np.ndarray,
+    rows: np.ndarray,
+    cells: np.ndarray,
+    low_pass: float,
+) -> np.ndarray:
     """Scales float32 [M, 3] of the Gaussians of cells, along the axes of the first of each.
 
     Their views draw a Gaussian as wide as it is and the low-pass together. A merged one is to be as
@@ -486,49 +479,52 @@ def _scales(means, scales, quats, rows, cells, low_pass):
     ``s^2 C + (s^2 - 1) low_pass (u u^T + v v^T)``.
     """
     made = np.empty((len(cells), 3), np.float32)
-    for m in numba.prange(len(cells)):
-        v, top, left, size = cells[m]
-        axes = _axes(quats[rows[v, top, left]])
-        spread = np.zeros(3)
-        for y in range(top, top + size):
-            for x in range(left, left + size):
-                i = rows[v, y, x]
-                own = _axes(quats[i])
-                for a in range(3):
-                    for k in range(3):
-                        along = 0.0
-                        for j in range(3):
-                            along += axes[j, a] * own[j, k]
-                        spread[a] += (along * scales[i, k]) ** 2
-        half = size // 2
+    for which, members in _members(rows, cells):
+        size = members.shape[1]
+        axes = _axes(quats[members[:, 0, 0]])
+        spread = np.zeros((len(which), 3))
+        for one in members.reshape(len(which), -1).T:
+            own, wide = _axes(quats[one]), scales[one]
+            for a in range(3):
+                for k in range(3):
+                    along = _dot(axes[:, a], own[:, k])
+                    spread[:, a] += np.square(along * wide[:, k])
+        across, down = (_step(means[members], axis) for axis in (2, 1))
         for a in range(3):
-            across = down = 0.0
-            for j in range(3):
-                across += axes[j, a] * _step(means, rows[v], top, left, size, half, j, True)
-                down += axes[j, a] * _step(means, rows[v], top, left, size, half, j, False)
-            steps = low_pass * (size * size - 1) * (across * across + down * down)
-            made[m, a] = np.sqrt(spread[a] + steps)
+            wide, high = _dot(axes[:, a], across.T), _dot(axes[:, a], down.T)
+            steps = low_pass * (size * size - 1) * (wide * wide + high * high)
+            made[which, a] = np.sqrt(spread[:, a] + steps)
     return made
 
 
-@numba.njit(cache=True)
-def _step(means, rows, top, left, size, half, axis, across):
-    """A step to the next pixel along one axis of space: between the halves of a cell, averaged."""
-    total = 0.0
+def _step(places: np.ndarray, axis: int) -> np.ndarray:
+    """A step float64 [K, 3] to the next pixel along axis 1 or 2 of places [K, size, size, 3]:
+    between the halves of a cell, averaged."""
+    size = places.shape[1]
+    half = size // 2
+    total = np.zeros((len(places), 3))
     for y in range(size):
         for x in range(size):
-            sign = 1 if (x if across else y) >= half else -1
-            total += sign * means[rows[top + y, left + x], axis]
+            sign = 1 if (x if axis == 2 else y) >= half else -1
+            total += sign * places[:, y, x].astype(np.float64)
     return total / (size * size / 2 * half)
 
 
-@numba.njit(cache=True)
-def _axes(quat):
-    """Rotation matrix [3, 3] of a quaternion wxyz of any length but zero."""
-    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-    t = 2.0 / (w * w + x * x + y * y + z * z)
-    made = np.empty((3, 3))
-    made[0] = 1 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)
-    made[1] = t * (x * y + w * z), 1 - t * (x * x + z * z), t * (y * z - w * x)
-    made[2] = t * (x * z - w * y), t * (y * z + w * x), 1 - t * (x * x + y * y)
-    return made
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Dot products [K] of vectors [3, K]."""
+    product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
+
+
+def _axes(quats: np.ndarray) -> np.ndarray:
+    """Columns of the rotation matrices of quaternions wxyz float32 [K, 4] of any length but zero:
+    float64 [3, 3, K], first the row, then the column."""
+    w, x, y, z = quats.T
+    t = 2.0 / (w * w + x * x + y * y + z * z).astype(np.float64)
+    return np.array(
+        [
+            [1 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)],
+            [t * (x * y + w * z), 1 - t * (x * x + z * z), t * (y * z - w * x)],
+            [t * (x * z - w * y), t * (y * z + w * x), 1 - t * (x * x + y * y)],
+        ]
+    )

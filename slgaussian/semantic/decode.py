@@ -15,15 +15,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from slgaussian.errors import InputError
+from slgaussian.labels import VISIBLE
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import distance, find, make_lookup
-from slgaussian.rasterize import Render
-
-VISIBLE = 0.5
-"""A pixel has an object when at least this fraction of its light comes from labelled Gaussians."""
 
 CLOSE = 0.25
 """A settled pixel is off its code by at most this fraction of the distance from that code to the
@@ -120,6 +116,8 @@ class NearestCode:
         if not np.isfinite(drawn).all():
             row = int(np.argwhere(visible)[np.isfinite(drawn).all(1).argmin(), 0])
             raise InputError(f"decode: features in image row {row} hold NaN or infinity")
+        from scipy.spatial import cKDTree
+
         distance, nearest = cKDTree(self._codes).query(drawn[:, :-1], p=1)
         ids[visible] = self._ids[nearest]
         lead = np.maximum(0, 1 - 2 * distance / self._gaps[nearest])
@@ -133,16 +131,17 @@ def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | Neare
     return NearestCode(bank) if own.get("decode") == "nearest" else Decoder(bank)
 
 
-def elected_ids(image: Render, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def elected_ids(
+    label: np.ndarray, weights: np.ndarray, ids: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """As :class:`Decoder`, of a picture drawn with ``labels``: rows of ``ids`` int32 [N], from 1.
 
-    The confidence is the lead of the object over the next one itself.
+    ``label`` and ``weights`` are the picture's ``label`` and ``label_weights``, as arrays. The
+    confidence is the lead of the object over the next one itself.
     """
-    if image.label is None or image.label_weights is None:
-        raise InputError("decode: the picture was drawn without labels; rasterize with them")
-    best, second, whole = np.moveaxis(image.label_weights.float().numpy(), -1, 0)
+    best, second, whole = np.moveaxis(weights, -1, 0)
     visible = whole >= VISIBLE
-    found = np.append(np.int32(0), ids)[image.label.numpy() * visible]
+    found = np.append(np.int32(0), ids)[label * visible]
     return found, np.where(visible, np.minimum(best - second, np.float32(1)), np.float32(0))
 
 
@@ -150,8 +149,12 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
     """L1 distance from each code to the nearest other one, float64 [N]; infinite if it is alone."""
     if len(codes) == 0:
         return np.zeros(0)
-    distances, _ = cKDTree(codes).query(codes, k=2, p=1)
-    return distances[:, 1]
+    gaps = np.full(len(codes), np.inf)
+    for row, code in enumerate(codes):  # a tree would be as fast, and takes long to import
+        apart = np.abs(codes - code).sum(1)
+        apart[row] = np.inf
+        gaps[row] = apart.min()
+    return gaps
 
 
 # On one thread: an image is 3 ms of work, and waiting for a second one may cost more than it saves.

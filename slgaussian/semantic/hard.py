@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +17,12 @@ class HardIndex:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, unlabelled, 0."""
-        import torch
-
         from slgaussian.semantic.code_images import code_images
 
-        labels = label_maps.labels.ravel()[gaussians.source.numpy()]
+        labels = label_maps.labels.ravel()[gaussians.to_arrays()["source"]]
         features = code_images(labels, bank.ids, bank.codes)
         if not bank.dimension:
             # Without codes the weight says which row of the bank it is, from 1.
             rows = np.searchsorted(bank.ids, labels) + 1
             features *= rows[:, None].astype(np.float32)
-        return replace(gaussians, features=torch.from_numpy(features))
+        return gaussians.with_arrays(features=features)

@@ -57,9 +57,9 @@ def find_others(gaussians: Gaussians, shape: tuple[int, int, int]) -> Others:
     A pixel stands where the first of its Gaussians is; without one it has no others.
     """
     pixels, near = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
-    means = gaussians.means.numpy().astype(np.float64)
-    widths = gaussians.scales.numpy().max(1, initial=0).astype(np.float64)
-    owners, firsts = np.unique(gaussians.source.numpy(), return_index=True)
+    means = gaussians.to_arrays()["means"].astype(np.float64)
+    widths = gaussians.to_arrays()["scales"].max(1, initial=0).astype(np.float64)
+    owners, firsts = np.unique(gaussians.to_arrays()["source"], return_index=True)
     views = owners // (shape[1] * shape[2])
     for view in np.unique(views):
         mine, theirs = np.flatnonzero(views == view), np.flatnonzero(views != view)

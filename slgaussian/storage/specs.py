@@ -18,31 +18,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from slgaussian.errors import SpecError
+
+if TYPE_CHECKING:  # arrays are read without Arrow, which takes a tenth of a second to import
+    import pyarrow as pa
 
 ABOUT = "about.json"
 """The member of an ``.npz`` file that says what the arrays are and what made them."""
 
 OWNER = "slgaussian"
 """Whose specs these are: a file names its spec as ``slgaussian/labels@1``."""
-
-_PLAIN = {
-    "string": pa.string(),
-    "int64": pa.int64(),
-    "int32": pa.int32(),
-    "uint8": pa.uint8(),
-    "float64": pa.float64(),
-    "float32": pa.float32(),
-    "bool": pa.bool_(),
-    "binary": pa.binary(),
-}
-COLUMN_TYPES = {**_PLAIN, **{f"{name} list": pa.list_(kind) for name, kind in _PLAIN.items()}}
 
 UNITS = {
     "1": "a pure number, as a share, a ratio or a direction",
@@ -62,6 +51,24 @@ UNITS = {
 
 ROUNDING = 1e-9
 """By how much a number of a table may be out of its bounds: a sum of shares may end above 1."""
+
+
+@cache
+def column_types() -> Mapping[str, pa.DataType]:
+    """Arrow's types by what specs call them."""
+    import pyarrow as pa
+
+    plain = {
+        "string": pa.string(),
+        "int64": pa.int64(),
+        "int32": pa.int32(),
+        "uint8": pa.uint8(),
+        "float64": pa.float64(),
+        "float32": pa.float32(),
+        "bool": pa.bool_(),
+        "binary": pa.binary(),
+    }
+    return plain | {f"{name} list": pa.list_(kind) for name, kind in plain.items()}
 
 
 @dataclass(frozen=True)
@@ -138,9 +145,12 @@ class Spec:
     @property
     def schema(self) -> pa.Schema:
         """The Arrow schema of a table spec, which says what it is."""
+        import pyarrow as pa
+
+        types = column_types()
         return pa.schema(
             [
-                pa.field(name, COLUMN_TYPES[column.type], column.nullable, _said_of(column))
+                pa.field(name, types[column.type], column.nullable, _said_of(column))
                 for name, column in self.columns.items()
             ],
             {"spec": self.label, "meaning": self.doc},
@@ -194,8 +204,8 @@ class Spec:
             if name not in table.column_names:
                 raise mismatch(file, name, "no such column", f"a {column.type} column")
             data = table.column(name)
-            if data.type != COLUMN_TYPES[column.type]:
-                raise mismatch(file, name, f"{data.type}", f"{COLUMN_TYPES[column.type]}")
+            if data.type != column_types()[column.type]:
+                raise mismatch(file, name, f"{data.type}", f"{column_types()[column.type]}")
             if data.null_count and not column.nullable:
                 raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
             _check_column(data, column, name, file)
@@ -258,6 +268,9 @@ def _describe(field: Field) -> str:
 
 
 def _check_column(data: pa.ChunkedArray, column: Column, name: str, file: str) -> None:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
     if pa.types.is_list(data.type):
         data = pc.list_flatten(data)
     if pa.types.is_floating(data.type) and not pc.all(pc.is_finite(data), min_count=0).as_py():

@@ -23,13 +23,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-from fsspec.implementations.local import LocalFileSystem
-from fsspec.implementations.memory import MemoryFileSystem
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
@@ -37,6 +33,9 @@ from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.provenance import speaking, statement
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
+
+if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
+    import pyarrow as pa
 
 Arrays = dict[str, np.ndarray]
 Item = TypeVar("Item")
@@ -133,6 +132,9 @@ class ArtifactStore:
     """
 
     def __init__(self, root: str | os.PathLike[str] = "./slg-data") -> None:
+        from fsspec.implementations.local import LocalFileSystem
+        from fsspec.implementations.memory import MemoryFileSystem
+
         self.fs, self.path = open_place(root, "store")
         self.local = isinstance(self.fs, LocalFileSystem)
         self.root = self.path if self.local else os.fspath(root).rstrip("/")
@@ -591,6 +593,9 @@ def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
 
     Its own metadata are those of the spec in any case; ``digest`` as :func:`encode_arrays` has it.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     known = spec.schema
     schema = pa.schema([known.field(name) for name in table.column_names], known.metadata)
     table = pa.Table.from_arrays(table.columns, schema=speaking(schema, digest)).combine_chunks()
@@ -608,6 +613,9 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
         Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, are of
         another spec or a later version of it, or do not hold what ``spec`` says.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     with _whole(data, file, spec, repair):
         # A third of the time of pq.read_table, which asks what else may be in a folder.
         table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
@@ -658,6 +666,9 @@ def stated(data: bytes) -> dict[str, Any]:
             text = members.read(ABOUT) if ABOUT in members.namelist() else b"{}"
         about: dict[str, Any] = strict_json.parse(text)
         return about
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     metadata = pq.read_schema(pa.BufferReader(data)).metadata or {}
     known = {name.decode(): text.decode() for name, text in metadata.items()}
     return {n: strict_json.parse(text) if n == "made" else text for n, text in known.items()}

@@ -48,3 +48,10 @@ def test_the_located_point_of_known_regions():
     ring = ball(100, 90, 20) & ~ball(100, 90, 12)
     x, y = central_point(ring)
     assert ring[y, x]
+
+
+def test_the_located_point_of_a_region_too_large_for_rounded_distances():
+    # 717.5 and 717.501 pixels deep: one number in float32 once squared and rounded.
+    disc = np.add.outer((np.arange(1500) - 720) ** 2, (np.arange(1600) - 730) ** 2) < 717**2
+    disc |= np.add.outer((np.arange(1500) - 781) ** 2, (np.arange(1600) - 882) ** 2) < 718**2
+    assert central_point(disc) == reference_point(disc)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import expit
 
 from slgaussian.errors import InputError
-from slgaussian.language.relevancy import Scorer, relevancy
+from slgaussian.language.relevancy import Scorer, relevancy, sigmoid
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -254,3 +255,10 @@ def test_ten_thousand_equal_objects_tie_wherever_they_stand():
     levels = np.full((2, 10_000), 10_000)
     gaps = Scorer(features, np.ones((10_700, 2), bool), unit(rng, 3, 8), levels=levels)
     assert (np.ptp(gaps.gaps(unit(rng, 7, 8)), 1) == 0).all()
+
+
+def test_the_sigmoid_is_that_of_scipy_to_the_bit():
+    rng = np.random.default_rng(0)
+    ends = [0, -0.0, np.inf, -np.inf, 709.7, 709.8, -709.7, -709.8, -746, 1e-300]
+    x = np.concatenate([rng.normal(0, 4, 4000), rng.uniform(-800, 800, 1000), ends])
+    assert np.array_equal(sigmoid(x.reshape(10, -1)), expit(x).reshape(10, -1))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from textured_planes import camera
 
-from slgaussian.gaussians import source_depths
+from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.hidden import hidden
-from slgaussian.predict.unproject import concatenate, unproject
+from slgaussian.predict.unproject import unproject
 
 # Written out, not imported: a slip in the module must show here.
 BEHIND, BLOCK, MARGIN = 0.03, 4, 0.07
@@ -99,6 +99,6 @@ def test_depths_of_the_views_stay_what_they_are():
     walls, colors = scene(CAMERAS, True)
     opacities = [np.full(SIZE, 0.5, np.float32)] * 2
     given = unproject(CAMERAS, colors, walls, opacities)
-    both = concatenate([given, hidden(CAMERAS, colors, walls, [STEP] * 2)])
+    both = Gaussians.concatenated([given, hidden(CAMERAS, colors, walls, [STEP] * 2)])
     assert len(both) > len(given)
     assert np.allclose(source_depths(both, CAMERAS), source_depths(given, CAMERAS), rtol=1e-5)

@@ -9,7 +9,7 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, covariances
-from slgaussian.predict.unproject import concatenate, unproject
+from slgaussian.predict.unproject import unproject
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import MOST, merge
 from slgaussian.scene import Camera
@@ -67,7 +67,7 @@ def test_what_is_uneven_stays():
 
 def test_what_is_uneven_stays_where_no_given_view_sees_it():
     rough, screen = wall(noise(20)), wall(depth=np.full((H, W), 1.0), opacity=1.0)
-    merged = merge(concatenate([rough, screen]), CAMERAS)
+    merged = merge(Gaussians.concatenated([rough, screen]), CAMERAS)
     assert len(merged.gaussians) == len(rough) + len(screen)
 
 
@@ -93,7 +93,7 @@ def test_what_shows_is_taken_back():
     assert len(merged.gaussians) < 0.5 * len(lined)
     columns = lined.source.numpy() % W
     for column in range(18, 24):
-        own = merged.into.numpy()[columns == column]
+        own = merged.into[columns == column]
         assert len(np.unique(own)) == len(own)
 
 
@@ -168,7 +168,7 @@ def test_a_slanted_surface_merges_along_itself():
     merged = merge(slanted, CAMERAS)
     assert len(merged.gaussians) < 0.4 * len(slanted)
     # On the plane 1/z = a + b u both before and after, and no thicker than a fraction of a pixel.
-    means = merged.gaussians.means.double().numpy()[merged.into.numpy()[: H * W]]
+    means = merged.gaussians.means.double().numpy()[merged.into[: H * W]]
     pixels, z = CAMERAS[0].project(means)
     assert np.abs(1 / z - (0.5 - 0.004 * pixels[:, 0])).max() < 1e-3
     assert float(merged.gaussians.scales.min(1).values.max()) < 0.25 * z.max() / 60
@@ -199,7 +199,7 @@ def quaternion_product(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 def test_pixels_are_told_and_each_stands_for_its_own():
     merged = merge(wall(), CAMERAS)
-    source, into = merged.gaussians.source.numpy(), merged.into.numpy()
+    source, into = merged.gaussians.source.numpy(), merged.into
     assert sorted(set(into)) == list(range(len(source)))
     members = np.bincount(into)
     assert set(np.unique(members)) <= {1, 4, 16}
@@ -212,14 +212,14 @@ def test_holes_and_further_gaussians_stay():
     plain = wall()
     holes = (torch.arange(2 * H * W) % 7 != 3) | (torch.arange(2 * H * W) % W > 30)
     further = replace(plain[torch.arange(40)], means=plain.means[:40] + torch.tensor([0, 0, 1.5]))
-    given = concatenate([plain[holes], further])
+    given = Gaussians.concatenated([plain[holes], further])
     merged = merge(given, CAMERAS)
     assert len(merged.gaussians) < 0.75 * len(given)
     last = merged.gaussians[merged.into[-40:]]
     for name, values in last.items():
         assert torch.equal(values, getattr(further, name)), name
     columns = given.source.numpy()[:-40] % W
-    beside = merged.into.numpy()[:-40][columns < 28]
+    beside = merged.into[:-40][columns < 28]
     assert len(np.unique(beside)) == len(beside)
 
 
@@ -269,7 +269,7 @@ def test_what_mostly_was_a_guess_is_one():
     guesses = torch.zeros(2, H, W, dtype=torch.bool)
     guesses[:, :, 18:] = True  # three quarters of a cell of eight, half of one of four
     merged = merge(replace(wall(), guessed=guesses.ravel()), CAMERAS)
-    into = merged.into.numpy()
+    into = merged.into
     shares = np.bincount(into, guesses.ravel().numpy()) / np.bincount(into)
     assert ((shares > 0) & (shares < 1)).any()
     assert np.array_equal(merged.gaussians.guessed.numpy(), shares > 0.5)

@@ -1,0 +1,130 @@
+"""The picture of arrays: what :func:`slgaussian.rasterize.rasterize` draws on the CPU, in NumPy.
+
+A field is asked and drawn by it, so that nobody waits for torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slgaussian.gaussians import SH_C0, Gaussians
+from slgaussian.kernels import compiling
+from slgaussian.rasterize.api import Render, check_inputs
+from slgaussian.rasterize.blend import draw
+from slgaussian.rasterize.project import Eye, eye_of, project
+from slgaussian.rasterize.render_settings import Settings, find_settings
+from slgaussian.rasterize.tiles import bin_splats
+from slgaussian.scene import Camera
+
+if TYPE_CHECKING:
+    import torch
+
+GEOMETRY = ("means", "scales", "quats", "opacities")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a camera sees: :class:`slgaussian.rasterize.Render` in arrays, float32.
+
+    ``label`` and ``label_weights`` are empty where none were asked for.
+    """
+
+    values: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    median: np.ndarray
+    label: np.ndarray
+    label_weights: np.ndarray
+
+    @staticmethod
+    def of(render: Render) -> Picture:
+        """What any backend drew, wherever its tensors are."""
+        return Picture(
+            **{
+                one.name: _array(getattr(render, one.name), "i4" if one.name == "label" else "f4")
+                for one in fields(Picture)
+            }
+        )
+
+
+def _array(tensor: torch.Tensor | None, dtype: str) -> np.ndarray:
+    found = np.empty(0) if tensor is None else tensor.detach().cpu().numpy()
+    return found.astype(dtype, copy=False)
+
+
+def picture(
+    gaussians: Gaussians,
+    values: np.ndarray,
+    camera: Camera,
+    settings: Settings | str = "fast",
+    labels: np.ndarray | None = None,
+) -> Picture:
+    """Draw Gaussians that carry ``values`` float32 [N, C], and ``labels`` int32 [N] from 0.
+
+    Raises
+    ------
+    InputError
+        If a number cannot be drawn: the first Gaussian with one is named.
+    """
+    compiling.watch()
+    settings = find_settings(settings)
+    arrays = gaussians.to_arrays()
+    geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
+    drawn, *_ = splatted(
+        gaussians, geometry, np.ascontiguousarray(values, np.float32), eye_of(camera, settings),
+        settings, False, labels,
+    )  # fmt: skip
+    return Picture(*drawn)
+
+
+def seen_colors(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    """As :func:`slgaussian.rasterize.harmonics.colors`, to the bit: float32 [N, 3]."""
+    sh = gaussians.to_arrays()["sh"]
+    if sh.shape[1] == 1 and sh.dtype == np.float32:
+        plain: np.ndarray = np.maximum(sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0)
+        return plain
+    from slgaussian.rasterize.harmonics import colors  # other degrees need torch
+
+    found: np.ndarray = colors(gaussians, camera).detach().cpu().numpy()
+    return found
+
+
+def splatted(
+    gaussians: Gaussians,
+    geometry: list[np.ndarray],
+    values: np.ndarray,
+    eye: Eye,
+    settings: Settings,
+    median: bool,
+    labels: np.ndarray | None,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, Any, tuple[np.float32, np.float32]]:
+    """What :func:`slgaussian.rasterize.blend.draw` draws; splats, boxes, bins and limits.
+
+    ``geometry`` are the arrays of ``gaussians`` that :data:`GEOMETRY` names, as kernels take them.
+    """
+    splats, boxes = checked(gaussians, geometry, values, eye)
+    bins = bin_splats(boxes, eye.width, eye.height)
+    limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
+    named = np.empty(0, np.int32) if labels is None else np.ascontiguousarray(labels)
+    most = -1 if labels is None else int(named.max(initial=0))
+    drawn = draw(splats, boxes, values, bins, eye.width, eye.height, *limits, median, named, most)
+    return drawn, splats, boxes, bins, limits
+
+
+def checked(
+    gaussians: Gaussians, geometry: list[np.ndarray], values: np.ndarray, eye: Eye
+) -> tuple[np.ndarray, np.ndarray]:
+    """Splats and boxes as :func:`slgaussian.rasterize.project.project` makes them.
+
+    Raises
+    ------
+    InputError
+        Naming the first Gaussian with a number that makes no sense.
+    """
+    splats, boxes, sensible = project(*geometry, values, eye)
+    if not sensible:
+        check_inputs(gaussians, values)
+    return splats, boxes

@@ -1,0 +1,65 @@
+"""What a command imports: nobody waits for what his question does not need."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from command import two_walls
+
+HEAVY = {
+    "torch", "numba", "scipy", "skimage", "pyarrow", "prefect", "transformers", "matplotlib",
+    "fsspec", "cv2", "numpy", "pydantic",
+}  # fmt: skip
+
+CODE = """
+import json, sys
+sys.argv = ["slgaussian", *json.loads(sys.argv[1])]
+from flows.cli.app import main
+try:
+    main()
+finally:
+    print(json.dumps(sorted(sys.modules)), file=sys.stderr)
+"""
+
+
+def imported(*words: str) -> tuple[str, set[str]]:
+    """What ``slgaussian WORDS`` prints in a process of its own, and the heavy modules it loads."""
+    given = [sys.executable, "-c", CODE, json.dumps(words)]
+    done = subprocess.run(given, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, HEAVY & set(json.loads(done.stderr.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("words", [("--help",), ("words",), ("--version",)], ids=" ".join)
+def test_what_needs_no_array_loads_none(words):
+    assert imported(*words)[1] <= {"pydantic"}  # by which Typer reads options
+
+
+def test_the_help_of_a_command_loads_no_kernel_and_no_network():
+    assert imported("query", "--help")[1] <= {"numpy", "pydantic"}
+
+
+def test_a_question_waits_for_no_torch_and_once_asked_for_no_kernel_either(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
+    two_walls(tmp_path / "field")
+    question = ("query", str(tmp_path / "field"), "red", "--json")
+    first, heavy = imported(*question)
+    assert "torch" not in heavy and "pyarrow" not in heavy
+    again, heavy = imported(*question)
+    assert again == first and json.loads(first)["text"] == "red"
+    assert heavy == {"numpy", "cv2", "pydantic"}
+
+
+def test_a_question_asked_again_reads_no_gaussians(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
+    two_walls(tmp_path / "field")
+    question = ("query", str(tmp_path / "field"), "red", "--json")
+    first, _ = imported(*question)
+    # Known by its digest: the file itself is not needed.
+    (tmp_path / "field" / "gaussians.npz").unlink()
+    assert imported(*question)[0] == first
+    damaged = next((tmp_path / "cache" / "views").iterdir())
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    with pytest.raises(AssertionError, match=r"gaussians\.npz"):
+        imported(*question)
