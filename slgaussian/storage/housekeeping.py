@@ -166,7 +166,7 @@ def verify(
         if ref is None:
             return None
         try:
-            store.understood(ref, store.read(file.uri))
+            store.fetch(file.uri, "an artifact", lambda data: store.understood(ref, data))
         except SpecError as error:
             return str(error)
         return ""

@@ -50,9 +50,7 @@ class Records:
         compares its digest anyway. InputError if the store does not answer.
         """
         try:
-            ref, stamp = _parse(self.store.read(_place(key)))
-            if ref is None:
-                return None
+            ref, stamp = self._fetched(_place(key))
             if stamp is not None and stamp == self.store.stamp(ref.uri):
                 self.store.check_parts(ref)
             else:
@@ -77,10 +75,21 @@ class Records:
     def _read(self, file_and_name: tuple[File, re.Match[str]]) -> Record:
         file, found = file_and_name
         try:
-            ref, _ = _parse(self.store.read(file.uri))
+            ref, _ = self._fetched(file.uri)
         except SpecError:
             ref = None
         return Record(file, found["stage"], int(found["version"]), ref)
+
+    def _fetched(self, uri: str) -> tuple[ArtifactRef, Any]:
+        """The ref in a record, and the stamp of its file; SpecError if there is none."""
+
+        def understood(data: bytes) -> tuple[ArtifactRef, Any]:
+            ref, stamp = _parse(data)
+            if ref is None:
+                raise SpecError(f"{self.store.root}/{uri}: found no record, expected a ref as JSON")
+            return ref, stamp
+
+        return self.store.fetch(uri, "a record", understood)[1]
 
 
 def _place(key: str) -> str:

@@ -1,11 +1,20 @@
-"""Places given as URLs: which ones are refused, and what their errors mean to a user."""
+"""Places given as URLs: which are refused, when they are asked again, and what their errors mean.
+
+What a network does to a request passes, mostly. So a request that failed in such a way is made
+again, after a while that grows (:func:`patiently`). That is done here and nowhere else: the
+libraries below are told to try once, as tries within tries would multiply.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import random
 import re
 import sys
-from typing import TYPE_CHECKING
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from slgaussian.errors import InputError
 from slgaussian.parts.extras import install_line
@@ -13,12 +22,35 @@ from slgaussian.parts.extras import install_line
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
+Result = TypeVar("Result")
+
+TRIES = 8
+"""So often a request is made before its error is told. Of 5 % that fail, one in 10^10 fails so."""
+
+FIRST, LONGEST = 0.1, 10.0
+"""Seconds before the second try, about; each further wait is twice as long, up to the longest. All
+tries together take 13 seconds if they fail at once."""
+
+CONNECT, ANSWER = 10, 30
+"""Seconds that a server of S3 may take to be reached, and then to send the next bytes."""
+
 _LOGIN = re.compile(r"://[^/:@\s]*:(?!\d+(?:/|$))[^@\s]*@")  # a number after the colon is a port
 _QUERY = re.compile(
     r"([?&;][^=&;\s]*(?:key|secret|token|password|signature|credential|sig)[^=&;\s]*=)[^&;\s]*",
     re.IGNORECASE,
 )
 
+_DAMAGED_ON_THE_WAY = {"BadDigest", "IncompleteBody", "RequestTimeout", "XAmzContentSHA256Mismatch"}
+_PASSING = {errno.EIO, errno.EREMOTEIO, errno.EBUSY, errno.EPIPE}
+"""Of errors of the system; the first three are also what S3's errors of a server become."""
+_PASSING_KINDS = {
+    "HTTPClientError",
+    "IncompleteReadError",
+    "ResponseParserError",
+    "FlexibleChecksumError",
+    "ClientError",
+}
+"""Names of the errors of botocore and, the last, of aiohttp that come of the network."""
 _NO_CREDENTIALS = {"NoCredentialsError", "PartialCredentialsError", "CredentialRetrievalError"}
 _LOGINS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
 
@@ -63,13 +95,21 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
 
     check_url(url, name)
     text = os.fspath(url)
+    options: dict[str, Any] = {"use_listings_cache": False}
+    if text.startswith(("s3://", "s3a://")):
+        given = fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
+        once = {"retries": {"total_max_attempts": 1}}
+        waits = {"connect_timeout": CONNECT, "read_timeout": ANSWER}
+        options["config_kwargs"] = {**waits, **given, **once}
     try:
-        fs, path = fsspec.core.url_to_fs(text, use_listings_cache=False)
+        fs, path = fsspec.core.url_to_fs(text, **options)
     except ImportError as error:
         needed = f"s3fs ({install_line('s3')})" if _is_s3(text) else f"{error}"
         raise InputError(f"{name} {text}: needs {needed}; or choose a folder") from error
     except ValueError as error:
         raise InputError(f"{name} {text}: {error}; or choose a folder") from error
+    if "config_kwargs" in options:
+        fs.retries = 1
     if not path:
         raise InputError(
             f"{name} {text}: found no bucket in it, expected as in {text}bucket/folder"
@@ -77,10 +117,46 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
     return fs, path
 
 
+def patiently(ask: Callable[[], Result]) -> Result:
+    """What ``ask`` returns, asked again while it fails as networks do.
+
+    It may have been done though it failed, so it must be the same to do it twice.
+
+    Raises
+    ------
+    One of :func:`troubles`
+        Of the last try, or the first that waiting does not help.
+    """
+    for tried in range(1, TRIES + 1):
+        try:
+            return ask()
+        except troubles() as error:
+            if tried == TRIES or not _passes(error):
+                raise
+            # Not all of many that failed at once come back at once.
+            wait = min(LONGEST, FIRST * 2 ** (tried - 1))
+            time.sleep(wait * random.uniform(0.5, 1.0))
+    raise AssertionError  # the last try has raised
+
+
+def _passes(error: Exception) -> bool:
+    """Whether an error may be gone in a while."""
+    answer = getattr(error.__cause__, "response", None) or {}
+    status = answer.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
+    code = answer.get("Error", {}).get("Code", "")
+    if status >= 500 or status == 429 or code in _DAMAGED_ON_THE_WAY:
+        return status != 501
+    kinds = {kind.__name__ for kind in type(error).__mro__}
+    if kinds & _PASSING_KINDS or isinstance(error, TimeoutError | ConnectionError):
+        return True
+    return isinstance(error, OSError) and error.errno in _PASSING
+
+
 def troubles() -> tuple[type[Exception], ...]:
     """What file systems raise when they fail; those of S3 are not all ``OSError``."""
     loaded = (
         (sys.modules.get("botocore.exceptions"), "BotoCoreError"),
+        (sys.modules.get("botocore.parsers"), "ResponseParserError"),
         (sys.modules.get("aiohttp"), "ClientError"),
     )
     return (OSError, *(getattr(module, error) for module, error in loaded if module is not None))

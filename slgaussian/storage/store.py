@@ -31,7 +31,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.provenance import speaking, statement
-from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.remote import explained, open_place, patiently, troubles
 from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
 
 if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
@@ -50,6 +50,9 @@ PART = 16 * 2**20
 
 MOST_UNPACKED = 8 * 2**30
 """Bytes of the arrays of one file; a packed one may be a thousandth of what it unpacks to."""
+
+READINGS = 3
+"""So often a file of a store elsewhere is read before it counts as damaged."""
 
 AT_ONCE = 16
 """Requests that are under way at the same time where many small ones are made."""
@@ -172,7 +175,7 @@ class ArtifactStore:
         while True:
             there = None
             try:
-                there = self.read(ref.uri)
+                there, _ = self.fetch(ref.uri, "an artifact", lambda own: self._whole(ref, own))
                 if _precedence(there) < _precedence(data):
                     self.understood(ref, there)
                     data = there
@@ -184,6 +187,11 @@ class ArtifactStore:
                 new = False
                 continue
             return data
+
+    def _whole(self, ref: ArtifactRef, data: bytes) -> None:
+        """SpecError if what came over a network is not all of an artifact."""
+        if not self.near:
+            self.understood(ref, data)
 
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, checked against its spec and its digest.
@@ -201,8 +209,8 @@ class ArtifactStore:
             with suppress(SpecError):
                 return self.understood(ref, data)
             self.cache.drop(ref.uri)
-        data = self.read(ref.uri, f"a {ref.spec} artifact")
-        content = self.understood(ref, data)
+        what = f"a {ref.spec} artifact"
+        data, content = self.fetch(ref.uri, what, lambda data: self.understood(ref, data))
         if self.cache is not None:
             self.cache.put(ref.uri, data)
         return content
@@ -229,13 +237,31 @@ class ArtifactStore:
     def read(self, uri: str, what: str = "a file") -> bytes:
         """The bytes of a file; DamagedError if it is not there, ``what`` says what was expected."""
         try:
-            return self.fs.cat_file(f"{self.path}/{uri}")
+            return self._ask(lambda: self.fs.cat_file(f"{self.path}/{uri}"))
         except FileNotFoundError as error:
             raise self._damaged(uri, "nothing", what) from error
         except troubles() as error:
             if not self.local:
                 raise self._failed("read", error) from error
             raise self._damaged(uri, explained(error), "a readable file") from error
+
+    def fetch(
+        self, uri: str, what: str, understood: Callable[[bytes], Result]
+    ) -> tuple[bytes, Result]:
+        """The bytes of a file, and what ``understood`` makes of them.
+
+        What came over a network and is not understood may have been cut short on the way, and is
+        read again before that is believed. SpecError then, as ``understood`` raises it, and as
+        :meth:`read`.
+        """
+        for left in reversed(range(1 if self.near else READINGS)):
+            data = self.read(uri, what)
+            try:
+                return data, understood(data)
+            except SpecError:
+                if not left:
+                    raise
+        raise AssertionError  # the last reading has raised
 
     def lay_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
         """Make a new local file that is an artifact's: a hard link if it can be one, else a copy.
@@ -262,8 +288,8 @@ class ArtifactStore:
             except OSError:
                 pass  # on another disk, one that has no links, or of another user
         _, written = self._size_and_time(ref.uri)
-        data = self.read(ref.uri, f"a {ref.spec} artifact")
-        self.understood(ref, data)
+        what = f"a {ref.spec} artifact"
+        data, _ = self.fetch(ref.uri, what, lambda data: self.understood(ref, data))
         with open(path, "wb") as file:
             file.write(data)
         os.utime(path, ns=(written, written))
@@ -310,7 +336,7 @@ class ArtifactStore:
     def check_there(self, uri: str) -> None:
         """Raise :class:`DamagedError` if there is no file at a path relative to the root."""
         try:
-            there = self.fs.exists(f"{self.path}/{uri}")
+            there = self._ask(lambda: self.fs.exists(f"{self.path}/{uri}"))
         except troubles() as error:
             raise self._failed("read", error) from error
         if not there:
@@ -325,7 +351,7 @@ class ArtifactStore:
         probe = f".probe-{uuid.uuid4().hex}"
         self.write(probe, b"")
         try:
-            return _written(self.fs.info(f"{self.path}/{probe}"))
+            return _written(self._ask(lambda: self.fs.info(f"{self.path}/{probe}")))
         except troubles() as error:
             raise self._failed("read", error) from error
         finally:
@@ -345,7 +371,7 @@ class ArtifactStore:
                 self.fs.pipe_file(path, data)
             else:
                 # One put, or parts that are shown when the last has arrived: whole or not at all.
-                self.fs.pipe_file(path, data, chunksize=PART)
+                self._ask(lambda: self.fs.pipe_file(path, data, chunksize=PART))
         except FileExistsError as error:
             if new:
                 raise
@@ -380,13 +406,17 @@ class ArtifactStore:
         with ThreadPoolExecutor(most) as pool:
             return list(pool.map(function, items))
 
+    def _ask(self, request: Callable[[], Result]) -> Result:
+        """Do a request, one of a store elsewhere patiently."""
+        return request() if self.near else patiently(request)
+
     def _size_and_time(self, uri: str) -> tuple[int, int]:
         """Bytes and Unix time (ns) of a file; DamagedError if it is not there."""
         try:
             if self.local:
                 found = os.stat(f"{self.path}/{uri}")
                 return found.st_size, found.st_mtime_ns
-            info = self.fs.info(f"{self.path}/{uri}")
+            info = self._ask(lambda: self.fs.info(f"{self.path}/{uri}"))
         except FileNotFoundError as error:
             raise self._damaged(uri, "nothing", "an artifact") from error
         except troubles() as error:
@@ -397,13 +427,14 @@ class ArtifactStore:
         if self.cache is not None:
             self.cache.drop(uri)
         with suppress(FileNotFoundError):
-            self.fs.rm_file(f"{self.path}/{uri}")
+            self._ask(lambda: self.fs.rm_file(f"{self.path}/{uri}"))
 
     def _listed(self, uri: str) -> tuple[list[File], list[str]]:
         """The files in a folder and the folders in it, each sorted."""
         files, folders = [], []
         try:
-            entries = self.fs.ls(f"{self.path}/{uri}".rstrip("/"), detail=True)
+            folder = f"{self.path}/{uri}".rstrip("/")
+            entries = self._ask(lambda: self.fs.ls(folder, detail=True))
         except (FileNotFoundError, NotADirectoryError):
             return [], []
         except troubles() as error:

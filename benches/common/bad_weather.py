@@ -1,0 +1,171 @@
+"""A server of HTTP as it is on a bad day: a proxy that fails some of the requests.
+
+Which requests fail, and how, is drawn by a seed in the order in which they come.
+"""
+
+from __future__ import annotations
+
+import http.client
+import random
+import socket
+import struct
+import threading
+import time
+from collections import Counter
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import urlsplit
+
+FAULTS = (
+    "500",
+    "500 when done",
+    "503 slow down",
+    "time-out",
+    "reset",
+    "cut short",
+    "less than said",
+)
+"""What may become of a request.
+
+``500 when done`` and the three last are answered after the server has done it; ``cut short`` ends
+the connection in the middle of the answer's body, ``less than said`` gives half the body and calls
+it all.
+"""
+
+_XML = "<?xml version='1.0' encoding='UTF-8'?><Error><Code>{}</Code><Message>{}</Message></Error>"
+_DROPPED = {"connection", "transfer-encoding", "keep-alive", "content-length"}
+
+
+class BadWeather:
+    """A proxy on loopback before ``server``; ``url`` is where it listens.
+
+    Parameters
+    ----------
+    server : str
+        URL of the server.
+    share : float
+        Of the requests that fail.
+    seed : int
+    hang : float
+        Seconds for which a request that times out is held before its connection is dropped.
+    faults : tuple of str
+        Some of :data:`FAULTS`.
+
+    Attributes
+    ----------
+    met : Counter
+        How many requests met which fault; ``""`` are those that met none.
+    full : bool
+        Whether everything that would be written is refused, as by a server whose disk is full.
+    """
+
+    def __init__(
+        self,
+        server: str,
+        share: float,
+        seed: int = 0,
+        hang: float = 5.0,
+        faults: tuple[str, ...] = FAULTS,
+    ) -> None:
+        place = urlsplit(server)
+        self.target = (place.hostname, place.port)
+        self.share, self.hang, self.faults = share, hang, faults
+        self.met: Counter[str] = Counter()
+        self.full = False
+        self.dice, self.lock = random.Random(seed), threading.Lock()
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
+        self.server.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self.server.server_port}"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.server.shutdown()
+        self.server.server_close()
+
+    def fault(self) -> str:
+        """What becomes of the next request."""
+        with self.lock:
+            found = self.dice.choice(self.faults) if self.dice.random() < self.share else ""
+            self.met[found] += 1
+        return found
+
+
+def _handler(weather: BadWeather) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def handle_one_request(self) -> None:
+            try:
+                super().handle_one_request()
+            except OSError:  # whoever asked is gone
+                self.close_connection = True
+
+        def do_GET(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            if weather.full and self.command in ("PUT", "POST"):
+                self.answer(507, [], _error("XMinioStorageFull", "no room"))
+                return
+            fault = weather.fault()
+            if fault == "500":
+                self.answer(500, [], _error("InternalError", "try again"))
+            elif fault == "503 slow down":
+                self.answer(503, [], _error("SlowDown", "please reduce your request rate"))
+            elif fault == "time-out":
+                time.sleep(weather.hang)
+                self.close_connection = True
+            else:
+                status, headers, data = self.passed_on(body)
+                if fault == "500 when done":
+                    self.answer(500, [], _error("InternalError", "try again"))
+                elif fault == "reset":
+                    self.reset()
+                elif fault in ("cut short", "less than said") and len(data) < 2:
+                    self.reset()  # nothing to cut
+                elif fault == "cut short":
+                    self.answer(status, headers, data, len(data) // 2)
+                elif fault == "less than said":
+                    self.answer(status, headers, data[: len(data) // 2])
+                else:
+                    self.answer(status, headers, data)
+
+        do_PUT = do_POST = do_HEAD = do_DELETE = do_GET
+
+        def passed_on(self, body: bytes) -> tuple[int, list[tuple[str, str]], bytes]:
+            server = http.client.HTTPConnection(*weather.target, timeout=60)
+            try:
+                server.request(self.command, self.path, body, dict(self.headers.items()))
+                answer = server.getresponse()
+                kept = [(k, v) for k, v in answer.getheaders() if k.lower() not in _DROPPED]
+                if self.command == "HEAD" and answer.getheader("Content-Length"):
+                    kept.append(("Content-Length", answer.getheader("Content-Length", "")))
+                return answer.status, kept, answer.read()
+            finally:
+                server.close()
+
+        def answer(
+            self, status: int, headers: list[tuple[str, str]], data: bytes, sent: int | None = None
+        ) -> None:
+            self.send_response_only(status)
+            for name, value in headers:
+                self.send_header(name, value)
+            if "content-length" not in {name.lower() for name, _ in headers}:
+                self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            if self.command != "HEAD":
+                self.wfile.write(data[:sent])
+            self.close_connection |= sent is not None
+
+        def reset(self) -> None:
+            # With this the kernel sends a reset and not an end.
+            now = struct.pack("ii", 1, 0)
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, now)
+            self.close_connection = True
+
+        def log_message(self, *args: object) -> None:
+            pass
+
+    return Handler
+
+
+def _error(code: str, message: str) -> bytes:
+    return _XML.format(code, message).encode()

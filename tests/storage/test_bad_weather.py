@@ -1,0 +1,109 @@
+"""A store on S3 of which requests fail in every way that networks know: nothing is lost by it."""
+
+import pyarrow as pa
+import pytest
+from contents import failures, labels, weights
+
+from benches.common.bad_weather import FAULTS, BadWeather
+from slgaussian.errors import InputError
+from slgaussian.storage import remote
+from slgaussian.storage import store as storing
+from slgaussian.storage.housekeeping import collect, verify
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactStore, DamagedError
+
+s3fs = pytest.importorskip("s3fs")
+
+KEY = f"masks/v1/{'0' * 64}"
+
+
+@pytest.fixture
+def weather(bucket, s3_server, monkeypatch):
+    """Bad weather before the server of a bucket, and a store behind it, without copies."""
+    made = []
+
+    def begin(share: float, *faults: str, **more) -> tuple[BadWeather, ArtifactStore]:
+        own = BadWeather(s3_server, share, hang=3.0, faults=faults or FAULTS, **more)
+        made.append(own)
+        monkeypatch.setenv("AWS_ENDPOINT_URL", own.url)
+        s3fs.S3FileSystem.clear_instance_cache()
+        return own, ArtifactStore(f"{bucket}/slg")
+
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
+    monkeypatch.setattr(remote, "ANSWER", 2)
+    monkeypatch.setattr(remote, "FIRST", 0.01)
+    yield begin
+    for own in made:
+        own.close()
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_passes(weather, fault, monkeypatch):
+    monkeypatch.setattr(storing, "PART", 5 * 2**20)  # the least that S3 takes
+    own, store = weather(0.1 if fault == "time-out" else 0.33, fault)
+    refs = [store.put("labels", labels(value)) for value in range(3)]
+    refs.append(store.put("failures", failures("a", "b")))
+    store.put("weights", content := weights(11 * 2**20))  # in parts
+    for ref in refs:
+        Records(store).keep(KEY, ref)
+        assert Records(store).find(KEY) == ref
+    assert [store.get(ref)["labels"].max() for ref in refs[:3]] == [0, 1, 2]
+    assert isinstance(store.get(refs[3]), pa.Table)
+    big = store.put("weights", content)
+    assert (store.get(big)["safetensors"] == content["safetensors"]).all()
+    found = {file.uri for files in store.walk() for file in files}
+    assert found == {*(ref.uri for ref in refs), big.uri, f"keys/masks/v1/00/{'0' * 64}.json"}
+    store.remove([big.uri])
+    with pytest.raises(DamagedError, match="found nothing"):
+        store.check(big)
+    assert own.met[fault] >= 3
+
+
+def test_upkeep_takes_nothing_for_damaged_that_was_cut_on_the_way(weather):
+    own, store = weather(0.3, "less than said")
+    for value in range(12):
+        ref = store.put("labels", labels(value))
+        Records(store).keep(KEY.replace("0", f"{value:x}"), ref)
+    found = verify(store, remove=True)
+    assert found.sound == 12 and not found.damaged
+    swept = collect(store, age=-1e9, delete=True)
+    assert (swept.artifacts, swept.records, swept.kept) == (0, 0, 12)
+    assert own.met["less than said"] >= 5
+
+
+def test_what_is_damaged_is_still_damaged(weather):
+    _, store = weather(0.0)
+    ref = store.put("labels", labels())
+    store.fs.pipe_file(f"{store.path}/{ref.uri}", b"damaged")
+    with pytest.raises(DamagedError):
+        store.get(ref)
+
+
+def test_a_server_without_room_and_one_that_always_fails_are_one_sentence(weather, monkeypatch):
+    monkeypatch.setattr(remote, "TRIES", 3)
+    own, store = weather(0.0)
+    own.full = True
+    with pytest.raises(InputError, match=r"cannot write there \(.*no room"):
+        store.put("labels", labels())
+    own.full = False
+    ref = store.put("labels", labels())
+    own.share, own.faults = 1.0, ("503 slow down",)
+    with pytest.raises(
+        InputError, match=r"cannot read there \((Service Unavailable|.*request rate)"
+    ):
+        store.get(ref)
+    assert own.met["503 slow down"] == 3
+
+
+def test_no_rights_and_no_file_are_told_at_once(weather, monkeypatch):
+    """Waiting helps neither, and of what is not there a run asks for every stage."""
+    _, store = weather(0.0)
+    slept = []
+    monkeypatch.setattr(remote.time, "sleep", slept.append)
+    assert Records(store).find(KEY) is None
+    with pytest.raises(DamagedError):
+        store.read("labels/nothing")
+    with pytest.raises(InputError, match="no bucket"):
+        ArtifactStore("s3://slg-not-there/slg").check_writable()
+    assert not slept
