@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
+from flows.clip_sources import scenes_of
 from flows.corpus_settings import PackSettings
-from flows.room_scenes import seeds
 from flows.runners.progress import Progress
-from slgaussian import datasets
-from slgaussian.datasets import nerfstudio, re10k
-from slgaussian.datasets.recognise import posed_scene
+from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
-from slgaussian.scene import Scene
 from tasks.events import Failed, Finished, Started
-
-ROOMS = "procedural:"
-"""How made-up rooms are asked for, with their first and last seed after it."""
+from tasks.packed import PosedFolder, Room
 
 
 @dataclass
@@ -40,9 +34,7 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     Parameters
     ----------
     sources : sequence of str
-        Folders or files of cameras of any format that is known, or folders of photographs alone,
-        whose cameras are found; the clip is called as the folder. And ``procedural:FIRST-LAST`` for
-        the rooms of these seeds, ``procedural_FIRST`` and so on.
+        As :func:`flows.clip_sources.scenes_of` takes them.
     out : path
     settings : PackSettings
 
@@ -52,7 +44,7 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
         If a source has no such form, two have one name, a name is in the folder already, or the
         folder cannot be written.
     """
-    scenes = dict(_scenes(sources, settings))
+    scenes = _scenes(sources, settings)
     if (out / re10k.INDEX).exists():
         taken = sorted(scenes.keys() & re10k.read_index(out).keys())
         if taken:
@@ -71,13 +63,13 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
 
 
 def _clips(
-    scenes: dict[str, Callable[[], Scene]], progress: Progress, packed: Packed
+    scenes: dict[str, PosedFolder | Room], progress: Progress, packed: Packed
 ) -> Iterator[re10k.Clip]:
-    for name, load in scenes.items():
+    for name, source in scenes.items():
         start = time.perf_counter()
         progress.hear(Started(name, "pack"))
         try:
-            clip = re10k.clip_of(load())
+            clip = re10k.clip_of(source.scene(), source.url())
         except InputError as error:
             packed.left_out.append(str(error))
             progress.hear(Failed(name, "pack", str(error)))
@@ -87,39 +79,16 @@ def _clips(
         yield clip
 
 
-def _scenes(
-    sources: Sequence[str], settings: PackSettings
-) -> Iterator[tuple[str, Callable[[], Scene]]]:
+def _scenes(sources: Sequence[str], settings: PackSettings) -> dict[str, PosedFolder | Room]:
+    found: dict[str, PosedFolder | Room] = {}
     seen: dict[str, str] = {}
     for source in sources:
-        if source.startswith(ROOMS):
-            asked = seeds(source.removeprefix(ROOMS), source)
-            named = {f"procedural_{seed}": _room(seed, settings) for seed in asked}
-        else:
-            path = Path(source)
-            folder = path.parent if path.name == nerfstudio.FILE else path
-            named = {folder.resolve().name: partial(_posed, path)}
-        for name, load in named.items():
-            if name in seen:
+        for scene in scenes_of(source, settings):
+            if scene.name in seen:
                 raise InputError(
-                    f"{source}: its clip would be called {name!r}, as that of {seen[name]} is; "
-                    "rename the folder, or leave one out"
+                    f"{source}: its clip would be called {scene.name!r}, as that of "
+                    f"{seen[scene.name]} is; rename the folder, or leave one out"
                 )
-            seen[name] = source
-            yield name, load
-
-
-def _posed(path: Path) -> Scene:
-    return posed_scene(path)[0]
-
-
-def _room(seed: int, settings: PackSettings) -> Callable[[], Scene]:
-    height, width = settings.size
-    return lambda: datasets.load(
-        "procedural",
-        seed=seed,
-        views=settings.views,
-        baseline=settings.baseline,
-        height=height,
-        width=width,
-    )
+            seen[scene.name] = source
+            found[scene.name] = scene
+    return found

@@ -15,7 +15,7 @@ from slgaussian.datasets import re10k
 from slgaussian.errors import InputError, SpecError
 from slgaussian.parts.identity import CHANGED, KnownFile
 from slgaussian.storage.remote import explained, troubles
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.stage import Worksite
 
 SETTLED = 2.0
@@ -74,14 +74,19 @@ def known_chunk(store: ArtifactStore, file: str) -> KnownFile:
     return KnownFile(file, digest_of(store, file))
 
 
-def read_chunk(site: Worksite, chunk: KnownFile) -> dict[str, re10k.Clip]:
+def read_chunk(site: Worksite, chunk: KnownFile | ArtifactRef) -> dict[str, re10k.Clip]:
     """The clips of a chunk by key, read once however many stages ask for them.
+
+    The chunk is a file from outside, or in the store (spec ``packed``).
 
     Raises
     ------
     InputError
         If it cannot be read, two clips have one key, or it is no longer as it was known.
     """
+
+    if isinstance(chunk, ArtifactRef):
+        return site.once((re10k.Clip, chunk.digest), lambda: _packed(site.store, chunk))
 
     def read() -> dict[str, re10k.Clip]:
         clips: dict[str, re10k.Clip] = {}
@@ -96,6 +101,11 @@ def read_chunk(site: Worksite, chunk: KnownFile) -> dict[str, re10k.Clip]:
         return clips
 
     return site.once(chunk, read)
+
+
+def _packed(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
+    data = store.get(chunk)["torch"].tobytes()
+    return {clip.key: clip for clip in re10k.clips_in(data, f"{store.root}/{chunk.uri}")}
 
 
 @dataclass(frozen=True)

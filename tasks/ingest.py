@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.predict.links import usable
-from slgaussian.scene import Sample, View
+from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import Worksite, stage
@@ -68,13 +68,7 @@ class Photographs:
             files = datasets.files(self.format, self.path, views, **self.options)
         except InputError:
             return {}
-        return {
-            os.path.relpath(file, folder): _digest(
-                file, file.stat().st_mtime_ns, file.stat().st_size
-            )
-            for file in files
-            if file.is_file()
-        }
+        return digests_of(files, folder)
 
     def identity(self) -> dict[str, Any]:
         """What the sample depends on: not where the files are, but what is in them."""
@@ -107,13 +101,14 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """
     sample, useless = usable(photographs.read())
     left_out = {**sample.found.get("left_out", {}), **useless}
-    meta = {"cameras": _cameras_of(sample), "left_out": left_out}
+    cameras = [view.camera for view in (*sample.context, *sample.targets)]
+    meta = {"cameras": told_of(cameras), "left_out": left_out}
     return site.store.put("sample", sample_to_arrays(sample), meta)
 
 
-def _cameras_of(sample: Sample) -> str:
-    said = [view.camera.estimated for view in (*sample.context, *sample.targets)]
-    found = [one for one in said if one is not None]
+def told_of(cameras: Iterable[Camera]) -> str:
+    """Whether cameras were given, or found and how surely, in words."""
+    found = [camera.estimated for camera in cameras if camera.estimated is not None]
     if not found:
         return "given"
     sources = " and ".join(sorted({one.source for one in found}))
@@ -139,6 +134,15 @@ def _same_picture(target: View, view: View) -> bool:
         return np.array_equal(target.image, view.image)
     alike = target.resized(*view.image.shape[:2]).image.astype(float) - view.image
     return float(np.abs(alike).mean()) < COPY
+
+
+def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
+    """SHA-256 of every file that is there, by its path below a folder."""
+    there = [file for file in files if file.is_file()]
+    return {
+        os.path.relpath(file, folder): _digest(file, file.stat().st_mtime_ns, file.stat().st_size)
+        for file in there
+    }
 
 
 @lru_cache(maxsize=1024)

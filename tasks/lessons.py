@@ -11,20 +11,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import torch
 
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.masks.associate import associate
 from slgaussian.parts.identity import KnownFile
 from slgaussian.parts.part import Part
-from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
+from tasks.all_masks import known_alone, seen_everywhere
 from tasks.chunks import Framing, left_out, read_chunk
 from tasks.masks import masks
 from tasks.predictions import read_sample
@@ -69,7 +67,7 @@ def lessons(
             with watch("read"):
                 sample = read_sample(clips[row["clip"]], row, framing, targets=True)
             with watch("depth"):
-                seen = _seen(sample, gaussians)
+                seen = seen_everywhere(sample, gaussians)
             with watch("masks"):
                 found = associate(seen, propose, tracker.load(), replicas)
         except InputError as error:
@@ -95,22 +93,9 @@ def lessons(
     return store.put("lessons", table, meta)
 
 
-def _seen(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
-    """The contexts with the depth of their own Gaussians, the targets with rendered depth."""
-    nothing = torch.zeros(len(gaussians), 1)
-    targets = []
-    for view in sample.targets:
-        # The mean would put a surface between what is before and behind an edge.
-        depth = rasterize(gaussians, nothing, view.camera, median=True).median
-        targets.append(SeenView(view, None if depth is None else depth.numpy()))
-    return [*SceneGeometry.of(sample.context, gaussians).seen, *targets]
-
-
 def _lesson(sample: Sample, gaussians: Gaussians, found: np.ndarray) -> Lesson:
     count = len(sample.context)
-    labels, targets = found[:count], found[count:]
-    # What no context shows has no code: nothing could be learnt of it.
-    targets = np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
+    labels, targets = found[:count], known_alone(found[count:], found[:count])
     cameras = tuple(view.camera for view in sample.targets)
     return Lesson(sample.scene, gaussians, labels, cameras, targets)
 

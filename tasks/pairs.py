@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -36,7 +37,9 @@ def pairs(site: Worksite, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
     return site.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
 
 
-def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:
+def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
+    """What is known of the views of a clip, of rows of spec ``views``."""
+
     def column(name: str) -> np.ndarray:
         return np.array([view[name] for view in views], np.float64)
 
@@ -45,10 +48,13 @@ def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dic
         re10k.camera_of(row, view["width"], view["height"])
         for row, view in zip(numbers, views, strict=True)
     ]
-    known = Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))
+    return Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))
+
+
+def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:
     frames = [view["frame"] for view in views]
     rows = []
-    for pair in choose(known, bounds):
+    for pair in choose(known_views(views), bounds):
         context = [frames[i] for i in pair.context]
         targets = [frames[i] for i in pair.targets]
         rows.append(

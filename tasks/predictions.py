@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
@@ -16,6 +15,7 @@ from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import Framing, left_out, read_chunk
+from tasks.framed import framed_views
 from tasks.geometry import geometry
 from tasks.stage import Worksite, stage
 
@@ -63,11 +63,8 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
     InputError
         If a view cannot be decoded, or the views do not make a sample.
     """
-    height, width = framing.size
 
     def views(role: str) -> tuple[View, ...]:
-        names = [name for name in row if name.startswith(role)]
-        found = [clip.view(row[name]).resized(height, width) for name in names]
-        return tuple(replace(v, camera=v.camera.ranged(framing.near, framing.far)) for v in found)
+        return framed_views(clip, [row[name] for name in row if name.startswith(role)], framing)
 
     return Sample(row["sample"], views("context_"), views("target_") if targets else ())

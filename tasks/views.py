@@ -23,7 +23,7 @@ ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(
 
 
 @stage("views", version=1)
-def views(site: Worksite, chunk: KnownFile) -> ArtifactRef:
+def views(site: Worksite, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     """What is known of all views of a chunk: spec ``views``.
 
     A frame that cannot be decoded, or whose pose is none, is left out by itself and named in

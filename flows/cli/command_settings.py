@@ -56,6 +56,11 @@ MASKS: Names = (
     "preset", "size", "near", "far", "trust_cameras", *LABEL, "replicas", "seed",
     _tables(*LABEL),
 )  # fmt: skip
+DATASET: Names = (
+    "size", "targets", "most", "max_unlabelled", "min_confirmed", "held_out", "images", "gaussians",
+    "shard_mb", "near", "far", "trust_cameras", *LABEL, "encoder", "codes", "bank", "replicas",
+    "seed", _tables(*LABEL, "encoder", "codes"), *(name for name in INGEST if name != "most"),
+)  # fmt: skip
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
 PARTS = (*LABEL, "encoder")
@@ -86,6 +91,7 @@ COMMON = {
     "remove": ("threshold",),
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
+    "dataset": ("size", "targets", "min_confirmed", "held_out", "gaussians", "store"),
     "train": ("steps", "rate", "codes", "seed", "store"),
     "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),

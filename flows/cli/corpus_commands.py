@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from flows.cli.arguments import Out, Verbose
-from flows.cli.command_settings import COMMON, CORPORA, INGEST, SUPERVISE, TRAIN
+from flows.cli.command_settings import COMMON, CORPORA, DATASET, INGEST, SUPERVISE, TRAIN
 from flows.cli.help import App
 from flows.cli.options import with_options
-from flows.cli.running import performed, prepare_and_say
+from flows.cli.running import performed, prepare_and_say, tell_left_out
 from slgaussian.errors import InputError
 
 commands = App()
@@ -84,6 +84,45 @@ def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False
         --proposer sam --sam-model facebook/sam-vit-base
     """
     prepare_and_say("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
+
+
+@commands.command(rich_help_panel=CORPORA)
+@with_options(*DATASET, of="flows.dataset_settings:DatasetSettings", common=COMMON["dataset"])
+def dataset(
+    settings: dict,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the training set.")],
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE",
+            help="Folder of photographs, of a scene of any format, of chunks, or of camera files; "
+            "procedural:FIRST-LAST; or PLACE=SOURCE.",
+        ),
+    ],
+    verbose: Verbose = False,
+) -> None:
+    """Make a training set for any network, as tar shards.
+
+    Images, cameras, depth, labels and language features for `torch.utils.data`, `webdataset` and
+    `datasets`; an index of quality; and a data card. The same again, or with more sources, does
+    only what is new. No place is in two splits.
+
+    \b
+    slgaussian dataset set chunks/train kitchen office=walk office=office_two
+    slgaussian dataset set photos --targets 1 --min-confirmed 0.5
+    """
+    from flows.dataset_settings import make_dataset_settings
+
+    chosen = make_dataset_settings({**settings, "out": out, "sources": sources})
+    made = performed("dataset", chosen, verbose)
+    from flows.data_card import CARD
+
+    typer.echo(
+        f"{made.samples} samples of {made.places} places in {made.shards} shards, "
+        f"{made.new_shards} of them new, {made.bytes / 1e6:.1f} MB  {out}"
+    )
+    typer.echo(f"card  {out / CARD}")
+    tell_left_out(out, made.failures)
 
 
 @commands.command(rich_help_panel=CORPORA)

@@ -1,5 +1,7 @@
 """Perform a command and say what came of it."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -37,11 +39,16 @@ def prepare_and_say(command: str, values: dict[str, Any], verbose: bool) -> None
     for stage, count in made.rows.items():
         file = settings.out / FILES[stage]
         typer.echo(f"{count} {file.stem}  {file}")
-    if made.failures:
-        first = made.failures[0]
+    tell_left_out(settings.out, made.failures)
+
+
+def tell_left_out(out: Path, failures: Sequence[Any]) -> None:
+    """Say how much was left out and where the reasons are, and exit with 1, if anything was."""
+    if failures:
+        first = failures[0]
         typer.echo(
-            f"left out: {len(made.failures)}, the first at {first.stage}: {first.reason}; all are "
-            f"in {settings.out / 'failures.parquet'}",
+            f"left out: {len(failures)}, the first at {first.stage}: {first.reason}; all are in "
+            f"{out / 'failures.parquet'}",
             err=True,
         )
         raise typer.Exit(1)

@@ -16,6 +16,7 @@ WORK = {
     "run": "by_views.run",
     "ingest": "corpus.ingest",
     "supervise": "corpus.supervise",
+    "dataset": "dataset.dataset",
     "train": "training.train",
     "retrain": "retraining.retrain",
 }

@@ -11,7 +11,10 @@ from slgaussian.errors import InputError
 from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
+    from slgaussian.datasets.training_set import TrainingSet
     from slgaussian.scene import Scene
+
+__all__ = ["TrainingSet", "check_format", "files", "load", "scenes"]
 
 READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
@@ -20,6 +23,7 @@ READERS = {
     "lerf_ovs": "slgaussian.datasets.lerf_ovs:read",
     "ovs3d": "slgaussian.datasets.ovs3d:read",
     "re10k": "slgaussian.datasets.re10k:read",
+    "re10k_text": "slgaussian.datasets.re10k_text:read",
     "photographs": "slgaussian.datasets.unposed:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural.reader:read",
@@ -27,7 +31,16 @@ READERS = {
 
 FILES = {
     name: READERS[name].replace(":read", ":files")
-    for name in ("nerfstudio", "colmap", "llff", "lerf_ovs", "ovs3d", "re10k", "photographs")
+    for name in (
+        "nerfstudio",
+        "colmap",
+        "llff",
+        "lerf_ovs",
+        "ovs3d",
+        "re10k",
+        "re10k_text",
+        "photographs",
+    )
 }
 """What says which files a format reads, by format."""
 
@@ -101,3 +114,11 @@ def _check(format: str, function: Callable, args: tuple, settings: dict[str, Any
     except TypeError as error:
         takes = ", ".join(inspect.signature(function).parameters) or "nothing"
         raise InputError(f"data format {format!r}: {error}; it takes {takes}") from None
+
+
+def __getattr__(name: str) -> Any:
+    if name == "TrainingSet":  # torch takes seconds
+        from slgaussian.datasets.training_set import TrainingSet
+
+        return TrainingSet
+    raise AttributeError(f"module 'slgaussian.datasets' has no attribute {name!r}")

@@ -108,13 +108,14 @@ class Pair:
     score: float
 
 
-def choose(clip: Views, bounds: Bounds) -> list[Pair]:
+def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
     """The samples of a clip that together score most, no two of which share a frame.
 
     A pair scores by how far its overlap is from the bounds and how sharp it is, from 0.25 to 1, so
     that more samples mostly beat better ones. Every view between must overlap one of the two by
-    half of the least overlap: a camera may come back from elsewhere. The targets are those nearest
-    to the quarters of the way. There is no chance in it: equal scores go to the earlier frames.
+    half of the least overlap: a camera may come back from elsewhere. The ``targets``, so many, are
+    those nearest to equal parts of the way: three to its quarters. There is no chance in it: equal
+    scores go to the earlier frames.
 
     Raises
     ------
@@ -123,10 +124,10 @@ def choose(clip: Views, bounds: Bounds) -> list[Pair]:
     """
     usable = np.flatnonzero(clip.usable(bounds))
     count = len(clip.cameras)
-    if len(usable) < TARGETS + 2:
+    if len(usable) < targets + 2:
         raise InputError(
             f"{len(usable)} of its {count} views are sharp and well exposed, too few for a sample "
-            f"of 2 context views and {TARGETS} targets between them"
+            f"of 2 context views and {targets} targets between them"
         )
     if np.isnan(clip.depths).any():
         raise InputError(
@@ -145,20 +146,20 @@ def choose(clip: Views, bounds: Bounds) -> list[Pair]:
     pairs = []
     for a, b in np.argwhere(np.triu(fits, 1)):
         between = np.maximum(shared[a, a + 1 : b], shared[b, a + 1 : b])
-        if len(between) < TARGETS or between.min() < bounds.min_overlap / 2:
+        if len(between) < targets or between.min() < bounds.min_overlap / 2:
             continue
-        targets = _quarters(frames[a : b + 1])
+        chosen = _parting(frames[a : b + 1], targets)
         context = int(frames[a]), int(frames[b])
         overlap = float(shared[a, b])
         value = score(overlap, clip.blur[list(context)], clip.blur, bounds)
         depth = float(depths[[a, b]].mean())
-        pairs.append(Pair(context, targets, overlap, float(baselines[a, b]), depth, value))
+        pairs.append(Pair(context, chosen, overlap, float(baselines[a, b]), depth, value))
     if not pairs:
         apart = np.triu(np.ones_like(fits), 1)
         raise InputError(
             f"no two of its views have an overlap of {bounds.min_overlap:g} to "
             f"{bounds.max_overlap:g}, a baseline of {bounds.min_baseline:g} to "
-            f"{bounds.max_baseline:g} depths and {TARGETS} usable views between them; found "
+            f"{bounds.max_baseline:g} depths and {targets} usable views between them; found "
             f"overlaps of {shared[apart].min():.2f} to {shared[apart].max():.2f} and baselines "
             f"of {baselines[apart].min():.2f} to {baselines[apart].max():.2f}"
         )
@@ -225,11 +226,11 @@ def _sharpest_of_stretches(usable: np.ndarray, blur: np.ndarray) -> np.ndarray:
     return np.array([stretch[blur[stretch].argmin()] for stretch in stretches])
 
 
-def _quarters(frames: np.ndarray) -> tuple[int, ...]:
-    """The frames, of five or more in ascending order, near the quarters from first to last."""
+def _parting(frames: np.ndarray, count: int) -> tuple[int, ...]:
+    """So many frames, of two more at least in ascending order, near equal parts of the way."""
     between = frames[1:-1]
     chosen: list[int] = []
-    for mark in np.linspace(frames[0], frames[-1], TARGETS + 2)[1:-1]:
+    for mark in np.linspace(frames[0], frames[-1], count + 2)[1:-1]:
         nearest = np.abs(between - mark).argmin()
         chosen.append(int(between[nearest]))
         between = np.delete(between, nearest)

@@ -17,7 +17,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -200,19 +200,27 @@ def read_chunk(file: str | Path) -> list[Clip]:
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
             data = stream.read()
+    except Exception as error:
+        if not isinstance(error, (*troubles(), ValueError)):
+            raise
+        raise InputError(
+            f"{file}: cannot be read as a chunk ({explained(error)}); get it again"
+        ) from None
+    return clips_in(data, file)
+
+
+def clips_in(data: bytes, file: str | Path) -> list[Clip]:
+    """The clips of what a chunk file holds, still encoded; InputError, which names ``file``."""
+    try:
         found = tensorfile.load(data)
     except tensorfile.CodeError as code:
         raise InputError(
             f"{file}: cannot be read as a chunk (it holds {code}, which could run code); get one "
             "that holds clips only"
         ) from None
-    except Exception as error:
-        if not isinstance(error, (*troubles(), ValueError)):
-            raise
-        reason = error if isinstance(error, ValueError) else explained(error)
+    except ValueError as error:
         raise InputError(
-            f"{file}: cannot be read as a chunk ({reason}); it is damaged or cut short, get it "
-            "again"
+            f"{file}: cannot be read as a chunk ({error}); it is damaged or cut short, get it again"
         ) from None
     if not isinstance(found, list):
         raise InputError(f"{file}: found a {type(found).__name__}, expected a list of clips")
@@ -296,17 +304,43 @@ def row_of(camera: Camera) -> np.ndarray:
     return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
 
 
-def clip_of(scene: Scene) -> Clip:
-    """All views of a scene as a clip, in their order; truths are not kept."""
-    images = []
-    for name in scene.cameras:
+def clip_of(
+    scene: Scene, url: str = "", passed_over: Callable[[InputError], None] | None = None
+) -> Clip:
+    """All views of a scene as a clip, in their order; truths are not kept.
+
+    Parameters
+    ----------
+    scene : Scene
+    url : str
+        Of the video that they are from.
+    passed_over : callable, optional
+        Is told of each view that cannot be read, which is then left out.
+
+    Raises
+    ------
+    InputError
+        If a view cannot be read, unless that is told; or none can.
+    """
+    images, rows = [], []
+    for name, camera in scene.cameras.items():
+        try:
+            view = scene.read(name)
+        except InputError as error:
+            if passed_over is None:
+                raise
+            passed_over(error)
+            continue
         buffer = io.BytesIO()
-        Image.fromarray(scene.read(name).image).save(
-            buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0
-        )
+        Image.fromarray(view.image).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
         images.append(buffer.getvalue())
-    rows = np.stack([row_of(camera) for camera in scene.cameras.values()])
-    return Clip(scene.name, "", np.arange(len(images)) * FRAME_TIME, rows, tuple(images))
+        rows.append(row_of(camera))
+    if not images:
+        raise InputError(
+            f"scene {scene.name!r}: none of its {len(scene.cameras)} views can be read"
+        )
+    times = np.arange(len(images)) * FRAME_TIME
+    return Clip(scene.name, url, times, np.stack(rows), tuple(images))
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
@@ -338,7 +372,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
                 )
             number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
             name = f"{number:06d}.torch"
-            write_atomic(path / name, _encoded(batch))
+            write_atomic(path / name, encoded(batch))
             index |= {clip.key: name for clip in batch}
             write_atomic(path / INDEX, json.dumps(index, indent=1).encode())
             names.append(name)
@@ -360,7 +394,8 @@ def _batches(clips: Iterable[Clip], chunk_bytes: int) -> Iterator[list[Clip]]:
         yield batch
 
 
-def _encoded(clips: list[Clip]) -> bytes:
+def encoded(clips: Sequence[Clip]) -> bytes:
+    """What a chunk file of these clips holds."""
     buffer = io.BytesIO()
     import torch
 

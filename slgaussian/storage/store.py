@@ -576,7 +576,10 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 def table_digest(table: pa.Table) -> str:
     """SHA-256 over the column names, types and values of a table, whatever its chunks."""
-    columns = [[f.name, str(f.type), table.column(f.name).to_pylist()] for f in table.schema]
+    # Parquet calls what a list holds "element", Arrow "item".
+    types = [str(f.type).replace("list<element:", "list<item:") for f in table.schema]
+    named = zip(table.schema.names, types, strict=True)
+    columns = [[name, kind, table.column(name).to_pylist()] for name, kind in named]
     return hashlib.sha256(json.dumps(columns, ensure_ascii=True).encode()).hexdigest()
 
 

@@ -1,0 +1,131 @@
+"""What people name as sources of clips: folders of any format, chunks, camera files, rooms."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flows.corpus_settings import PackSettings
+from flows.room_scenes import seeds
+from slgaussian.datasets import nerfstudio, re10k, re10k_text
+from slgaussian.errors import InputError
+from tasks.packed import PosedFolder, Room
+
+ROOMS = "procedural:"
+"""How made-up rooms are asked for, with their first and last seed after it."""
+
+_PLACED = re.compile(r"([\w .-]+)=(.+)")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source by itself.
+
+    Attributes
+    ----------
+    given : str
+        As it was named.
+    holds : PosedFolder, Room or str
+        A scene, or the file or fsspec URL of a chunk.
+    place : str
+        What place its clips show, if that was said.
+    """
+
+    given: str
+    holds: PosedFolder | Room | str
+    place: str = ""
+
+    @property
+    def name(self) -> str:
+        """What it is called in tables: a scene as its clip, a chunk by its file."""
+        return self.holds if isinstance(self.holds, str) else self.holds.name
+
+
+def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
+    """The scenes of a source that is no chunk.
+
+    ``procedural:FIRST-LAST`` are rooms, ``procedural_FIRST`` and so on. A folder of RealEstate10K's
+    camera files has a scene a file. All else is a scene called as its folder, read only later.
+
+    Raises
+    ------
+    InputError
+        If seeds have no such form.
+    """
+    if source.startswith(ROOMS):
+        height, width = settings.size
+        options = {
+            "views": settings.views, "baseline": settings.baseline, "height": height,
+            "width": width,
+        }  # fmt: skip
+        asked = seeds(source.removeprefix(ROOMS), source)
+        return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in asked]
+    path = Path(source)
+    if path.is_dir():
+        texts = sorted(file for file in path.glob("*.txt") if re10k_text.is_camera_file(file))
+        if texts:
+            return [PosedFolder(file.stem, file) for file in texts]
+    if re10k_text.is_camera_file(path):
+        return [PosedFolder(path.stem, path)]
+    folder = path.parent if path.name == nerfstudio.FILE else path
+    return [PosedFolder(folder.resolve().name, path)]
+
+
+def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:
+    """All that was named, each scene and chunk by itself, in this order.
+
+    ``PLACE=SOURCE`` says what place the clips of a source show.
+
+    Raises
+    ------
+    InputError
+        If a source is not there, a folder of chunks cannot be listed, or two scenes or chunks have
+        one name.
+    """
+    found: dict[str, Source] = {}
+    for source in _all(given, settings):
+        if source.name in found:
+            raise InputError(
+                f"{source.given}: its clip would be called {source.name!r}, as that of "
+                f"{found[source.name].given} is; rename the folder, or leave one out"
+            )
+        found[source.name] = source
+    return list(found.values())
+
+
+def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
+    for words in given:
+        placed = None if Path(words).exists() else _PLACED.fullmatch(words)
+        place, source = (placed[1], placed[2]) if placed else ("", words)
+        if _is_chunks(source):
+            folder = source.rstrip("/")
+            if folder.endswith(CHUNK):
+                yield Source(source, folder, place)
+                continue
+            chunks = re10k.chunk_names(folder)
+            if not chunks:
+                raise InputError(
+                    f"{source}: holds no chunk ({CHUNK}); `slgaussian pack` makes some"
+                )
+            for chunk in chunks:
+                yield Source(source, f"{folder}/{chunk}", place)
+            continue
+        if not source.startswith(ROOMS) and not Path(source).exists():
+            raise InputError(
+                f"{source}: is not there; expected a folder of photographs, with cameras or "
+                f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
+            )
+        for scene in scenes_of(source, settings):
+            yield Source(source, scene, place)
+
+
+CHUNK = ".torch"
+
+
+def _is_chunks(source: str) -> bool:
+    path = Path(source)
+    return (
+        "://" in source or source.endswith(CHUNK) or (path.is_dir() and any(path.glob(f"*{CHUNK}")))
+    )

@@ -1,0 +1,266 @@
+"""The card of a training set: what is in it, how good it is, whose it is, and what was refused.
+
+``README.md`` with a contact sheet and histograms beside it. The same set and settings give the same
+bytes: there is no time and no place of this machine in it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import matplotlib
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from flows.clip_sources import Source
+from flows.dataset_settings import DatasetSettings, SetSettings
+from flows.runners.shard import Failure
+from slgaussian import __version__
+from slgaussian.benchmark.pictures import (
+    contact_sheet,
+    depth_range,
+    encode_jpeg,
+    paint_depth,
+    paint_labels,
+)
+from slgaussian.benchmark.plots import STYLE
+from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import write_atomic
+from tasks.packed import PosedFolder
+
+CARD, SHEET, HISTOGRAMS = "README.md", "sheet.jpg", "quality.png"
+
+SHEET_ROWS, SHEET_SIDE = 12, 144
+"""Most samples on the contact sheet, and the pixels of a picture on it."""
+
+SHEET_WIDE = 2400
+"""Most pixels of its width."""
+
+QUALITY = (
+    "overlap", "baseline", "blur", "clipped", "unlabelled", "unlabelled_targets", "confirmed",
+    "explained", "objects",
+)  # fmt: skip
+"""The columns of the index that are drawn."""
+
+SHOWN = 3
+"""Reasons of each kind of refusal that the card quotes."""
+
+LICENCES = ("LICENSE*", "LICENCE*", "COPYING*", "COPYRIGHT*")
+"""Names of files that say what may be done with a source."""
+
+
+def write_card(
+    out: Path,
+    settings: DatasetSettings,
+    sources: Mapping[str, Source],
+    failures: Sequence[Failure],
+    stages: Mapping[str, int],
+) -> None:
+    """Write the card and its pictures beside the index of a set; OSError if that fails.
+
+    ``sources`` are those of each sample, and ``stages`` the versions of the stages.
+    """
+    samples = TrainingSet(out)
+    write_atomic(out / SHEET, encode_jpeg(_sheet(samples), SHEET_WIDE))
+    write_atomic(out / HISTOGRAMS, _histograms(samples.rows))
+    page = _template().render(
+        **_counts(out, samples.rows),
+        size=f"{settings.size[0]}x{settings.size[1]}",
+        settings=settings,
+        first=_size_category(len(samples)),
+        quantiles=_quantiles(samples.rows),
+        members=_members(samples),
+        sources=_sources(samples.rows, sources),
+        refused=_refused(failures),
+        asked=json.dumps(_asked(settings), indent=1, sort_keys=True),
+        versions={"slgaussian": __version__, "numpy": version("numpy"), "torch": version("torch")},
+        stages=", ".join(f"{name} {number}" for name, number in stages.items()),
+        sheet=SHEET,
+        histograms=HISTOGRAMS,
+        index=INDEX,
+    )
+    write_atomic(out / CARD, page.encode())
+
+
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters["cell"] = lambda text: " ".join(str(text).split()).replace("|", "\\|")
+    return environment.from_string((files("flows") / "data_card.md.j2").read_text("utf-8"))
+
+
+def _counts(out: Path, rows: pa.Table) -> dict[str, Any]:
+    table = rows.to_pylist()
+    splits = []
+    for split in SPLITS:
+        own = [row for row in table if row["split"] == split]
+        if own:
+            shards = sorted({row["shard"] for row in own})
+            size = sum((out / shard).stat().st_size for shard in shards)
+            counts = [len({row[name] for row in own}) for name in ("place", "clip")]
+            splits.append((split, *counts, len(own), len(shards), f"{size / 1e6:.1f}"))
+    return {
+        "splits": splits,
+        "samples": len(table),
+        "places": len({row["place"] for row in table}),
+        "targets": len(table[0]["targets"]),
+    }
+
+
+def _size_category(samples: int) -> str:
+    """As the hub of Hugging Face calls it."""
+    steps = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"))
+    return next((name for most, name in steps if samples < most), "100K<n<1M")
+
+
+def _quantiles(rows: pa.Table) -> list[tuple[str, str, str, str, str]]:
+    spec = load_spec("training_set")
+    found = []
+    for name in QUALITY:
+        low, middle, high = np.quantile(rows[name].to_numpy(), (0.05, 0.5, 0.95))
+        found.append((name, f"{low:.3g}", f"{middle:.3g}", f"{high:.3g}", spec.columns[name].doc))
+    return found
+
+
+def _members(samples: TrainingSet) -> list[tuple[str, str, str]]:
+    """What the members of the first sample are, and their kilobytes."""
+    found = []
+    for name, data in samples.members(0).items():
+        stem, _, ending = name.partition(".")
+        if ending == "npz":
+            spec = load_spec(SPECS[stem])
+            what = f"{spec.doc} {', '.join(spec.fields)}"
+        elif ending == "json":
+            what = "What the index says of it, and the address of its video if there is one."
+        else:
+            what = "Photograph, undistorted, RGB."
+        found.append((name, f"{len(data) / 1e3:.0f}", what))
+    return found
+
+
+def _sources(rows: pa.Table, sources: Mapping[str, Source]) -> list[tuple[str, int, int, str, str]]:
+    by_source: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    licences: dict[str, str] = {}
+    for row in rows.to_pylist():
+        source = sources[row["sample"]]
+        # Not where it is on this machine.
+        name = Path(source.given).name if "://" not in source.given else source.given
+        by_source[name].append(row)
+        licences[name] = _licence(source)
+    return [
+        (
+            name,
+            len({row["clip"] for row in own}),
+            len(own),
+            "; ".join(sorted({row["cameras"] for row in own})),
+            licences[name],
+        )
+        for name, own in sorted(by_source.items())
+    ]
+
+
+def _licence(source: Source) -> str:
+    """The files beside the data that state one, each with its first line."""
+    if isinstance(source.holds, PosedFolder):
+        folder = source.holds.path if source.holds.path.is_dir() else source.holds.path.parent
+    elif isinstance(source.holds, str):
+        folder = Path(source.holds).parent
+    else:
+        return "made up by slgaussian, Apache-2.0"
+    found = sorted({file for pattern in LICENCES for file in folder.glob(pattern)})
+    told = []
+    for file in found:
+        try:
+            lines = file.read_text("utf-8", "replace").split("\n")
+        except OSError:
+            continue
+        first = next((line.strip() for line in lines if line.strip()), "")
+        told.append(f"{file.name}: {first[:80]}")
+    return "; ".join(told) or "none found beside the data: ask who made them"
+
+
+def _refused(failures: Sequence[Failure]) -> list[tuple[str, str, int, list[str]]]:
+    counted = Counter((failure.stage, failure.kind) for failure in failures)
+    return [
+        (
+            stage,
+            kind,
+            count,
+            [
+                f"{f.scene}: {f.reason}"
+                for f in [f for f in failures if (f.stage, f.kind) == (stage, kind)][:SHOWN]
+            ],
+        )
+        for (stage, kind), count in sorted(counted.items())
+    ]
+
+
+def _asked(settings: DatasetSettings) -> dict[str, Any]:
+    """The settings that the samples depend on, parts and files by content."""
+    own = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
+    asked = settings.model_dump(mode="json", include=own)
+    identity = {key: value for key, value in settings.identity.items() if key != "lifting"}
+    return {**asked, **settings.bounds(), "method": identity}
+
+
+def _sheet(samples: TrainingSet) -> np.ndarray:
+    """Some samples, evenly over the set: their views, labels over them, and depth."""
+    count = min(SHEET_ROWS, len(samples))
+    tiles: list[tuple[str, np.ndarray]] = []
+    columns = 0
+    for index in np.linspace(0, len(samples) - 1, count).round().astype(int).tolist():
+        item = samples[index]
+        row = samples_row(item)
+        columns = len(row)
+        tiles += row
+    return contact_sheet(tiles, SHEET_SIDE, columns)
+
+
+def samples_row(item: Mapping[str, Any]) -> list[tuple[str, np.ndarray]]:
+    """A sample as pictures with captions: each view, its labels over it, and its depth."""
+    views: list[tuple[str, np.ndarray]] = []
+    depths = [item[role]["depth"].numpy() for role in ("context", "target")]
+    near, far = depth_range(*[depth[depth > 0] for depth in depths])
+    for role in ("context", "target"):
+        own = item[role]
+        for number, image in enumerate(own["image"].numpy().transpose(0, 2, 3, 1)):
+            image = np.ascontiguousarray(image)
+            labels = own["labels"][number].numpy().astype(np.int32)
+            caption = f"{role} {number}"
+            views += [
+                (item["sample"] if not views else caption, image),
+                (f"{(labels == 0).mean():.0%} without an id", paint_labels(labels, image)),
+                (f"depth of {caption}", paint_depth(own["depth"][number].numpy(), near, far)),
+            ]
+    return views
+
+
+def _histograms(rows: pa.Table) -> bytes:
+    out = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure = Figure((9.0, 5.4), layout="constrained")
+        for axes, name in zip(figure.subplots(3, 3).flat, QUALITY, strict=True):
+            values = [
+                rows.filter(pa.compute.field("split") == split)[name].to_numpy() for split in SPLITS
+            ]
+            top = max(1, *(own.max(initial=0) for own in values)) if name == "objects" else 1
+            drawn = {"bins": 25, "range": (0, top), "stacked": True, "label": SPLITS}
+            axes.hist(values, **drawn, color=("#0072B2", "#E69F00"))
+            axes.set_title(name, fontsize=9.5)
+            axes.grid(axis="y")
+        figure.axes[0].legend(frameon=False)
+        figure.supylabel("samples")
+        figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
+    return out.getvalue()

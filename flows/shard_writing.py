@@ -1,0 +1,157 @@
+"""Samples into the shards of a training set, so that what is unchanged stays byte for byte."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from slgaussian.datasets.shards import END
+from slgaussian.datasets.training_set import ANEW, INDEX
+from slgaussian.errors import SpecError
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import (
+    ArtifactRef,
+    ArtifactStore,
+    decode_table,
+    encode_table,
+    replacing,
+    write_atomic,
+)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A sample that is ready for a shard: artifact of spec ``example``, its place and split."""
+
+    ref: ArtifactRef
+    place: str
+    split: str
+
+    @property
+    def name(self) -> str:
+        """Of the sample."""
+        return self.ref.meta["about"]["sample"]
+
+
+@dataclass(frozen=True)
+class Written:
+    """How many shards a set has, how many of them are new, and the bytes of all."""
+
+    shards: int
+    new: int
+    bytes: int
+
+
+def write_shards(
+    out: Path, finished: Sequence[Finished], store: ArtifactStore, shard_bytes: int
+) -> Written:
+    """Bring the shards and the index of a set to hold these samples and no others.
+
+    A shard that is there stays if all of its samples are still wanted as they are. The samples of
+    the others, and new ones, go into new shards in the order of their names, a split each. The
+    index is written last, so that it is true at every moment; then what it does not name any more
+    is removed.
+
+    Raises
+    ------
+    SpecError
+        If an artifact is damaged, which is then removed: run again.
+    OSError
+        If something cannot be written.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    wanted = {one.name: one for one in finished}
+    before = _index(out)
+    for shard, own in before.items():
+        if _is_kept(out / shard, own, wanted):
+            rows |= {row["sample"]: row for row in own}
+    kept = {row["shard"] for row in rows.values()}
+    new = 0
+    for split in sorted({one.split for one in finished}):
+        numbers = [int(name[len(split) + 1 : -4]) for name in before if name.startswith(split)]
+        left = [one for one in finished if one.split == split and one.name not in rows]
+        for number, batch in enumerate(_batches(left, shard_bytes), max(numbers, default=-1) + 1):
+            shard = f"{split}-{number:06d}.tar"
+            _write(out / shard, batch, store)
+            rows |= {row["sample"]: row for row in _places(shard, batch)}
+            new += 1
+    spec = load_spec("training_set")
+    table = [_row(one, rows[one.name], spec.schema.names) for one in finished]
+    table.sort(key=lambda row: (row["shard"], row["offset"]))
+    data = encode_table(pa.Table.from_pylist(table, schema=spec.schema), spec)
+    write_atomic(out / INDEX, data)
+    for shard in before.keys() - kept:
+        with suppress(FileNotFoundError):
+            (out / shard).unlink()
+    shards = {row["shard"] for row in table}
+    return Written(len(shards), new, sum((out / shard).stat().st_size for shard in shards))
+
+
+def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
+    """The rows of the set that is there by shard; none if it is not there or not readable."""
+    try:
+        data = (out / INDEX).read_bytes()
+        rows = decode_table(data, load_spec("training_set"), str(out / INDEX), ANEW).to_pylist()
+    except (FileNotFoundError, SpecError):
+        return {}
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(row["shard"], []).append(row)
+    return found
+
+
+def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str, Finished]) -> bool:
+    """Whether a shard is whole, and all that is in it is wanted as it is."""
+    size = max(row["offset"] + row["bytes"] for row in rows) + len(END)
+    if not file.is_file() or file.stat().st_size != size:
+        return False
+    return all(
+        row["sample"] in wanted
+        and row["split"] == wanted[row["sample"]].split
+        and row["digest"] == wanted[row["sample"]].ref.meta["sha256"]
+        for row in rows
+    )
+
+
+def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]]:
+    batch: list[Finished] = []
+    size = 0
+    for one in finished:
+        batch.append(one)
+        size += one.ref.meta["bytes"]
+        if size >= most:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> None:
+    """One sample in memory at a time."""
+    with replacing(file) as name, open(name, "wb") as shard:
+        for one in batch:
+            shard.write(store.get(one.ref)["tar"].tobytes())
+        shard.write(END)
+
+
+def _places(shard: str, batch: Sequence[Finished]) -> Iterator[dict[str, Any]]:
+    """Where in a new shard each sample lies."""
+    offset = 0
+    for one in batch:
+        size, digest = one.ref.meta["bytes"], one.ref.meta["sha256"]
+        yield {
+            "sample": one.name, "shard": shard, "offset": offset, "bytes": size, "digest": digest,
+        }  # fmt: skip
+        offset += size
+
+
+def _row(one: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
+    """A row of the index: where it lies, and what is known of it."""
+    known = {**one.ref.meta["about"], "place": one.place, "split": one.split}
+    known |= {name: place[name] for name in ("shard", "offset", "bytes", "digest")}
+    return {name: known[name] for name in columns}

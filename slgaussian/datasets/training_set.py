@@ -1,0 +1,274 @@
+"""A training set that ``slgaussian dataset`` wrote, for ``torch.utils.data``.
+
+A folder, or a fsspec URL, with ``index.parquet`` (spec ``training_set``) and the shards that it
+names: tar files as WebDataset has them (:mod:`slgaussian.datasets.shards`).
+
+>>> from torch.utils.data import DataLoader
+>>> from slgaussian.datasets import TrainingSet
+>>> samples = TrainingSet("set/", split="train")
+>>> loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2,
+...                     collate_fn=TrainingSet.collate)
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import torch
+from torch.utils.data import Dataset
+
+from slgaussian.datasets.photographs import rgb
+from slgaussian.datasets.shards import unpack
+from slgaussian.errors import InputError, SpecError
+from slgaussian.formats.images import opened
+from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import Arrays, decode_arrays, decode_table
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+INDEX = "index.parquet"
+SPLITS = ("train", "test")
+ENDINGS = ("jpg", "png")
+SPECS = {
+    "geometry": "example_geometry", "labels": "labels", "bank": "bank", "gaussians": "gaussians",
+}  # fmt: skip
+"""The spec of each ``.npz`` member of a sample."""
+
+ANEW = "make the set anew with `slgaussian dataset`"
+RAGGED = ("objects", "gaussians")
+"""What samples have different numbers of."""
+
+
+class TrainingSet(Dataset[dict[str, Any]]):
+    """Samples of a training set, each read when it is asked for.
+
+    An item is a dict. V is C context views or T targets, N the objects of the context views:
+
+    - ``sample``, ``clip``, ``place``: text
+    - ``context`` and ``target``: dicts of ``image`` uint8 [V, 3, H, W]; ``K`` float32 [V, 3, 3] in
+      pixels, ``c2w`` float32 [V, 4, 4] with OpenCV axes; ``near_far`` float32 [V, 2], 0 where it is
+      not known; ``depth`` float32 [V, H, W] along z, 0 where it is not known; ``labels`` int64
+      [V, H, W], 0 where there is no object; ``margin`` float32 [V, H, W], by how much the vote on a
+      label was won; and of the context ``confirmed`` bool [V, H, W], where another view shows the
+      same depth
+    - ``objects``: ``ids`` int64 [N], ``codes`` float32 [N, D], ``features`` float32 [N, C, F] and
+      ``present`` bool [N, C]
+    - ``quality``: numbers by name, as in the columns of the index
+    - ``gaussians``, if the set holds them: the arrays of :class:`slgaussian.Gaussians`
+
+    Parameters
+    ----------
+    folder : path or fsspec URL
+    split : {"train", "test"}, optional
+        All samples if left out.
+    where : pyarrow.compute.Expression, optional
+        Which rows of the index to take, as ``pc.field("overlap") > 0.7``.
+
+    Attributes
+    ----------
+    rows : pyarrow.Table
+        The rows of the index, in the order of the items.
+
+    Raises
+    ------
+    InputError
+        If there is no such split, column or folder, or no row is left.
+    SpecError
+        If the index is not what its spec says.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        split: str | None = None,
+        where: pc.Expression | None = None,
+    ) -> None:
+        self.folder = os.fspath(folder).rstrip("/")
+        self._opened: tuple[int, AbstractFileSystem, str] | None = None
+        if split is not None and split not in SPLITS:
+            raise InputError(f"split: found {split!r}, expected one of {', '.join(SPLITS)}")
+        rows = self._index()
+        if split is not None:
+            rows = rows.filter(pc.field("split") == split)
+        if where is not None:
+            try:
+                rows = rows.filter(where)
+            except pa.ArrowInvalid as error:
+                raise InputError(
+                    f"{self.folder}/{INDEX}: cannot choose rows by {where} ({error}); its columns "
+                    f"are {', '.join(rows.column_names)}"
+                ) from None
+        if not rows.num_rows:
+            what = "" if split is None else f" of the split {split!r}"
+            raise InputError(f"{self.folder}: has no sample{what}" + " that was asked for")
+        self.rows = rows
+        places = ("shard", "offset", "bytes")
+        self._places = list(zip(*(rows[name].to_pylist() for name in places), strict=True))
+
+    def __repr__(self) -> str:
+        return f"TrainingSet({self.folder!r}, {len(self)} samples)"
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        """One sample; SpecError, which names the shard, if it is damaged or gone."""
+        members = self.members(index)
+        arrays = {
+            name: self.arrays(index, name, members)
+            for name in SPECS
+            if f"{name}.npz" in members or name != "gaussians"
+        }
+        about = self._about(index, members)
+        contexts = len(about["context"])
+        geometry, labels, bank = (arrays[name] for name in ("geometry", "labels", "bank"))
+        row = self.rows.slice(index, 1).select(["sample", "clip", "place"])
+        item: dict[str, Any] = row.to_pylist()[0]
+        for role, part in (("context", np.s_[:contexts]), ("target", np.s_[contexts:])):
+            item[role] = {
+                "image": self._images(index, members, role),
+                **{
+                    name: torch.from_numpy(geometry[name][part].astype(np.float32))
+                    for name in ("K", "c2w", "near_far", "depth")
+                },
+                "labels": torch.from_numpy(labels["labels"][part].astype(np.int64)),
+                "margin": torch.from_numpy(labels["margin"][part].copy()),
+            }
+        item["context"]["confirmed"] = torch.from_numpy(geometry["confirmed"])
+        item["objects"] = {
+            "ids": torch.from_numpy(bank["ids"].astype(np.int64)),
+            "codes": torch.from_numpy(bank["codes"]),
+            "features": torch.from_numpy(bank["features"].astype(np.float32)),
+            "present": torch.from_numpy(bank["present"]),
+        }
+        item["quality"] = {k: v for k, v in about.items() if isinstance(v, int | float)}
+        if "gaussians" in arrays:
+            item["gaussians"] = {k: torch.from_numpy(v) for k, v in arrays["gaussians"].items()}
+        return item
+
+    def members(self, index: int) -> dict[str, bytes]:
+        """The members of a sample as they are stored, by the end of their names."""
+        shard, offset, length = self._places[index]
+        file = f"{self.folder}/{shard}"
+        try:
+            fs, path = self._place()
+            data = fs.cat_file(f"{path}/{shard}", start=offset, end=offset + length)
+            if len(data) != length:
+                raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
+            return unpack(data)
+        except troubles() as error:
+            raise SpecError(f"{file}: cannot be read ({explained(error)}); {ANEW}") from error
+        except ValueError as error:
+            raise SpecError(f"{file}: is damaged ({error}); {ANEW}") from error
+
+    def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
+        """The arrays of one of :data:`SPECS` of a sample, as they are stored and not as tensors.
+
+        Raises
+        ------
+        SpecError
+            If they are not there or damaged.
+        """
+        members = self.members(index) if members is None else members
+        data = self._member(index, members, f"{name}.npz")
+        return decode_arrays(data, load_spec(SPECS[name]), self._named(index, f"{name}.npz"), ANEW)
+
+    @staticmethod
+    def collate(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Items as one batch: tensors stacked, texts in lists.
+
+        Objects and Gaussians, of which samples have different numbers, are filled up with zeros at
+        their end: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
+        """
+        return {
+            name: _filled([item[name] for item in items])
+            if name in RAGGED
+            else _stacked([item[name] for item in items])
+            for name in items[0]
+        }
+
+    def _images(self, index: int, members: Mapping[str, bytes], role: str) -> torch.Tensor:
+        names = sorted(
+            (name for name in members if name.startswith(f"{role}_") and name.endswith(ENDINGS)),
+            key=lambda name: int(name.partition(".")[0].rpartition("_")[2]),
+        )
+        pixels = []
+        for name in names:
+            try:
+                with opened(io.BytesIO(members[name])) as image:
+                    pixels.append(rgb(image))
+            except ValueError as error:
+                named = self._named(index, name)
+                raise SpecError(f"{named}: cannot be decoded ({error}); {ANEW}") from None
+        if not pixels:
+            raise SpecError(f"{self._named(index, f'{role}_0')}: is not there; {ANEW}")
+        return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
+
+    def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
+        try:
+            return json.loads(self._member(index, members, "about.json"))
+        except ValueError as error:
+            named = self._named(index, "about.json")
+            raise SpecError(f"{named}: cannot be read ({error}); {ANEW}") from None
+
+    def _member(self, index: int, members: Mapping[str, bytes], name: str) -> bytes:
+        if name not in members:
+            more = " with --gaussians" if name == "gaussians.npz" else ""
+            raise SpecError(f"{self._named(index, name)}: is not there; {ANEW}{more}")
+        return members[name]
+
+    def _named(self, index: int, member: str) -> str:
+        sample = self.rows["sample"][index].as_py()
+        return f"{self.folder}/{self._places[index][0]}: {sample}.{member}"
+
+    def _index(self) -> pa.Table:
+        file = f"{self.folder}/{INDEX}"
+        fs, path = self._place()
+        try:
+            data = fs.cat_file(f"{path}/{INDEX}")
+        except troubles() as error:
+            raise InputError(
+                f"{file}: cannot be read ({explained(error)}); expected what `slgaussian dataset` "
+                "wrote"
+            ) from None
+        return decode_table(data, load_spec("training_set"), file, ANEW)
+
+    def _place(self) -> tuple[AbstractFileSystem, str]:
+        """The file system and the path in it: each process its own, as some cannot be shared."""
+        if self._opened is None or self._opened[0] != os.getpid():
+            self._opened = (os.getpid(), *open_place(self.folder, "training set"))
+        return self._opened[1:]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_opened": None}
+
+
+def _stacked(values: Sequence[Any]) -> Any:
+    first = values[0]
+    if isinstance(first, Mapping):
+        return {name: _stacked([value[name] for value in values]) for name in first}
+    if isinstance(first, torch.Tensor):
+        return torch.stack(list(values))
+    if isinstance(first, int | float):
+        return torch.tensor(values, dtype=torch.float32)
+    return list(values)
+
+
+def _filled(values: Sequence[Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    out = {}
+    for name, first in values[0].items():
+        most = max(len(value[name]) for value in values)
+        batch = first.new_zeros((len(values), most, *first.shape[1:]))
+        for row, value in zip(batch, values, strict=True):
+            row[: len(value[name])] = value[name]
+        out[name] = batch
+    return out

@@ -1,0 +1,126 @@
+"""One sample of a training set as its shard holds it, with what there is to say of its quality."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.datasets.shards import pack
+from slgaussian.gaussians import Gaussians
+from slgaussian.labels import LabelMaps
+from slgaussian.scene import Sample
+from slgaussian.storage.store import Arrays, ArtifactRef, packed
+from tasks.all_masks import read_everywhere
+from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
+from tasks.geometry import read_geometry
+from tasks.stage import Worksite, stage
+
+SAVED: dict[str, dict[str, Any]] = {
+    "jpg": {"format": "JPEG", "quality": 95, "subsampling": 0},
+    "png": {"format": "PNG", "compress_level": 6},
+}
+"""How images are written, by what their names end in."""
+
+
+@stage("example", version=1)
+def example(
+    site: Worksite,
+    sample: ArtifactRef,
+    gaussians: ArtifactRef,
+    labels: ArtifactRef,
+    bank: ArtifactRef,
+    known: Mapping[str, Any],
+    images: str,
+    with_gaussians: bool,
+) -> ArtifactRef:
+    """A sample as a part of a tar file: spec ``example``.
+
+    Parameters
+    ----------
+    sample, gaussians, labels, bank : ArtifactRef
+        Of the stages before; ``labels`` of :func:`tasks.all_masks.all_masks`.
+    known : mapping
+        What is known of it already, which is kept with it. Its ``sample`` is what members are
+        called.
+    images : str
+        A key of :data:`SAVED`.
+    with_gaussians : bool
+
+    ``meta["about"]`` is what is kept with it: ``known`` and measures of its quality.
+    """
+    store = site.store
+    shown = site.read(sample, sample_from_arrays)
+    context = site.read(labels, labels_from_arrays)
+    targets = labels_from_arrays(store.get(ArtifactRef("labels", **labels.meta["targets"])))
+    key = known["sample"]
+    about = {**known, "url": sample.meta["url"], **_measures(context, targets, gaussians.meta)}
+    members = _images(shown, images)
+    arrays: dict[str, tuple[str, Arrays]] = {
+        "geometry": ("example_geometry", _geometry(site, sample, gaussians)),
+        "labels": ("labels", _stacked(context, targets)),
+        "bank": ("bank", store.get(bank)),
+    }
+    if with_gaussians:
+        arrays["gaussians"] = "gaussians", site.read(gaussians, Gaussians.from_arrays).to_arrays()
+    for name, (spec, content) in arrays.items():
+        members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
+    members["about.json"] = json.dumps(about, sort_keys=True, allow_nan=False).encode()
+    data = pack(key, members)
+    meta = {"about": about, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    return store.put("example", {"tar": np.frombuffer(data, np.uint8)}, meta)
+
+
+def _measures(
+    context: LabelMaps, targets: LabelMaps, predicted: Mapping[str, Any]
+) -> dict[str, Any]:
+    quality = predicted["quality"]
+    height, width = context.labels.shape[1:]
+    return {
+        "height": height,
+        "width": width,
+        "objects": len(context.ids),
+        "gaussians": predicted["gaussians"],
+        "unlabelled": float((context.labels == 0).mean()),
+        "unlabelled_targets": float((targets.labels == 0).mean()),
+        "confirmed": float(quality["confirmed"]),
+        "explained": float(quality["explained"]),
+    }
+
+
+def _images(sample: Sample, ending: str) -> dict[str, bytes]:
+    members = {}
+    for role, views in (("context", sample.context), ("target", sample.targets)):
+        for number, view in enumerate(views):
+            out = io.BytesIO()
+            Image.fromarray(view.image).save(out, **SAVED[ending])
+            members[f"{role}_{number}.{ending}"] = out.getvalue()
+    return members
+
+
+def _geometry(site: Worksite, sample: ArtifactRef, gaussians: ArtifactRef) -> Arrays:
+    shown = site.read(sample, sample_from_arrays)
+    cameras = [view.camera for view in (*shown.context, *shown.targets)]
+    geometry = read_geometry(site, sample, gaussians)
+    confirmed = np.zeros(geometry.depths.shape, bool)
+    for here, there in permutations(range(len(confirmed)), 2):
+        confirmed[here] |= geometry.seen_again(here, there)[1]
+    depths = [seen.require_depth() for seen in read_everywhere(site, sample, gaussians)]
+    return {
+        "K": np.stack([camera.K for camera in cameras]),
+        "c2w": np.stack([camera.c2w for camera in cameras]),
+        "near_far": np.array([[c.near or 0, c.far or 0] for c in cameras], np.float64),
+        "depth": np.stack(depths).astype(np.float32),
+        "confirmed": confirmed,
+    }
+
+
+def _stacked(context: LabelMaps, targets: LabelMaps) -> Arrays:
+    both = (labels_to_arrays(context), labels_to_arrays(targets))
+    return {name: np.concatenate([own[name] for own in both]) for name in both[0]}

@@ -1,0 +1,65 @@
+"""Camera files of RealEstate10K with the frames that lie at hand."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slgaussian import datasets
+from slgaussian.datasets import re10k, re10k_text
+from slgaussian.datasets.recognise import EXPECTED, posed_scene, recognise
+from slgaussian.errors import InputError
+
+URL = "https://www.youtube.com/watch?v=x"
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """A camera file of four frames, three of which are there."""
+    rows = np.zeros((4, 18), np.float32)
+    rows[:, :4] = (0.5, 0.9, 0.5, 0.5)
+    rows[:, 6:] = np.eye(4)[:3].ravel()
+    rows[:, 9] = np.arange(4) / 10
+    times = np.arange(4) * 33_333 + 100
+    made = re10k.Clip("0123abcd", URL, times, rows, ())
+    re10k.write_cameras(tmp_path / "0123abcd.txt", made)
+    (tmp_path / "0123abcd").mkdir()
+    for time in times[[0, 1, 3]]:
+        pixels = np.full((20, 40, 3), time % 251, np.uint8)
+        Image.fromarray(pixels).save(tmp_path / f"0123abcd/{time}.png")
+    return tmp_path / "0123abcd.txt"
+
+
+def test_a_scene_has_the_frames_that_are_there(clip):
+    scene = datasets.load("re10k_text", clip)
+    assert scene.name == "0123abcd"
+    assert list(scene.cameras) == ["100.png", "33433.png", "100099.png"]
+    view = scene.read("100099.png")
+    assert view.image.shape == (20, 40, 3) and (view.image == 100099 % 251).all()
+    np.testing.assert_allclose(view.camera.K, [[20, 0, 20], [0, 18, 10], [0, 0, 1]], atol=1e-5)
+    np.testing.assert_allclose(view.camera.center, [-0.3, 0, 0], atol=1e-6)
+    files = datasets.files("re10k_text", clip, ["100.png"])
+    assert files == [clip, clip.parent / "0123abcd/100.png"]
+
+
+def test_it_is_known_by_its_first_line(clip):
+    assert recognise(clip) == ("re10k_text", clip)
+    assert list(posed_scene(clip)[0].cameras) == ["100.png", "33433.png", "100099.png"]
+    (clip.parent / "notes.txt").write_text("no address")
+    with pytest.raises(InputError, match="is no file of cameras") as refused:
+        recognise(clip.parent / "notes.txt")
+    assert EXPECTED in str(refused.value)
+
+
+def test_frames_may_lie_in_a_folder_beside_the_cameras(clip):
+    (clip.parent / "cameras/train").mkdir(parents=True)
+    (clip.parent / "frames/train").mkdir(parents=True)
+    clip.with_suffix("").rename(clip.parent / "frames/train/0123abcd")
+    file = clip.rename(clip.parent / "cameras/train/0123abcd.txt")
+    assert len(re10k_text.read(file).cameras) == 3
+
+
+def test_too_few_frames_are_one_sentence(clip):
+    for file in sorted(clip.with_suffix("").iterdir())[1:]:
+        file.unlink()
+    with pytest.raises(InputError, match=r"found 1 of its 4 frames in .*called by their times"):
+        re10k_text.read(clip)

@@ -1,0 +1,328 @@
+"""A training set: what is in it, that it is steady, and that anybody reads it."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+import torch
+from PIL import Image
+
+from flows import dataset
+from flows.cli.app import main
+from flows.dataset_settings import make_dataset_settings
+from slgaussian import datasets
+from slgaussian.datasets import TrainingSet, re10k
+from slgaussian.errors import InputError, SpecError
+from slgaussian.storage.store import ArtifactStore
+
+pytestmark = pytest.mark.usefixtures("server")
+
+SMALL = {"size": "72x96", "targets": 1, "most": 1, "held_out": 0.5, "shard_mb": 0.1}
+
+
+def room(seed: int, views: int = 4):
+    size = {"height": 90, "width": 160}
+    return datasets.load("procedural", seed=seed, objects=4, views=views, baseline=1.0, **size)
+
+
+def folder_of(scene, folder: Path) -> Path:
+    """The scene as a nerfstudio folder with a licence."""
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    for number, name in enumerate(scene.cameras):
+        view = scene.read(name)
+        Image.fromarray(view.image).save(folder / f"images/{number}.png")
+        pose = view.camera.c2w @ np.diag([1.0, -1, -1, 1])
+        K = view.camera.K
+        own = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+        own |= {"w": view.camera.width, "h": view.camera.height}
+        frames.append(
+            {"file_path": f"images/{number}.png", "transform_matrix": pose.tolist(), **own}
+        )
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    (folder / "LICENSE.txt").write_text("\nTake it as you like\n")
+    return folder
+
+
+def settings_for(folder: Path, *sources, **more):
+    given = [str(source) for source in sources]
+    return make_dataset_settings({**SMALL, "out": folder / "set", "sources": given, **more})
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    kept = (p for p in sorted(folder.iterdir()) if not p.name.startswith("log"))
+    return {file.name: file.read_bytes() for file in kept}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, server):
+    """Two chunks of a clip and a folder, as a set; the folder is of the place of the first."""
+    folder = tmp_path_factory.mktemp("dataset")
+    for seed in (0, 1):
+        re10k.write(folder / "chunks", [re10k.clip_of(room(seed), f"https://video/{seed}")])
+    for file in (folder / "chunks").glob("*.torch"):
+        os.utime(file, (time.time() - 60,) * 2)
+    kitchen = folder_of(room(2), folder / "kitchen")
+    store = ArtifactStore(folder / "store")
+    settings = settings_for(folder, folder / "chunks", f"here={kitchen}")
+    return folder, store, settings, dataset.dataset(settings, store)
+
+
+def test_every_sample_is_in_the_index_and_in_a_shard(made):
+    folder, _, _, said = made
+    rows = pq.read_table(folder / "set/index.parquet").to_pylist()
+    assert (said.samples, said.places, said.failures) == (3, 3, [])
+    assert {row["place"] for row in rows} == {"https://video/0", "https://video/1", "here"}
+    names = defaultdict(list)
+    for shard in sorted((folder / "set").glob("*.tar")):
+        with tarfile.open(shard) as archive:
+            names[shard.name] = [name.partition(".")[0] for name in archive.getnames()]
+    for row in rows:
+        assert row["sample"] in names[row["shard"]] and row["shard"].startswith(row["split"])
+        assert row["context"][0] < row["targets"][0] < row["context"][1]
+        assert row["overlap"] > 0.6 and row["baseline"] > 0.08 and 0 < row["confirmed"] <= 1
+        assert (row["height"], row["width"]) == (72, 96)
+    assert said.shards == len(names) and sum(len(set(own)) for own in names.values()) == 3
+
+
+def test_an_item_holds_what_the_scene_shows(made):
+    folder, *_ = made
+    samples = TrainingSet(folder / "set", where=pc.field("clip") == "kitchen")
+    item = samples[0]
+    assert (len(samples), item["place"]) == (1, "here")
+    frames = samples.rows.to_pylist()[0]
+    scene = room(2)
+    names = list(scene.cameras)
+    for role, own in (("context", frames["context"]), ("target", frames["targets"])):
+        for view, frame in enumerate(own):
+            truth = scene.read(names[frame]).resized(72, 96)
+            image = item[role]["image"][view].numpy().transpose(1, 2, 0)
+            assert np.abs(image.astype(int) - truth.image).mean() < 4  # noise, JPEG twice
+            np.testing.assert_allclose(item[role]["K"][view], truth.camera.K, atol=1e-3)
+            np.testing.assert_allclose(item[role]["c2w"][view], truth.camera.c2w, atol=1e-5)
+            depth = item[role]["depth"][view].numpy()
+            error = np.abs(depth - truth.depth) / truth.depth
+            assert np.median(error) < 0.1 and (depth > 0).mean() > 0.9
+    ids = set(item["objects"]["ids"].tolist())
+    assert set(item["context"]["labels"].unique().tolist()) - {0} == ids
+    assert set(item["target"]["labels"].unique().tolist()) - {0} <= ids
+    assert item["objects"]["codes"].shape == (len(ids), 3)
+    lengths = item["objects"]["features"].norm(dim=-1)[item["objects"]["present"]]
+    np.testing.assert_allclose(lengths, 1, atol=2e-3)
+    assert "gaussians" not in item and item["quality"]["overlap"] == frames["overlap"]
+
+
+READ = """
+import hashlib, json, sys
+import torch
+from torch.utils.data import DataLoader
+from slgaussian.datasets import TrainingSet
+
+def digest(value):
+    if isinstance(value, dict):
+        return {name: digest(own) for name, own in value.items()}
+    if isinstance(value, torch.Tensor):
+        return hashlib.sha256(value.numpy().tobytes()).hexdigest()
+    return value
+
+samples = TrainingSet(sys.argv[1])
+for workers, seed in ((0, 0), (2, 0), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5)):
+    loader = DataLoader(
+        samples, batch_size=2, shuffle=True, num_workers=workers, collate_fn=samples.collate,
+        generator=torch.Generator().manual_seed(seed),
+    )
+    print(json.dumps([digest(batch) for batch in loader]))
+"""
+
+
+def test_workers_and_shuffling_change_no_byte(made):
+    folder, *_ = made
+    # In a process of its own, as a training is: this one has a server's threads, and workers fork.
+    command = [sys.executable, "-c", READ, str(folder / "set")]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    alone, two, *shuffled = map(json.loads, lines)
+    assert [len(batch["sample"]) for batch in alone] == [2, 1] and two == alone
+    orders = {tuple(name for batch in one for name in batch["sample"]) for one in shuffled}
+    names = pq.read_table(folder / "set/index.parquet")["sample"].to_pylist()
+    assert len(orders) > 1 and {frozenset(order) for order in orders} == {frozenset(names)}
+
+
+def test_objects_of_a_batch_are_filled_up_with_nothing(made):
+    folder, *_ = made
+    samples = TrainingSet(folder / "set")
+    items = [samples[i] for i in range(3)]
+    batch = TrainingSet.collate(items)
+    counts = [len(item["objects"]["ids"]) for item in items]
+    assert batch["objects"]["ids"].shape == (3, max(counts)) and len(set(counts)) > 1
+    for row, count, item in zip(range(3), counts, items, strict=True):
+        assert torch.equal(batch["objects"]["codes"][row, :count], item["objects"]["codes"])
+        assert not batch["objects"]["ids"][row, count:].any()
+        assert not batch["objects"]["present"][row, count:].any()
+
+
+def test_the_same_again_writes_nothing_and_more_only_new_shards(made, tmp_path):
+    folder, store, settings, _ = made
+    shutil.copytree(folder / "set", tmp_path / "set")
+    before = files_of(tmp_path / "set")
+    again = settings_for(tmp_path, *settings.sources)
+    assert dataset.dataset(again, store).new_shards == 0
+    assert files_of(tmp_path / "set") == before
+    afresh = settings_for(tmp_path / "other", *settings.sources)
+    dataset.dataset(afresh, store)
+    assert files_of(tmp_path / "other/set") == before
+
+    more = folder_of(room(6), tmp_path / "hall")
+    grown = dataset.dataset(settings_for(tmp_path, *settings.sources, more), store)
+    after = files_of(tmp_path / "set")
+    shards = {name for name in before if name.endswith(".tar")}
+    assert grown.samples == 4 and grown.new_shards == 1
+    assert all(after[name] == before[name] for name in shards)
+    assert len({name for name in after if name.endswith(".tar")} - shards) == 1
+
+
+def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, tmp_path):
+    folder, store, settings, _ = made
+    shutil.copytree(folder / "set", tmp_path / "set")
+    before = files_of(tmp_path / "set")
+    row = next(
+        r
+        for r in pq.read_table(tmp_path / "set/index.parquet").to_pylist()
+        if r["clip"] != "kitchen"
+    )
+    shard = tmp_path / "set" / row["shard"]
+    shard.write_bytes(shard.read_bytes()[:-700])
+    dataset.dataset(settings_for(tmp_path, settings.sources[0]), store)
+    rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
+    assert "kitchen" not in {own["clip"] for own in rows} and len(rows) == 2
+    found = {own["sample"]: own for own in rows}[row["sample"]]
+    assert found["shard"] != row["shard"] and found["digest"] == row["digest"]
+    assert not shard.exists()
+    assert TrainingSet(tmp_path / "set").members(0)
+    whole = b"".join(
+        data for name, data in files_of(tmp_path / "set").items() if name[-3:] == "tar"
+    )
+    assert b"kitchen" not in whole and any(b"kitchen" in data for data in before.values())
+
+
+def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(made, tmp_path):
+    _, store, settings, _ = made
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "transforms.json").write_text("{")
+    few = folder_of(room(4, 2), tmp_path / "few")
+    picky = {"min_confirmed": 0.999}
+    said = dataset.dataset(settings_for(tmp_path, *settings.sources, bad, few), store)
+    assert said.samples == 3
+    table = {
+        row["scene"]: row for row in pq.read_table(tmp_path / "set/failures.parquet").to_pylist()
+    }
+    assert set(table) == {"bad", "few"} and "transforms.json" in table["bad"]["reason"]
+    assert "too few for a sample" in table["few"]["reason"]
+    card = (tmp_path / "set/README.md").read_text()
+    assert (
+        "| packed | InputError | 1 | bad: " in card and "LICENSE.txt: Take it as you like" in card
+    )
+    assert str(tmp_path) not in card.replace(table["bad"]["reason"], "")
+    with pytest.raises(InputError, match="no sample is left of 3 sources; the reasons are in"):
+        dataset.dataset(settings_for(tmp_path / "none", *settings.sources, **picky), store)
+    reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()
+    assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
+
+
+def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made, tmp_path):
+    _, store, settings, _ = made
+    dataset.dataset(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
+    samples = TrainingSet(tmp_path / "set")
+    batch = TrainingSet.collate([samples[i] for i in range(3)])
+    rows = samples.rows.to_pylist()
+    assert batch["gaussians"]["means"].shape[1] == max(row["gaussians"] for row in rows)
+    for row, opacities in zip(rows, batch["gaussians"]["opacities"], strict=True):
+        assert not opacities[row["gaussians"] :].any() and opacities[: row["gaussians"]].any()
+    assert {"context_0.png", "gaussians.npz"} <= set(samples.members(0))
+
+
+def test_what_is_damaged_or_not_there_is_one_sentence(made, tmp_path):
+    folder, *_ = made
+    with pytest.raises(InputError, match=r"index\.parquet: cannot be read"):
+        TrainingSet(tmp_path)
+    with pytest.raises(InputError, match="split: found 'val', expected one of train, test"):
+        TrainingSet(folder / "set", "val")
+    with pytest.raises(InputError, match=r"cannot choose rows by .*its columns are sample"):
+        TrainingSet(folder / "set", where=pc.field("colour") > 1)
+    with pytest.raises(InputError, match="has no sample that was asked for"):
+        TrainingSet(folder / "set", where=pc.field("overlap") > 2)
+    shutil.copytree(folder / "set", tmp_path / "set")
+    samples = TrainingSet(tmp_path / "set")
+    with pytest.raises(SpecError, match=r"gaussians.npz: is not there; .*with --gaussians"):
+        samples.arrays(0, "gaussians")
+    shard = tmp_path / "set" / samples.rows["shard"][0].as_py()
+    shard.write_bytes(b"x" * shard.stat().st_size)
+    with pytest.raises(SpecError, match=f"{shard.name}: is damaged"):
+        samples[0]
+    shard.unlink()
+    with pytest.raises(SpecError, match=f"{shard.name}: cannot be read"):
+        samples[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
+        (["procedural:4-3"], "procedural:4-3: found no seeds"),
+        (["procedural:1", "--targets", "0"], "dataset: targets: found 0"),
+        (["procedural:1", "--images", "bmp"], "dataset: images: found 'bmp'"),
+        (["procedural:1", "procedural:0-1"], "its clip would be called 'procedural_1'"),
+        (["procedural:1", "--min-overlap", "2"], "dataset: min_overlap: found 2"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_before_any_work(
+    tmp_path, monkeypatch, capsys, words, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["slgaussian", "dataset", "set", *words])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    told = capsys.readouterr().err
+    assert sentence in told and told.startswith("error: ") and told.count("\n") == 1
+    assert not list(tmp_path.glob("set/*.tar"))
+
+
+def test_other_loaders_read_the_same(made):
+    webdataset = pytest.importorskip("webdataset", reason="its loader is not installed")
+    folder, *_ = made
+    samples = TrainingSet(folder / "set")
+    by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
+    for shard in sorted((folder / "set").glob("*.tar")):
+        for read in webdataset.WebDataset(str(shard), shardshuffle=False).decode("rgb8"):
+            item = samples[by_name[read["__key__"]]]
+            context = item["context"]["image"][0].numpy().transpose(1, 2, 0)
+            np.testing.assert_array_equal(read["context_0.jpg"], context)
+            np.testing.assert_array_equal(
+                read["geometry.npz"]["depth"][:2], item["context"]["depth"]
+            )
+            np.testing.assert_array_equal(read["bank.npz"]["ids"], item["objects"]["ids"])
+
+
+def test_the_hub_of_hugging_face_reads_the_same(made, tmp_path):
+    hub = pytest.importorskip("datasets", reason="its loader is not installed")
+    folder, *_ = made
+    samples = TrainingSet(folder / "set")
+    by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
+    splits = hub.load_dataset(str(folder / "set"), cache_dir=str(tmp_path))
+    read = [row for split in splits.values() for row in split]
+    assert len(read) == len(samples)
+    for row in read:
+        item = samples[by_name[row["__key__"]]]
+        np.testing.assert_array_equal(row["labels.npz"]["labels"][0], item["context"]["labels"][0])
+        assert row["about.json"]["clip"] == item["clip"]
