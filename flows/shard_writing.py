@@ -123,7 +123,7 @@ def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]
     size = 0
     for one in finished:
         batch.append(one)
-        size += one.ref.meta["bytes"]
+        size += one.ref.meta["length"]
         if size >= most:
             yield batch
             batch, size = [], 0
@@ -143,7 +143,7 @@ def _places(shard: str, batch: Sequence[Finished]) -> Iterator[dict[str, Any]]:
     """Where in a new shard each sample lies."""
     offset = 0
     for one in batch:
-        size, digest = one.ref.meta["bytes"], one.ref.meta["sha256"]
+        size, digest = one.ref.meta["length"], one.ref.meta["sha256"]
         yield {
             "sample": one.name, "shard": shard, "offset": offset, "bytes": size, "digest": digest,
         }  # fmt: skip

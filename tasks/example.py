@@ -73,7 +73,7 @@ def example(
         members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
     members["about.json"] = json.dumps(about, sort_keys=True, allow_nan=False).encode()
     data = pack(key, members)
-    meta = {"about": about, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    meta = {"about": about, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
     return store.put("example", {"tar": np.frombuffer(data, np.uint8)}, meta)
 
 

@@ -1,5 +1,6 @@
 """A training set: what is in it, that it is steady, and that anybody reads it."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -92,6 +93,9 @@ def test_every_sample_is_in_the_index_and_in_a_shard(made):
         assert row["context"][0] < row["targets"][0] < row["context"][1]
         assert row["overlap"] > 0.6 and row["baseline"] > 0.08 and 0 < row["confirmed"] <= 1
         assert (row["height"], row["width"]) == (72, 96)
+        data = (folder / "set" / row["shard"]).read_bytes()
+        own = data[row["offset"] : row["offset"] + row["bytes"]]
+        assert hashlib.sha256(own).hexdigest() == row["digest"]
     assert said.shards == len(names) and sum(len(set(own)) for own in names.values()) == 3
 
 
