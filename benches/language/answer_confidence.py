@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,15 +23,14 @@ from scipy.special import expit
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import PLACES, labelled, read
+from benches.scores.scene_sets import PLACES, built, labelled, read
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
-from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.language import confidence
-from slgaussian.language.query import Rules, ask
-from slgaussian.parts.method import Method
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import BankReader, Rules, ask
 
 KEPT = 0.85
 """Share of the right answers that are to be told from what is not there."""
@@ -73,33 +72,56 @@ class Row(NamedTuple):
     text: str
     there: bool
     gap: float
+    measurements: int
     stands_out: float
+    parts: float
     mask: bool
     point: bool
 
+    @property
+    def evidence(self) -> float:
+        return self.gap * self.measurements
 
-def answers(place: str, scene: SceneSettings, seed: int) -> Iterator[Row]:
-    """The answers in the target of a labelled pair; texts that the lexicon refuses have none."""
+
+RESTS_ON = ("evidence", "stands_out", "parts")
+TRIED = (("gap",), ("gap", "stands_out"), ("gap", "stands_out", "parts"), RESTS_ON)
+"""What confidence rests on, and what it could rest on instead."""
+
+
+def answers(place: str, scene: SceneSettings, seeds: Sequence[int]) -> Iterator[Row]:
+    """The answers in the target of a labelled pair, by the field of each seed."""
     sample = read(scene, Settings())
     assert scene.labels is not None
     target = sample.targets[0]
     truth = read_truth(scene.labels, scene.categories, sample.targets).masks[target.name]
-    field = build_field(sample, Method(seed=seed))
-    view = field.render(target.camera)
+    for inputs in built(sample, seeds):
+        seen = ObjectMap(inputs.field.render(target.camera).ids, inputs.bank.ids)
+        for text, *found in answered(place, seen, inputs.field.reader, truth):
+            yield Row(place, scene.name, inputs.seed, text, *found)
+
+
+def answered(
+    place: str, seen: ObjectMap, reader: BankReader, truth: Mapping[str, np.ndarray]
+) -> Iterator[tuple]:
+    """Of each text that is asked at a place, it and the last fields of its :class:`Row`.
+
+    Texts that the lexicon refuses have none.
+    """
     asked = [text for text, mask in truth.items() if mask.any()]
     for text in [*asked, *f"{NOT_THERE[place]}, {NOWHERE}".split(", ")]:
         try:
-            hit = ask([text], view._objects, field.reader, Rules())[0]
+            hit = ask([text], seen, reader, Rules())[0]
         except InputError:
             continue
-        gaps = field.reader.gaps([text], Rules())[0][hit._ranked]
-        at = confidence.signs(gaps, hit._chosen[hit._ranked])
+        gaps = reader.gaps([text], Rules())[0][hit._ranked]
+        asks = hit.understood.measurements
+        at = confidence.signs(gaps, hit._chosen[hit._ranked], asks, seen.parts(hit._chosen))
         there = text in asked
         right = truth[text] if there else np.zeros_like(hit.mask)
         union = (right | hit.mask).sum()
         on = there and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
-        good = bool(union) and (right & hit.mask).sum() / union > 0.5
-        yield Row(place, scene.name, seed, text, there, *at, bool(good), on)
+        good = bool(union and (right & hit.mask).sum() / union > 0.5)
+        yield text, there, float(gaps.max()), asks, at.stands_out, at.parts, good, on
 
 
 def weights(rows: Sequence[Row]) -> np.ndarray:
@@ -108,16 +130,17 @@ def weights(rows: Sequence[Row]) -> np.ndarray:
     return np.array([1 / groups.count(group) for group in groups])
 
 
-def signs(rows: Sequence[Row]) -> np.ndarray:
-    """What confidence rests on, and ones: float64 [M, 3]."""
-    return np.array([[row.gap, row.stands_out, 1.0] for row in rows])
+def signs(rows: Sequence[Row], on: Sequence[str]) -> np.ndarray:
+    """Those numbers of the rows that are named, and ones: float64 [M, S + 1]."""
+    return np.array([[*(getattr(row, name) for name in on), 1.0] for row in rows])
 
 
-def fitted(rows: Sequence[Row], what: str) -> np.ndarray:
-    """Constants float64 [3] of the logistic curve of ``mask`` or ``point``, a little held back."""
-    X, w = signs(rows), weights(rows)
+def fitted(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.ndarray:
+    """Constants float64 [S + 1] of the logistic curve of ``mask`` or ``point``, a little held
+    back."""
+    X, w = signs(rows, on), weights(rows)
     right = np.array([getattr(row, what) for row in rows])
-    w, scale = w / w.sum(), np.append(X[:, :2].std(0), 0)
+    w, scale = w / w.sum(), np.append(X[:, :-1].std(0), 0)
 
     def loss(b: np.ndarray) -> tuple[float, np.ndarray]:
         z = X @ b
@@ -125,16 +148,16 @@ def fitted(rows: Sequence[Row], what: str) -> np.ndarray:
         cost = w @ np.logaddexp(0, np.where(right, -z, z)) + RIDGE * ((b * scale) ** 2).sum()
         return cost, X.T @ (w * (p - right)) + 2 * RIDGE * scale**2 * b
 
-    return minimize(loss, np.zeros(3), jac=True, method="L-BFGS-B").x
+    return minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B").x
 
 
-def left_out(rows: Sequence[Row], what: str) -> np.ndarray:
+def left_out(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.ndarray:
     """Probabilities float64 [M], of every place by constants of the other ones."""
     out = np.zeros(len(rows))
     for place in {row.place for row in rows}:
         own = np.array([row.place == place for row in rows])
         others = [row for row in rows if row.place != place]
-        out[own] = expit(signs(rows)[own] @ fitted(others, what))
+        out[own] = expit(signs(rows, on)[own] @ fitted(others, what, on))
     return out
 
 
@@ -161,9 +184,9 @@ def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> li
     ]
 
 
-def judged(rows: Sequence[Row], what: str) -> dict:
+def judged(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> dict:
     """How well the probabilities of ``mask`` or ``point`` do at places left out."""
-    p, w = left_out(rows, what), weights(rows)
+    p, w = left_out(rows, what, on), weights(rows)
     right = np.array([getattr(row, what) for row in rows])
     places = np.array([row.place for row in rows])
     curve = bins(p, right, w)
@@ -174,7 +197,7 @@ def judged(rows: Sequence[Row], what: str) -> dict:
     error = sum(one["share"] * abs(one["said"] - one["right"]) for one in curve)
     return {
         "what": what,
-        "constants": fitted(rows, what),
+        "constants": fitted(rows, what, on),
         "auroc": auroc(p, right, w),
         "error": error,
         "by_place": by_place,
@@ -182,22 +205,39 @@ def judged(rows: Sequence[Row], what: str) -> dict:
     }
 
 
-def false_found(rows: Sequence[Row]) -> dict[str, float]:
+def false_found(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> dict[str, float]:
     """The probability of a point above which :data:`KEPT` of the right ones lie, and what else."""
-    p, w = left_out(rows, "point"), weights(rows)
+    p, w = left_out(rows, "point", on), weights(rows)
     point, there = (np.array([getattr(row, name) for row in rows]) for name in ("point", "there"))
     limit = float(np.quantile(p[point], 1 - KEPT))
     selected = np.array([row.gap > 0 for row in rows])
+    places = np.array([row.place for row in rows])
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
         return float(w[of & which].sum() / w[of].sum())
 
+    by_place = {
+        place: share(p >= limit, ~there & (places == place)) for place in ("office", *PLACES)
+    }
     return {
+        "by_place": by_place,
         "limit": limit,
         "before": share(selected, ~there),
         "after": share(p >= limit, ~there),
         "kept": share(p >= limit, there),
     }
+
+
+def alone(rows: Sequence[Row]) -> list[dict]:
+    """What each of the numbers is worth: a row a choice of :data:`TRIED`."""
+    lines = []
+    for on in TRIED:
+        line: dict = {"on": ", ".join(name.replace("_", " ") for name in on)}
+        for what in ("mask", "point"):
+            one = judged(rows, what, on)
+            line |= {f"{what} auroc": one["auroc"], f"{what} error": one["error"]}
+        lines.append(line | {"after": false_found(rows, on)["after"]})
+    return lines
 
 
 def main() -> None:
@@ -214,19 +254,22 @@ def main() -> None:
     for place in ("office", *PLACES):
         folder = place if place == "office" else f"places/{place}"
         for scene in labelled([folder], given.data):
-            for seed in range(given.seeds):
-                if (place, scene.name, seed) in done:
-                    continue
-                new = list(answers(place, scene, seed))
-                rows += new
-                if given.rows:
-                    with given.rows.open("a") as file:
-                        file.writelines(json.dumps(row) + "\n" for row in new)
-                print(f"{place} {scene.name} seed {seed}: {len(new)} answers", flush=True)
+            seeds = [s for s in range(given.seeds) if (place, scene.name, s) not in done]
+            new = list(answers(place, scene, seeds)) if seeds else []
+            rows += new
+            if given.rows:
+                with given.rows.open("a") as file:
+                    file.writelines(json.dumps(row) + "\n" for row in new)
+            print(f"{place} {scene.name}: {len(new)} answers", flush=True)
     both = [judged(rows, what) for what in ("mask", "point")]
     columns = {"what": ("probability that", "the {} is right".format)}
     columns |= {"auroc": ("AUROC", ".3f"), "error": ("calibration error", ".3f")}
     columns |= {place: (place, ".2f") for place in both[0]["by_place"]}
+    compared = {"on": ("rests on", str)}
+    for what in ("mask", "point"):
+        compared |= {f"{what} auroc": (f"{what}: AUROC", ".3f")}
+        compared |= {f"{what} error": (f"{what}: calibration error", ".3f")}
+    compared |= {"after": ("absent things found", ".0%")}
     publish(
         "language/answer_confidence.md.j2",
         given.out and given.out / "confidence.md",
@@ -236,6 +279,8 @@ def main() -> None:
         there=sum(row.there for row in rows),
         seeds=given.seeds,
         judged=both,
+        alone=alone(rows),
+        compared=compared,
         found=false_found(rows),
         kept=KEPT,
         absent=confidence.ABSENT,

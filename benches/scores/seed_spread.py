@@ -4,14 +4,15 @@
 
 DATA holds ``office`` and ``places``. Every set of scenes is done with several seeds, as
 ``slgaussian benchmark --seed`` does it. The page says the mean over scenes, and of that the mean,
-deviation and extremes over seeds. Rows are kept in FILE as they come, and what it holds is not done
-again.
+deviation and extremes over seeds, and what comes out where BLAS uses the kernels of other
+processors. Rows are kept in FILE as they come, and what it holds is not done again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -30,6 +31,12 @@ from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
+
+KERNELS = ("Haswell", "SkylakeX", "Zen")
+"""Processors whose kernels OpenBLAS is told to use, by OPENBLAS_CORETYPE."""
+
+PAIRS = 3
+"""Pairs of the office, the first ones, that are done with each."""
 
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
 
@@ -59,6 +66,7 @@ def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float
 def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[dict[str, Any]]:
     """A row a set, scene and seed, of those named."""
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
+    rows = [row for row in rows if row["set"] != "kernels"]
     there = {(row["set"], row["scene"], row["seed"]) for row in rows}
     with (
         ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
@@ -80,6 +88,38 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
             out.flush()
             print(name, scene, *(f"{m.get('iou', np.nan):.3f}" for m in job.result()), flush=True)
     return rows
+
+
+def measure_kernels(data: Path, file: Path) -> list[dict[str, Any]]:
+    """A row a kernel and pair, with seed 0. BLAS reads its environment once: a process a kernel."""
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
+    rows = [row for row in rows if row["set"] == "kernels"]
+    there = {(row["kernel"], row["scene"]) for row in rows}
+    for kernel in KERNELS:
+        os.environ["OPENBLAS_CORETYPE"] = kernel
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            for scene in SETS["office"].scenes(data)[:PAIRS]:
+                if (kernel, scene.name) in there:
+                    continue
+                (metrics,) = pool.submit(scored, scene, [0]).result()
+                row = {"set": "kernels", "kernel": kernel, "scene": scene.name, **metrics}
+                rows.append(row)
+                with file.open("a") as out:
+                    out.write(json.dumps(row) + "\n")
+                print(kernel, scene.name, metrics.get("iou"), flush=True)
+    del os.environ["OPENBLAS_CORETYPE"]
+    return rows
+
+
+def by_kernel(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The means of each kernel, and by how much they differ at most."""
+    metrics = [metric for metric in METRICS if metric.key in SHOWN and metric.key in rows[0]]
+    means = {
+        kernel: [np.mean([row[m.key] for row in rows if row["kernel"] == kernel]) for m in metrics]
+        for kernel in KERNELS
+    }
+    spread = np.ptp(list(means.values()), 0).tolist()
+    return {"metrics": metrics, "means": means, "spread": spread, "pairs": PAIRS}
 
 
 def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str, Any]:
@@ -118,11 +158,12 @@ def main() -> None:
     given = parser.parse_args()
     try:
         rows = measure(given.data, given.only, given.rows, given.workers)
+        kernels = by_kernel(measure_kernels(given.data, given.rows))
     except InputError as error:
         parser.error(str(error))
     names = [name for name in given.only if over_seeds(rows, name, "psnr")]
     file = given.out and given.out / "seeds.md"
-    publish("scores/seeds.md.j2", file, **results(rows, names))
+    publish("scores/seeds.md.j2", file, kernels=kernels, **results(rows, names))
 
 
 if __name__ == "__main__":

@@ -32,8 +32,9 @@ class Encoder(Protocol):
     ``name`` says what ran; it is written into every artifact and report row. ``canonical`` are the
     phrases that a query competes with (the paper's "object", "things", "stuff", "texture").
     ``calibration`` says how likely its answers are right, None where that was not measured. One
-    whose cosines lie closer together than the lexicon's may have a number ``soft``, as
-    :class:`slgaussian.language.relevancy.Scorer` takes it.
+    with a calibration may have a method ``measurements(text)``: how many the text asks for, of
+    which its evidence is the sum. One whose cosines lie closer together than the lexicon's may have
+    a number ``soft``, as :class:`slgaussian.language.relevancy.Scorer` takes it.
     """
 
     name: str

@@ -1,10 +1,17 @@
 """How likely an answer is right, from how its objects stand out of the rest of the view.
 
 A score says how well a text fits the best object, not whether that is the thing: in every view
-something fits best. Two numbers tell right answers from others nearly as well as a dozen do: the
-gap of the best object to the canonical phrases, and how many standard deviations the objects of the
-answer stand above those of the rest. A logistic curve makes probabilities of them, whose constants
-an encoder brings along, as its cosines have a scale of their own.
+something fits best. Three numbers tell right answers from others:
+
+- the *evidence* for the best object. A gap is a mean over all that a text asks for, and a high mean
+  of few measurements is chance more easily than one of many; so it is summed up: the gap times the
+  number of measurements, as a naive Bayes classifier adds up log odds;
+- how many standard deviations the objects of the answer *stand out* of those of the rest;
+- of how many *parts* that do not touch the answer is made. What was only best by chance lies
+  scattered.
+
+A logistic curve makes probabilities of them, whose constants an encoder brings along, as its
+cosines have a scale of their own.
 
 ``benches/language/answer_confidence.py`` fits the constants, and says how they do at places that
 they were not fitted to.
@@ -14,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,22 +31,38 @@ EVEN_OUT = 0.02
 TYPICAL = 1.1
 """How far an answer stands out where there is nothing to compare with: the median answer's."""
 
-ABSENT = 0.18
+USUAL = 6
+"""Measurements that a text asks for if nobody counts them, as of a taught word: the median's."""
+
+ABSENT = 0.2
 """Probability that the point is on the thing below which it is said not to be there. Measured: 85 %
 of the points that are right lie above it, at places that the constants were not fitted to."""
 
 
+class Signs(NamedTuple):
+    """What the confidence in an answer rests on; see :mod:`slgaussian.language.confidence`.
+
+    ``parts`` is the logarithm of their number, so that one part adds nothing.
+    """
+
+    evidence: float
+    stands_out: float
+    parts: float
+
+
 @dataclass(frozen=True)
 class Curve:
-    """Of a logistic curve: what a gap of 1, a standard deviation and nothing at all add to it."""
+    """Of a logistic curve: what one more of each of :class:`Signs`, and nothing at all, adds."""
 
-    gap: float
+    evidence: float
     stands_out: float
+    parts: float
     offset: float
 
-    def __call__(self, gap: float, stands_out: float) -> float:
+    def __call__(self, signs: Signs) -> float:
         """Probability in (0, 1)."""
-        at = self.gap * gap + self.stands_out * stands_out + self.offset
+        at = self.evidence * signs.evidence + self.stands_out * signs.stands_out
+        at += self.parts * signs.parts + self.offset
         return 1 / (1 + math.exp(-min(max(at, -50.0), 50.0)))
 
 
@@ -73,8 +97,8 @@ class Confidence:
         return "found" if self.mask >= 0.5 else "not sure"
 
 
-def signs(gaps: np.ndarray, taken: np.ndarray) -> tuple[float, float]:
-    """What the confidence in an answer rests on: the best gap, and how far the answer stands out.
+def signs(gaps: np.ndarray, taken: np.ndarray, measurements: int, parts: int) -> Signs:
+    """What the confidence in an answer rests on.
 
     Parameters
     ----------
@@ -82,23 +106,26 @@ def signs(gaps: np.ndarray, taken: np.ndarray) -> tuple[float, float]:
         Of the objects that a view shows and some photograph holds, to the text; M at least 1.
     taken : bool [M]
         The answer. Without any, the best one stands for it.
+    measurements : int
+        How many the text asks for.
+    parts : int
+        Groups of touching objects that those taken are; less than 1 counts as 1.
 
     Returns
     -------
-    gap, stands_out : float
+    Signs
         ``stands_out`` is the mean gap of those taken over the mean of the rest, in standard
         deviations of the rest; :data:`TYPICAL` where fewer than two are left to compare with.
     """
     best = float(gaps.max())
     if not taken.any():
         taken = gaps == best
-    rest = gaps[~taken]
-    if len(rest) < 2:
-        return best, TYPICAL
-    return best, float((gaps[taken].mean() - rest.mean()) / (rest.std() + EVEN_OUT))
+    rest, stands_out = gaps[~taken], TYPICAL
+    if len(rest) >= 2:
+        stands_out = float((gaps[taken].mean() - rest.mean()) / (rest.std() + EVEN_OUT))
+    return Signs(best * measurements, stands_out, math.log(max(parts, 1)))
 
 
-def confidence(calibration: Calibration, gaps: np.ndarray, taken: np.ndarray) -> Confidence:
-    """How likely an answer is right; ``gaps`` and ``taken`` as in :func:`signs`."""
-    at = signs(gaps, taken)
-    return Confidence(calibration.mask(*at), calibration.point(*at))
+def confidence(calibration: Calibration, at: Signs) -> Confidence:
+    """How likely the answer of :func:`signs` is right."""
+    return Confidence(calibration.mask(at), calibration.point(at))

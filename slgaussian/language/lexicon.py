@@ -66,7 +66,7 @@ class Lexicon:
 
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
-        mask=Curve(28.7, 1.8, -5.22), point=Curve(41.8, 1.29, -4.24)
+        mask=Curve(6.71, 1.82, -1.81, -5.11), point=Curve(8.82, 1.18, -1.19, -4.09)
     )
 
     synonyms: str | Path | None = setting(
@@ -167,6 +167,11 @@ class Lexicon:
     def read_as(self, text: str) -> str:
         """The words of ``text`` that count, as the vocabulary spells them."""
         return " ".join(word.name for word in self._vocabulary.read(text, self._guess).words)
+
+    def measurements(self, text: str) -> int:
+        """How many descriptors the words of ``text`` ask for."""
+        words = self._vocabulary.read(text, self._guess).words
+        return len({name for word in words for name in word.weights})
 
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """Unknown words of ``text`` that count as known ones, with these and their similarity."""

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from slgaussian.errors import InputError
 from slgaussian.language.locate import central_point
@@ -48,6 +52,31 @@ class ObjectMap:
     def areas_within(self, mask: np.ndarray) -> np.ndarray:
         """Pixels of each object in a mask bool [H, W]: int64 [N]."""
         return np.bincount(self.rows[mask], minlength=len(self.areas) + 1)[1:]
+
+    @cached_property
+    def touching(self) -> np.ndarray:
+        """Places int64 [E, 2] in ``ids`` of objects that have a border in common, each pair once.
+
+        The lower place stands first. Pixels touch their neighbours above, below and beside them.
+        """
+        wide = len(self.areas) + 1
+        beside = [self.rows[:, :-1], self.rows[:, 1:]], [self.rows[:-1], self.rows[1:]]
+        found = []
+        for one, other in beside:
+            meet = (one != other) & (one > 0) & (other > 0)
+            a, b = one[meet].astype(np.int64), other[meet].astype(np.int64)
+            found.append(np.minimum(a, b) * wide + np.maximum(a, b))
+        pairs = np.unique(np.concatenate(found))
+        return np.stack([pairs // wide, pairs % wide], 1) - 1
+
+    def parts(self, taken: np.ndarray) -> int:
+        """Of how many groups of touching objects those ``taken`` bool [N] are, if visible."""
+        shown = taken & (self.areas > 0)
+        pairs = self.touching[shown[self.touching].all(1)]
+        size = (len(shown), len(shown))
+        joined = coo_array((np.ones(len(pairs), bool), pairs.T), size)
+        numbers = connected_components(joined, directed=False)[1]
+        return len(np.unique(numbers[shown]))
 
     def point(self, place: int) -> tuple[int, int]:
         """The :func:`central_point` (x, y) of the visible object number ``place`` of ``ids``."""

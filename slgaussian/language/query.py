@@ -15,7 +15,7 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.brief import said
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.confidence import Confidence, confidence
+from slgaussian.language.confidence import USUAL, Confidence, confidence, signs
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.sentences import Sentence, parse
@@ -146,6 +146,8 @@ class Understood:
         Of a taught word, how many examples and counter-examples answer.
     instead_of : str
         Of a name or a taught word that the encoder knows too: what it would have read.
+    measurements : int
+        How many the text asks for, or as many as most do where nobody counts them.
     """
 
     read_as: str
@@ -155,6 +157,7 @@ class Understood:
     kind: str = "known"
     examples: tuple[int, int] = (0, 0)
     instead_of: str = ""
+    measurements: int = USUAL
 
 
 class TextReader:
@@ -206,6 +209,7 @@ class TextReader:
             encoder.unused_words(text),
             encoder.taken_for(text),
             "unknown" if unknown else "known",
+            measurements=getattr(encoder, "measurements", lambda _: USUAL)(text),
         )
 
 
@@ -511,7 +515,8 @@ def answer(
     read, sure = reader.understood(text), None
     why = "" if read.kind == "named" else unmeasured
     if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
-        sure = confidence(calibration, gaps[ranked], chosen[ranked])
+        own = gaps[ranked], chosen[ranked], read.measurements, seen.parts(chosen & (gaps > -np.inf))
+        sure = confidence(calibration, signs(*own))
     found = ranked, as_good, chosen, sure, why
     return kind(text, scores, read, reader.bank.ids, seen, *found)
 

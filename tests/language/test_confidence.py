@@ -1,4 +1,4 @@
-"""Confidence rises with the best gap and with how far an answer stands out, and says what it is."""
+"""Confidence rises with evidence and standing out, falls with parts, and says what it is."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from slgaussian.language.confidence import (
     Calibration,
     Confidence,
     Curve,
+    Signs,
     confidence,
     signs,
 )
@@ -19,43 +20,51 @@ from slgaussian.language.lexicon import Lexicon
 
 CALIBRATION = Lexicon.calibration
 gap = st.floats(-0.5, 0.5)
+small = st.floats(-0.1, 0.1)
 
 
-def test_signs_are_the_best_gap_and_deviations_above_the_rest():
+def test_signs_are_evidence_deviations_above_the_rest_and_parts():
     gaps = np.array([0.3, 0.2, 0.02, 0.0, -0.02])
     taken = np.array([True, True, False, False, False])
     deviation = np.sqrt(2 * 0.02**2 / 3)
-    best, stands_out = signs(gaps, taken)
-    assert best == 0.3
-    assert stands_out == pytest.approx(0.25 / (deviation + EVEN_OUT))
+    at = signs(gaps, taken, 4, 2)
+    assert at.evidence == pytest.approx(4 * 0.3)
+    assert at.stands_out == pytest.approx(0.25 / (deviation + EVEN_OUT))
+    assert at.parts == pytest.approx(np.log(2))
 
 
 def test_without_an_answer_the_best_one_is_looked_at():
     gaps = np.array([-0.3, -0.1, -0.3, -0.3])
-    best, stands_out = signs(gaps, np.zeros(4, bool))
-    assert best == -0.1
-    assert stands_out == pytest.approx(0.2 / EVEN_OUT)
+    at = signs(gaps, np.zeros(4, bool), 3, 0)
+    assert at.evidence == pytest.approx(-0.3)
+    assert at.stands_out == pytest.approx(0.2 / EVEN_OUT)
+    assert at.parts == 0
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_with_nothing_to_compare_with_it_stands_out_as_most_do(count):
-    assert signs(np.linspace(0.1, 0.0, count), np.arange(count) == 0)[1] == TYPICAL
+    at = signs(np.linspace(0.1, 0.0, count), np.arange(count) == 0, 1, 1)
+    assert at.stands_out == TYPICAL
 
 
-@given(gap, gap, st.floats(-5, 5))
-def test_a_curve_rises_with_the_gap_and_is_a_probability(one, other, out):
-    curve = CALIBRATION.mask
-    low, high = sorted((one, other))
-    assert 0 < curve(low, out) <= curve(high, out) < 1
+@given(small, small, st.floats(-5, 5), st.integers(1, 20), st.integers(1, 30), st.integers(0, 30))
+def test_curves_rise_with_the_gap_fall_with_the_parts_and_are_probabilities(
+    one, other, out, measurements, parts, more
+):
+    low, high = (gap * measurements for gap in sorted((one, other)))
+    for curve in (CALIBRATION.mask, CALIBRATION.point):
+        few, many = np.log(parts), np.log(parts + more)
+        assert 0 < curve(Signs(low, out, few)) <= curve(Signs(high, out, few)) < 1
+        assert curve(Signs(low, out, many)) <= curve(Signs(low, out, few))
 
 
-@given(st.lists(gap, min_size=3, max_size=12), st.floats(0.01, 0.5))
-def test_what_leads_by_more_is_surer(rest, lead):
+@given(st.lists(gap, min_size=3, max_size=12), st.floats(0.01, 0.5), st.integers(1, 20))
+def test_what_leads_by_more_is_surer(rest, lead, measurements):
     """The same rest, and one answer that is better."""
 
     def sure(best: float) -> Confidence:
         gaps = np.array([best, *rest])
-        return confidence(CALIBRATION, gaps, gaps == best)
+        return confidence(CALIBRATION, signs(gaps, gaps == best, measurements, 1))
 
     least = max(rest) + 0.01
     assert sure(least).mask <= sure(least + lead).mask
@@ -63,8 +72,17 @@ def test_what_leads_by_more_is_surer(rest, lead):
 
 
 def test_extremes_are_no_overflow():
-    assert 0 < Curve(1e6, 0, 0)(-1, 0) < 1e-9
-    assert Curve(1e6, 0, 0)(1, 0) <= 1
+    assert 0 < Curve(1e6, 0, 0, 0)(Signs(-1, 0, 0)) < 1e-9
+    assert Curve(1e6, 0, 0, 0)(Signs(1, 0, 0)) <= 1
+
+
+def test_the_lexicon_counts_what_a_text_asks_for():
+    lexicon = Lexicon()
+    alone = lexicon.measurements("chair")
+    asked = np.count_nonzero(lexicon.encode_text(["chair"])[0][:-1])
+    assert alone == asked > 1
+    assert lexicon.measurements("red chair") == alone + 1
+    assert lexicon.measurements("the red chairs") == alone + 1
 
 
 @pytest.mark.parametrize(
@@ -81,7 +99,7 @@ def test_the_verdict(mask, point, verdict):
 
 
 def test_each_curve_gives_its_own_probability():
-    calibration = Calibration(Curve(0, 0, 1), Curve(0, 0, -1))
-    sure = confidence(calibration, np.array([0.1, 0.0, 0.0]), np.array([True, False, False]))
+    calibration = Calibration(Curve(0, 0, 0, 1), Curve(0, 0, 0, -1))
+    sure = confidence(calibration, Signs(0.1, 2, 1))
     assert sure.mask == pytest.approx(1 / (1 + np.exp(-1)))
     assert sure.point == pytest.approx(1 / (1 + np.exp(1)))

@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy import ndimage
 
 from slgaussian.errors import InputError
 from slgaussian.language.locate import central_point
@@ -62,3 +66,28 @@ def test_no_object_at_all():
     it = ObjectMap(np.zeros((3, 4), np.int32), np.zeros(0, np.int32))
     assert it.areas.shape == (0,)
     assert not it.spread(np.zeros(0)).any()
+
+
+@given(
+    arrays(np.int8, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.integers(0, 3)),
+    st.integers(0, 2**32 - 1),
+)
+def test_parts_are_the_regions_of_the_mask_where_objects_are_in_one_piece(image, seed):
+    """Against SciPy's labels of pixels: a pixel touches four others."""
+    shown = np.zeros(image.shape, np.int32)
+    for value in (1, 2, 3):
+        pieces, _ = ndimage.label(image == value)
+        shown += np.where(pieces > 0, pieces + shown.max(), 0).astype(np.int32)
+    ids = np.arange(1, shown.max() + 3, dtype=np.int32)  # two that the image does not show
+    it = ObjectMap(shown, ids)
+    taken = np.random.default_rng(seed).random(len(ids)) < 0.6
+    assert it.parts(taken) == ndimage.label(it.spread(taken))[1]
+    low, high = it.touching.T
+    assert (low < high).all() and len(np.unique(it.touching, axis=0)) == len(it.touching)
+
+
+def test_an_object_in_two_pieces_is_one_part():
+    it = ObjectMap(np.array([[1, 0, 1, 2]], np.int32), np.array([1, 2], np.int32))
+    assert it.parts(np.array([True, False])) == 1
+    assert it.parts(np.array([True, True])) == 1
+    assert it.parts(np.array([False, False])) == 0

@@ -404,13 +404,20 @@ def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_g
 
 def test_an_answer_says_how_sure_it_is(scene, lexicon):
     ids, bank = scene
-    present, absent = (find(text, ids, bank, lexicon) for text in ("red ball", "cup"))
+    present, absent = (find(text, ids, bank, lexicon) for text in ("blue box", "cup"))
     assert present.confidence.mask > absent.confidence.mask
     assert present.verdict == "found"
     # Of what is not among the objects at all.
     assert absent.verdict in ("not sure", "not here")
     # The temperature changes scores, not what is known.
-    assert find("red ball", ids, bank, lexicon, temperature=1.0).confidence == present.confidence
+    assert find("blue box", ids, bank, lexicon, temperature=1.0).confidence == present.confidence
+    # Two balls apart are less sure than two that touch.
+    joined = ids.copy()
+    (y1, x1), (y4, x4) = (np.argwhere(ids == ball).mean(0).astype(int) for ball in (1, 4))
+    joined[y1, min(x1, x4) : max(x1, x4) + 1] = 1
+    joined[min(y1, y4) : max(y1, y4) + 1, x4] = 1
+    apart, touching = (find("red ball", shown, bank, lexicon) for shown in (ids, joined))
+    assert apart.confidence.mask < touching.confidence.mask
     nothing = find("yellow", ids, bank, lexicon)
     assert not nothing.found and nothing.verdict == "not here"
 

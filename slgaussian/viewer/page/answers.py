@@ -46,6 +46,8 @@ class Answers:
     pairs : bool
         Whether a colour and a thing, or a describing word and a common thing, are answered
         together.
+    measurements : tuple of int
+        How many each text asks for.
     calibration : Calibration or None
         Of the encoder.
     """
@@ -56,6 +58,7 @@ class Answers:
     spellings: Mapping[str, str]
     skipped: tuple[str, ...]
     pairs: bool
+    measurements: tuple[int, ...] = ()
     calibration: Calibration | None = None
 
 
@@ -95,7 +98,8 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
     rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
     gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
     known_as = texts, gaps.astype(np.float32), kinds, spellings, skipped
-    return Answers(*known_as, bool(pairs), field.encoder.calibration)
+    measurements = tuple(field.reader.understood(text).measurements for text in texts)
+    return Answers(*known_as, bool(pairs), measurements, field.encoder.calibration)
 
 
 def _plain(text: str) -> str:

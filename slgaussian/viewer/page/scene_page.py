@@ -28,6 +28,7 @@ from slgaussian.field import SemanticField, shown
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
 from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
+from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
@@ -99,6 +100,7 @@ def scene_page(
         depths=depth_range(*depths),
         things=[_thing(thing, field, labels, list(looks)) for thing in things],
         answers=answers_of(field, ids, texts),
+        touching=_touching(next(iter(looks.values())).ids, ids),
         title=title or str(field.settings.get("scene") or "scene"),
         honest=_honest(field, gaussians, guesses),
         stripes=bool(field.removed),
@@ -124,6 +126,7 @@ def gaussians_page(gaussians: Gaussians, title: str) -> str:
         depths=depth_range(depth),
         things=[],
         answers=Answers((), np.zeros((0, 0), np.float32), {}, {}, (), False),
+        touching=[],
         title=title,
         honest=f"{len(gaussians):,} Gaussians of a .ply, without objects or words, colours of "
         f"degree 0 only. Made with slgaussian {__version__}.",
@@ -140,6 +143,7 @@ def _page(
     depths: tuple[float, float],
     things: list[dict[str, Any]],
     answers: Answers,
+    touching: list[list[int]],
     title: str,
     honest: str,
     stripes: bool,
@@ -161,6 +165,8 @@ def _page(
         "spellings": dict(answers.spellings),
         "skipped": list(answers.skipped),
         "pairs": answers.pairs,
+        "measurements": list(answers.measurements),
+        "touching": touching,
         "said_words": _said_words(answers),
         "share": rules.share,
         "temperature": rules.temperature,
@@ -253,6 +259,12 @@ def _honest(field: SemanticField, gaussians: Gaussians, guesses: float) -> str:
         f"slgaussian {__version__}."
     )
     return " ".join(said)
+
+
+def _touching(shown: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
+    """Which things touch in a view int32 [H, W], as places in the list of their ``ids``."""
+    known = np.array(ids, np.int32)
+    return ObjectMap(np.where(np.isin(shown, known), shown, 0), known).touching.tolist()
 
 
 def _calibration(known: Calibration | None) -> dict[str, Any] | None:

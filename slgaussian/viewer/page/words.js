@@ -68,7 +68,7 @@ class Words {
       scores: gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap))),
       taken,
       best: gaps.indexOf(top),
-      sure: doubted ? confidence(gaps, taken, top) : null,
+      sure: doubted ? confidence(gaps, taken, top, about.measurements[row]) : null,
       uncalibrated: !about.calibration && !named,
     };
   }
@@ -78,7 +78,7 @@ class Words {
  * How likely an answer is right, {mask, point, verdict}: slgaussian/language/confidence.py, whose
  * constants are in about.calibration.
  */
-function confidence(gaps, taken, top) {
+function confidence(gaps, taken, top, measurements) {
   const { mask, point, absent, typical, even_out: evenOut } = about.calibration;
   const any = taken.includes(true);
   const own = [], rest = [];
@@ -92,10 +92,21 @@ function confidence(gaps, taken, top) {
     const spread = Math.sqrt(mean(rest.map((gap) => (gap - middle) ** 2)));
     apart = (mean(own) - middle) / (spread + evenOut);
   }
-  const chance = ([gap, out, offset]) => 1 / (1 + Math.exp(-(gap * top + out * apart + offset)));
+  const signs = [top * measurements, apart, Math.log(Math.max(parts(taken), 1)), 1];
+  const chance = (curve) => 1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * signs[k], 0)));
   const likely = { mask: chance(mask), point: chance(point) };
   const verdict = likely.point < absent ? "not here" : likely.mask >= 0.5 ? "found" : "not sure";
   return { ...likely, verdict };
+}
+
+/** Of how many groups of things that touch, in the first view, those `taken` are. */
+function parts(taken) {
+  const first = taken.map((_, thing) => thing);
+  const group = (thing) => (first[thing] === thing ? thing : group(first[thing]));
+  for (const [one, other] of about.touching) {
+    if (taken[one] && taken[other]) first[group(one)] = group(other);
+  }
+  return first.filter((other, thing) => taken[thing] && other === thing).length;
 }
 
 /** A word and what it may be the plural of. */
