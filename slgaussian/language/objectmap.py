@@ -5,8 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from slgaussian.errors import InputError
 from slgaussian.language.locate import central_point
@@ -72,11 +70,16 @@ class ObjectMap:
     def parts(self, taken: np.ndarray) -> int:
         """Of how many groups of touching objects those ``taken`` bool [N] are, if visible."""
         shown = taken & (self.areas > 0)
-        pairs = self.touching[shown[self.touching].all(1)]
-        size = (len(shown), len(shown))
-        joined = coo_array((np.ones(len(pairs), bool), pairs.T), size)
-        numbers = connected_components(joined, directed=False)[1]
-        return len(np.unique(numbers[shown]))
+        group = {place: place for place in np.flatnonzero(shown).tolist()}
+
+        def first(place: int) -> int:
+            while group[place] != place:
+                place = group[place]
+            return place
+
+        for one, other in self.touching[shown[self.touching].all(1)].tolist():
+            group[first(one)] = first(other)
+        return sum(place == under for place, under in group.items())
 
     def point(self, place: int) -> tuple[int, int]:
         """The :func:`central_point` (x, y) of the visible object number ``place`` of ``ids``."""
