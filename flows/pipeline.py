@@ -19,7 +19,7 @@ from flows import kept
 from flows.jobs import baseline_job_name, baseline_jobs, chosen_baselines, scene_job
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
-from flows.road import STAGES
+from flows.road import STAGES, check_numerics
 from flows.room_scenes import THIRDS, room_scene, seeds
 from flows.runners.progress import Progress
 from flows.runners.shard import Failure, Job
@@ -33,6 +33,7 @@ from flows.runners.worker_pool import (
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.numerics import HardCase
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     write_costs,
@@ -41,7 +42,7 @@ from slgaussian.benchmark.outputs import (
     write_table,
 )
 from slgaussian.benchmark.report import Report, with_times
-from slgaussian.benchmark.timings import Times
+from slgaussian.benchmark.timings import StageCost, Times
 from slgaussian.benchmark.view_counts import Counts
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
@@ -215,7 +216,9 @@ def _write(
             "processors": str(os.cpu_count()),
             "workers": str(settings.workers),
         }
-        took = Times(made.seconds, times, host, made.machines, costs_of(costs))
+        hard = [] if made.hard_cases is None else store.get(made.hard_cases).to_pylist()
+        cases = [HardCase(**row) for row in hard]
+        took = Times(made.stages, times, host, made.machines, costs_of(costs), cases)
         stored = store.get(made.report)
         forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
         report = with_times(Report(*forms), took, rows)
@@ -262,9 +265,9 @@ class _Made:
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
     ``others`` by method those of baselines, ``truths`` what they were scored against, ``lost``
-    what lost ours, and ``costs`` what their fields cost. ``seconds`` are those that all took by
-    stage when they were made, which for cached ones is long ago, and ``machines`` says on which
-    processors, with the number of artifacts.
+    what lost ours, and ``costs`` what their fields cost. ``stages`` says what each stage took when
+    its artifacts were made, which for cached ones is long ago, and ``machines`` on which
+    processors, with the number of artifacts. ``hard_cases`` are those of this machine.
     """
 
     fields: dict[str, ArtifactRef]
@@ -275,10 +278,11 @@ class _Made:
     lost: dict[str, ArtifactRef]
     costs: dict[str, Cost]
     failures: list[Failure]
-    seconds: dict[str, float]
+    stages: dict[str, StageCost]
     machines: dict[str, int]
     manifest: dict[str, Any]
     report: ArtifactRef | None = None
+    hard_cases: ArtifactRef | None = None
 
     def results(self) -> Iterator[tuple[str, ArtifactRef]]:
         """All results with their scene, ours first in each."""
@@ -305,10 +309,12 @@ def score(
         course.summary()
     made = _gathered(settings, scenes, outcome, more)
     if made.answers:
-        with Progress(1, 1, progress.verbose, unit="reports") as course:
-            page = work_through_all([_report_job(made)], pool, course)
+        last = [_report_job(made), Job("this machine", check_numerics, (), "numerics")]
+        with Progress(len(last), 1, progress.verbose, unit="last jobs") as course:
+            page = work_through_all(last, pool, course)
         made.failures += page.failures
         made.report = page.refs.get("all scenes", {}).get("report")
+        made.hard_cases = page.refs.get("this machine", {}).get("numerics")
     return made
 
 
@@ -325,14 +331,14 @@ def _gathered(
         }
         for scene in through
     }
-    seconds = {
-        stage.name: sum(refs[stage.name].meta["seconds"] for refs in outcome.refs.values())
+    costs = {
+        stage.name: StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
         for stage in STAGES
     }
     stages = [*STAGES, report]
     if rows:
-        own = (ref.meta["seconds"] for by_method in others.values() for ref in by_method.values())
-        seconds[baselines.name] = sum(own)
+        own = (ref.meta for by_method in others.values() for ref in by_method.values())
+        costs[baselines.name] = StageCost.of(own)
         stages.append(baselines)
     begun = outcome.begun | outcome.refs
     fields = {
@@ -348,7 +354,7 @@ def _gathered(
         {scene: outcome.refs[scene]["attribution"] for scene in through},
         {scene: _cost(outcome.refs[scene]) for scene in through},
         [*outcome.failures, *more.failures],
-        seconds,
+        costs,
         _machines(outcome, more),
         manifest(settings, scenes, stages, outcome.refs, rows),
     )

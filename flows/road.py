@@ -13,8 +13,10 @@ from dataclasses import replace
 from typing import Any
 
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.kernels import threads
 from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactRef
+from tasks.agreement import agreement
 from tasks.attribution import attribution
 from tasks.baselines import baselines
 from tasks.benchmark import benchmark
@@ -22,6 +24,7 @@ from tasks.field import field
 from tasks.geometry import geometry
 from tasks.ingest import Photographs, ingest
 from tasks.masks import masks
+from tasks.numerics import numerics
 from tasks.supervision import supervision
 from tasks.truth import Labels, truth
 
@@ -37,6 +40,36 @@ def score_scene(
     settings: EvaluationSettings,
 ) -> None:
     """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
+    made = _answered(photographs, labels, method, trust_cameras, settings)
+    # What is asked without truth can be no miss.
+    attribution(*made, method, replace(settings, queries=()))
+
+
+def weigh_settings(
+    photographs: Photographs,
+    labels: Labels,
+    method: Method,
+    trust_cameras: bool,
+    settings: EvaluationSettings,
+    reference: Mapping[str, ArtifactRef] | None = None,
+) -> None:
+    """Build the field of a scene and ask it, and see how far it agrees with that of a reference.
+
+    ``reference`` has what the stages made of the same scene with other settings.
+    """
+    *_, built = _answered(photographs, labels, method, trust_cameras, settings)
+    if reference is not None:
+        agreement(reference["ingest"], reference["field"], built)
+
+
+def _answered(
+    photographs: Photographs,
+    labels: Labels,
+    method: Method,
+    trust_cameras: bool,
+    settings: EvaluationSettings,
+) -> tuple[ArtifactRef, ArtifactRef, ArtifactRef, ArtifactRef, ArtifactRef]:
+    """Build the field of a scene and ask it: sample, truth, Gaussians, label maps and field."""
     sample = ingest(photographs)
     known = truth(sample, labels)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
@@ -44,8 +77,7 @@ def score_scene(
     bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed, method.bank)
     built = field(sample, base, ids, bank, method)
     benchmark(sample, known, base, ids, built, method.encoder, settings)
-    # What is asked without truth can be no miss.
-    attribution(sample, known, base, ids, built, method, replace(settings, queries=()))
+    return sample, known, base, ids, built
 
 
 def score_baseline(
@@ -62,3 +94,9 @@ def score_baseline(
     """
     made = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
     baselines(*made, method, settings, name, own, brought_by)
+
+
+def check_numerics() -> None:
+    """Measure the hard cases of the machine that works, unless it or one of its kind has."""
+    known = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
+    numerics(threads.kernels() | known)

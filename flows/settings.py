@@ -193,8 +193,8 @@ def files_of(*kinds: str) -> tuple[str, ...]:
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. `benches/scores/setting_tradeoffs.py` measures them and
-picks the first two by the rules that `docs/measured/tradeoffs.md` states. The last is what the
+"""Named settings, each a file in `presets`. `slgaussian tradeoffs` weighs them against others, and
+`docs/measured/tradeoffs.md` states the rules of the first two. The last is what the
 paper prints, see `docs/reference/paper.md`."""
 
 PARTS = set(KINDS)

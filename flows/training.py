@@ -107,7 +107,16 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
     start = None if settings.start is None else find_weights(settings.start)
     store.check_writable()
     check_folder(settings.out)
-    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
+    chosen = Architecture(others=settings.architecture != "paper")
+    if start is not None and "architecture" in settings.model_fields_set:
+        found = load_branch(start).architecture
+        if found.others != chosen.others:
+            raise InputError(
+                f"{start}: its weights are of another architecture than "
+                f"{settings.architecture!r}; leave out --architecture, or --from"
+            )
+    made_of = settings.codes, settings.seed, start, store, verbose
+    trained = train_on(lessons, settings, *made_of, architecture=chosen)
     trained.write(settings.out)
     return trained
 
@@ -168,12 +177,15 @@ def train_on(
     start: Path | None,
     store: ArtifactStore,
     verbose: bool,
+    architecture: Architecture | None = None,
 ) -> Trained:
-    """Train from the weights ``start``, or seeded ones, judge, and draw the report.
+    """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
 
     What was done before comes from the store; what was interrupted goes on.
     """
-    architecture = Architecture() if start is None else load_branch(start).architecture
+    architecture = architecture or Architecture()
+    if start is not None:
+        architecture = load_branch(start).architecture
     began = None
     if start is not None:
         began = store.put("weights", {"safetensors": np.fromfile(start, np.uint8)})

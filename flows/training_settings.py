@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -42,6 +42,12 @@ class TrainSettings(Training):
         "separated",
         examples=["separated", "grid"],
         description="How ID codes are drawn: separated or grid.",
+    )
+    architecture: Literal["several", "paper"] = Field(
+        "several",
+        examples=["several", "paper"],
+        description="What a branch sees of a pixel: what several views say of it, or its own view "
+        "alone (as the paper).",
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]

@@ -20,6 +20,7 @@ from prefect import Task
 from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, State
 
+from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.records import Records
@@ -101,8 +102,10 @@ class Stage:
     :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
     method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
     made, whose ``meta`` says what settings made it of which ``inputs``, how many ``seconds`` that
-    took and on which ``processor``. The files that it writes say the stage, its version and the
-    settings.
+    took on which ``processor`` while how many ``workers`` shared it, and how many
+    ``processor_seconds`` of the whole process, both without those of ``compiling`` kernels, and by
+    how many bytes at most memory had ``grown``, None where that is not known. The files that it
+    writes say the stage, its version and the settings.
     """
 
     def __init__(
@@ -165,15 +168,23 @@ class Stage:
         made = Made(self.name, self.version, settings, of, given)
         threads.limit(site.workers)
         compiling.watch()
-        start = time.perf_counter()
+        peak, compiled = Peak(), compiling.spent()
+        start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.told_to(site.tell), making(made):
+            with compiling.told_to(site.tell), making(made), peak.watched():
                 ref = self.work(site, **arguments)
         except DamagedError as error:
             # Then the stage that made it makes it again.
             site.store.remove([error.uri])
             raise
-        took = {"seconds": time.perf_counter() - start, "processor": threads.processor()}
+        took = {
+            "seconds": compiling.clock() - start,
+            "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
+            "compiling": compiling.spent() - compiled,
+            "grown": peak.grown,
+            "processor": threads.processor(),
+            "workers": site.workers,
+        }
         known = {"settings": settings, "inputs": {n: own.digest for n, own in inputs.items()}}
         ref = replace(ref, meta={**ref.meta, **known, **took})
         records.keep(site.key, ref)

@@ -16,10 +16,9 @@ import numpy as np
 import torch
 
 from benches.common.paired_timing import paired_times
-from benches.rasterize import hard_cases
 from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
+from slgaussian.rasterize import PRESETS, Settings, hard_cases, plan, rasterize
 from slgaussian.rasterize.blend import draw
 from slgaussian.rasterize.cpu import project_checked
 from slgaussian.rasterize.project import eye_of

@@ -61,6 +61,7 @@ DATASET: Names = (
     "shard_mb", "near", "far", "trust_cameras", *LABEL, "encoder", "codes", "bank", "replicas",
     "seed", _tables(*LABEL, "encoder", "codes"), *(name for name in INGEST if name != "most"),
 )  # fmt: skip
+WEIGH = ("seconds", "memory", "error", "seeds")
 TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
 
 PARTS = (*LABEL, "encoder")
@@ -79,6 +80,7 @@ COMMON = {
         *ENGINE,
     ),
     "run": ("preset", "seed", *ENGINE),
+    "tradeoffs": (*WEIGH[:3], "data", "pairs", "labels", "rooms", "store"),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS),
     "masks": ("preset", "size", *PARTS[:3], "replicas"),
@@ -92,7 +94,7 @@ COMMON = {
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "dataset": ("size", "targets", "min_confirmed", "held_out", "gaussians", "store"),
-    "train": ("steps", "rate", "codes", "seed", "store"),
+    "train": ("steps", "rate", "codes", "architecture", "seed", "store"),
     "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),
 }

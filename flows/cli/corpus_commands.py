@@ -126,7 +126,10 @@ def dataset(
 
 
 @commands.command(rich_help_panel=CORPORA)
-@with_options(*TRAIN, "store", of="flows.training_settings:TrainSettings", common=COMMON["train"])
+@with_options(
+    *TRAIN, "architecture", "store",
+    of="flows.training_settings:TrainSettings", common=COMMON["train"],
+)  # fmt: skip
 def train(
     settings: dict,
     lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
@@ -145,6 +148,7 @@ def train(
 
     \b
     slgaussian train --lessons corpus -o trained
+    slgaussian train --lessons corpus --architecture paper -o paper
     slgaussian train --lessons corpus --from trained/branch.safetensors -o more
     slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
         --branch-weights trained/branch.safetensors -o field/

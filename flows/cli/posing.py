@@ -63,7 +63,7 @@ def posed_sample(
     else:
         scene, folder = posed_scene(cameras, photos)
         photos = _placed(scene, photos, folder)
-        names = [_view_of(scene, photo, folder) for photo in photos]
+        names = [view_of(scene, photo, folder) for photo in photos]
         if keyframes is not None:
             among = [scene.cameras[name] for name in names]
             looks = [small(scene.read(name).image) for name in names]
@@ -103,7 +103,14 @@ def _placed(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
     return [photo for photo in photos if Path(photo).resolve() not in left]
 
 
-def _view_of(scene: Scene, photo: str, folder: Path) -> str:
+def view_of(scene: Scene, photo: str, folder: Path) -> str:
+    """The name that a scene, whose views are named from ``folder``, has for a photograph.
+
+    Raises
+    ------
+    InputError
+        If it has no camera for it.
+    """
     place = Path(photo).resolve()
     for name in scene.cameras:
         listed = (folder / name).resolve()

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from flows.cli.arguments import Out, Verbose
-from flows.cli.command_settings import COMMON, RUN, SCORES
+from flows.cli.command_settings import COMMON, METHOD, RUN, SCORES, WEIGH
 from flows.cli.help import App
 from flows.cli.options import with_options
-from flows.cli.running import run_and_say
+from flows.cli.running import performed, run_and_say
 
 commands = App()
 
@@ -158,6 +158,49 @@ def leaderboard(
     from flows.cli.leading import leaderboard as ranked
 
     typer.echo(ranked(results, out))
+
+
+@commands.command(rich_help_panel=SCORES)
+@with_options(
+    *WEIGH, "data", "pairs", "labels", "format", "rooms", "preset", *METHOD, "store",
+    of="flows.tradeoff_settings:TradeoffSettings", common=COMMON["tradeoffs"],
+)  # fmt: skip
+def tradeoffs(
+    settings: dict,
+    photos: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="PHOTO", help="Photographs, a folder of them, or a TOML file as `run` takes it."
+        ),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(help="Cameras of the photographs, as `field` takes them; found if left out."),
+    ] = None,
+    out: Out = Path("slg-tradeoffs"),
+    verbose: Verbose = False,
+) -> None:
+    """Weigh speed against error, setting by setting.
+
+    Of three photographs the last is held out, of a folder the middle one, for the error of a new
+    view; labelled data and rooms show that of words. Proposes settings for what is wanted, and
+    leaves a page with plots, and a table. One scene is worked on at a time, as it is timed.
+
+    \b
+    slgaussian tradeoffs a.jpg b.jpg c.jpg
+    slgaussian tradeoffs a.jpg b.jpg c.jpg --seconds 3
+    slgaussian tradeoffs --rooms 0-5 --error 0.3 --memory 100
+    slgaussian tradeoffs --data office --pairs office/pairs.json \\
+        --labels office/labels -o office-settings
+    """
+    from flows.cli.weighing import asked, told
+
+    made = performed("tradeoffs", asked(photos or [], cameras, {**settings, "out": out}), verbose)
+    typer.echo(told(made))
+    if made.failures:
+        typer.echo(f"left out: {len(made.failures)}; see {out / 'failures.parquet'}", err=True)
+    if made.failures or made.proposal.chosen is None:
+        raise typer.Exit(1)
 
 
 @commands.command(rich_help_panel=SCORES)

@@ -14,6 +14,7 @@ WORK = {
     "demo": "pipeline.run",
     "benchmark": "by_views.run",
     "run": "by_views.run",
+    "tradeoffs": "tradeoffs.run",
     "ingest": "corpus.ingest",
     "supervise": "corpus.supervise",
     "dataset": "dataset.dataset",

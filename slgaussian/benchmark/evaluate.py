@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -30,6 +29,7 @@ from slgaussian.cameras.trajectories import between
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels import compiling
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
 from slgaussian.scene import Sample, View
@@ -271,9 +271,9 @@ class _Record:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         with self.peak.watched():
-            start = time.perf_counter()
+            start = compiling.clock()
             yield
-            self.latest = time.perf_counter() - start
+            self.latest = compiling.clock() - start
         self.seconds[name] += self.latest
 
     def measure(self, name: str, value: float) -> None:
@@ -359,9 +359,9 @@ class _Record:
         *before, last = self._asked
         if last.seconds is None or any(one.seconds is not None for one in before):
             return
-        start = time.perf_counter()
+        start = compiling.clock()
         self._answers(render(), last.texts[:1])
-        warm = time.perf_counter() - start
+        warm = compiling.clock() - start
         self._asked[-1] = replace(last, cold=last.seconds, seconds=warm)
 
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:

@@ -14,6 +14,31 @@ def iou(predicted: np.ndarray, truth: np.ndarray) -> float:
     return float(np.count_nonzero(predicted & truth) / union) if union else 1.0
 
 
+def covering(labels: np.ndarray, others: np.ndarray) -> float:
+    """How well two label maps int [H, W] agree on what is one thing: 0 to 1, the same for both.
+
+    Each region of the one is compared with the region of the other that overlaps it best, by IoU,
+    and counts by its size; the mean of both ways (the covering of Arbelaez et al., "Contour
+    detection and hierarchical image segmentation", PAMI 2011). What a region is called plays no
+    part; pixels labelled 0 belong to none, and two maps without regions agree.
+    """
+    a, own = np.unique(labels, return_inverse=True)
+    b, theirs = np.unique(others, return_inverse=True)
+    common = np.zeros((len(a), len(b)), np.int64)
+    np.add.at(common, (own.ravel(), theirs.ravel()), 1)
+    sizes = common.sum(1), common.sum(0)
+    ious = common / (sizes[0][:, None] + sizes[1] - common)
+    ious = ious[a != 0][:, b != 0]
+    counted = sizes[0][a != 0], sizes[1][b != 0]
+    if not sum(map(len, counted)):
+        return 1.0
+    ways = (
+        np.average(ious.max(1 - axis, initial=0), weights=weights) if len(weights) else 0.0
+        for axis, weights in enumerate(counted)
+    )
+    return float(sum(ways) / 2)
+
+
 def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:
     """IoU of every class of a closed-set segmentation (the 3D-OVS protocol, arXiv:2305.14093).
 

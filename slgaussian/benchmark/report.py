@@ -272,6 +272,7 @@ def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report
         "speeds": times.speeds(),
         "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.costs),
         "claim": times.claim(),
+        "whole": sum(cost.seconds for cost in times.stages.values()) or 1.0,
         "host": flatten(times.host),
         "elsewhere": {
             name: count

@@ -32,8 +32,14 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+_watching: list[Peak] = []
+"""Those whose blocks are open: another block within would have the system forget their peak."""
+
+
 class Peak:
     """The most that this process holds within some blocks, and what it held before.
+
+    Blocks may be nested, and each knows its own most.
 
     Attributes
     ----------
@@ -49,9 +55,26 @@ class Peak:
     @contextmanager
     def watched(self) -> Iterator[None]:
         """A block of which the most counts."""
+        for one in tuple(_watching):
+            one._note()
         with suppress(OSError):
             forget_peak()
-        yield
+        _watching.append(self)
+        try:
+            yield
+        finally:
+            _watching.remove(self)
+            for one in (self, *_watching):
+                one._note()
+
+    @property
+    def grown(self) -> int | None:
+        """Bytes of the most beyond what was held before; None where one is not known."""
+        if self.before is None or self.most is None:
+            return None
+        return max(0, self.most - self.before)
+
+    def _note(self) -> None:
         reached = _held("VmHWM")
         if reached is not None:
             self.most = max(reached, self.most or 0)

@@ -2,13 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.paper_tables import SECONDS
+
+if TYPE_CHECKING:  # what measures them takes long to load
+    from slgaussian.benchmark.numerics import HardCase
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """What a stage cost, whenever its artifacts were made.
+
+    Attributes
+    ----------
+    seconds : float
+        Of all artifacts together, without compiling kernels.
+    middle : float
+        Of one: the median.
+    grown : int or None
+        Bytes by which memory grew, at most, beyond what was held before; None where not known.
+    compiling : float
+        Seconds of compiling kernels, once an installation, on top.
+    """
+
+    seconds: float
+    middle: float
+    grown: int | None = None
+    compiling: float = 0.0
+
+    @staticmethod
+    def of(metas: Iterable[Mapping[str, Any]]) -> StageCost:
+        """Of what artifacts say of themselves; earlier versions wrote only ``seconds``."""
+        known = list(metas)
+        seconds = [meta["seconds"] for meta in known]
+        grown = [meta["grown"] for meta in known if meta.get("grown") is not None]
+        return StageCost(
+            sum(seconds),
+            median(seconds) if seconds else 0.0,
+            max(grown, default=None),
+            sum(meta.get("compiling", 0.0) for meta in known),
+        )
 
 
 @dataclass(frozen=True)
@@ -17,8 +55,7 @@ class Times:
 
     Attributes
     ----------
-    stages : {stage: float}
-        Of making the artifacts, summed, whenever they were made.
+    stages : {stage: StageCost}
     answers : sequence of (method, scene, {name: float})
         What :func:`slgaussian.benchmark.evaluate.evaluate` measured, and ``prepare`` where a
         method prepares a scene on top of what it shares with ours.
@@ -29,18 +66,23 @@ class Times:
         elsewhere.
     costs : sequence of Cost
         Of each method on each data set.
+    hard_cases : sequence of HardCase
+        What the machine makes of them.
     """
 
-    stages: Mapping[str, float]
+    stages: Mapping[str, StageCost]
     answers: Sequence[tuple[str, str, Mapping[str, float]]]
     host: Mapping[str, str]
     machines: Mapping[str, int] = field(default_factory=dict)
     costs: Sequence[Cost] = ()
+    hard_cases: Sequence[HardCase] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, for a file."""
         return {
-            "seconds_by_stage": dict(self.stages),
+            "seconds_by_stage": {name: one.seconds for name, one in self.stages.items()},
+            "memory_by_stage": {name: one.grown for name, one in self.stages.items()},
+            "seconds_of_compiling": self.compiling,
             "seconds_a_query": [asdict(speed) for speed in self.speeds()],
             "seconds_by_answer": [
                 {"method": method, "scene": scene, **dict(sorted(times.items()))}
@@ -48,7 +90,18 @@ class Times:
             ],
             "host": dict(self.host),
             "artifacts_by_machine": dict(self.machines),
+            "hard_cases": [{**asdict(case), "good": case.good} for case in self.hard_cases],
         }
+
+    @property
+    def compiling(self) -> float:
+        """Seconds of compiling kernels, once an installation, that no other number here has."""
+        return sum(one.compiling for one in self.stages.values())
+
+    @property
+    def broken(self) -> list[HardCase]:
+        """The hard cases that are not good."""
+        return [case for case in self.hard_cases if not case.good]
 
     def speeds(self) -> list[Speed]:
         """One a method, in the order of the answers."""
@@ -99,7 +152,7 @@ class Speed:
     prepare : float or None
         Of a scene, on top of what all methods share.
     cold_query : float or None
-        The very first of a scene, with all that is done once: kernels compiled, models loaded.
+        The very first of a scene, with all that is done once a process, as loading models.
     first_query : float or None
         In a view that was not seen before, its rendering included.
     further_query : float or None

@@ -54,7 +54,7 @@ def photographs(
     return scene.sample(list(scene.cameras), size=size, near=near, far=far)
 
 
-def read(path: Place | Sequence[Place]) -> Scene:
+def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
     """A scene of photographs, called by their names; the cameras of all of them are found at once.
 
     They are found anew only if a photograph, or the order, is another than before in the process.
@@ -63,19 +63,27 @@ def read(path: Place | Sequence[Place]) -> Scene:
     ----------
     path : path or sequence of path
         A folder of photographs, in itself or below ``images``; or files and folders.
+    only : sequence of str, optional
+        The photographs of that folder that are taken, by their paths below it, in this order.
 
     Raises
     ------
     InputError
         As :func:`photographs`.
     """
-    files = named([path] if isinstance(path, str | Path) else path)
+    files = _taken(path, only)
     return posed(files, find(files))
 
 
-def files(path: Place, views: Sequence[str]) -> list[Path]:
+def files(path: Place, views: Sequence[str], only: Sequence[str] | None = None) -> list[Path]:
     """The files that those views are read from: every one has its say in where cameras are."""
-    return list(named([path]).values())
+    return list(_taken(path, only).values())
+
+
+def _taken(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
+    if only is not None and isinstance(path, str | Path):
+        path = [Path(path) / name for name in only]
+    return named([path] if isinstance(path, str | Path) else path)
 
 
 def named(places: Sequence[Place]) -> dict[str, Path]:

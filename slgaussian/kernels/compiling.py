@@ -1,4 +1,7 @@
-"""Say that kernels are being compiled: the first use of a kernel takes seconds, once a machine."""
+"""Kernels that are being compiled: the first use of one takes seconds, once a machine.
+
+People are told so, and clocks can leave it out.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ _log = logging.getLogger(__name__)
 _tell: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
 _lock = threading.Lock()
 _watch: _Watch | None = None
+_own = threading.local()
 
 
 @contextmanager
@@ -59,6 +63,19 @@ def watch() -> None:
             event.register("numba:compile", Listener(_watch))
 
 
+def spent() -> float:
+    """Seconds that this thread has compiled kernels, since :func:`watch` was called."""
+    return getattr(_own, "seconds", 0.0)
+
+
+def clock() -> float:
+    """Seconds of a clock that stands still while this thread compiles kernels, once watched.
+
+    What takes time once an installation is no part of what work takes.
+    """
+    return time.perf_counter() - spent()
+
+
 class _Watch:
     """What was compiled so far. Numba lets one thread compile at a time, and so speak to this.
 
@@ -89,7 +106,9 @@ class _Watch:
     def ended(self) -> None:
         self.depth -= 1
         if self.depth == 0:
-            self.seconds += time.perf_counter() - self.start
+            took = time.perf_counter() - self.start
+            self.seconds += took
+            _own.seconds = spent() + took
             if self.showing:
                 self.showing = False
                 self._say("")

@@ -336,7 +336,7 @@ class SlowView:
 
 def test_what_an_answer_costs_is_told_apart_by_what_was_there_before(room, monkeypatch):
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("slgaussian.benchmark.evaluate.time.perf_counter", lambda: clock.now)
+    monkeypatch.setattr("slgaussian.benchmark.evaluate.compiling.clock", lambda: clock.now)
     slow, other = Slow(clock, room.field, once=1000), replace(room.sample.targets[0], name="other")
     sample = replace(room.sample, targets=(*room.sample.targets, other))
     masks = room.truth["view_01"] | {"qqwx": next(iter(room.truth["view_01"].values()))}
@@ -421,3 +421,15 @@ def test_a_frame_of_which_nothing_is_understood_or_labelled(room):
     assert found.scene_metrics["miou"] == found.scene_metrics["iou"] == 0.0
     empty = room.evaluate({"view_01": {"red sofa": np.zeros_like(some)}})
     assert len(empty.rows) == 1 and "iou" not in empty.scene_metrics
+
+
+def test_a_block_within_another_does_not_hide_what_that_one_held():
+    """The stage of a scene and the method in it are watched at the same time."""
+    outer = Peak()
+    with outer.watched():
+        ballast = np.ones(2**25)  # a quarter of a GiB, and gone before the inner block
+        del ballast
+        inner = Peak()
+        with inner.watched():
+            small = np.ones(2**20)
+    assert small[0] and inner.grown < 2**27 < 2**28 - 2**24 < outer.grown

@@ -1,3 +1,4 @@
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,10 +10,11 @@ from pages import Page, check_alone, tables_of
 from slgaussian.benchmark import opening, report
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.numerics import HardCase
 from slgaussian.benchmark.report import Scene, render_report, with_times
 from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.statistics import LEAST
-from slgaussian.benchmark.timings import Times
+from slgaussian.benchmark.timings import StageCost, Times
 from slgaussian.datasets.published import RECOGNISED
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.account import Account
@@ -249,14 +251,16 @@ def test_scenes_of_different_data_sets_are_not_averaged(result, truth):
 
 
 def test_only_one_section_and_marked_numbers_depend_on_time_and_machine(both, result):
+    good = HardCase("rasteriser", "needles", "long", "of alpha", 2e-7, 5e-6)
     times = Times(
-        {"field": 1.25},
+        {"field": StageCost(1.25, 0.75, 64_000_000, 30.0), "masks": StageCost(3.75, 1.5)},
         [
             ("slgaussian", "room", {"cold_query": 3.5, "first_query": 0.5}),
             ("query-2d", "room", {"prepare": 2.0, "first_query": 6.0}),
         ],
         {"machine": "a machine", "processor": "this"},
         {"this": 5, "another machine": 12},
+        hard_cases=[good, replace(good, case="on its edge", error=math.nan)],
     )
     whole = with_times(both, times)
     assert with_times(both, times) == whole
@@ -276,6 +280,16 @@ def test_only_one_section_and_marked_numbers_depend_on_time_and_machine(both, re
         for words in ("1.25", "0.5000", "2.0000", "a machine", "12 times as long", claim):
             assert words in own
     assert 'href="#times"' in whole.html and 'id="times"' in whole.html
+    stages = next(t for t in tables_of(whole.markdown) if t[0][0] == "Stage")
+    assert stages[1:] == [
+        ["field", "0.75", "1.25", "25 %", "64"],
+        ["masks", "1.50", "3.75", "75 %", "–"],
+    ]
+    text = Page(whole.html).text
+    assert "Compiling kernels, once an installation, took 30 s more" in text
+    assert "On this, 1 of 2 are beyond their bounds : on its edge (rasteriser)." in text
+    hard = next(t for t in tables_of(whole.markdown) if "Hard case" in t[0])
+    assert [line[-1] for line in hard[1:]] == ["ok", "beyond"]
     speeds = next(
         t for t in tables_of(whole.markdown) if any("First query" in head for head in t[0])
     )

@@ -74,6 +74,17 @@ def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
     assert datasets.files("photographs", folder, ["a.png"]) == [folder / "a.png", folder / "b.png"]
 
 
+def test_only_those_that_are_named_are_taken_of_a_folder(folder, asked):
+    shutil.copy(folder / "a.png", folder / "c.png")
+    only = ["b.png", "a.png"]
+    scene = datasets.load("photographs", folder, only=only)
+    assert asked == [only] and list(scene.cameras) == only
+    named = datasets.files("photographs", folder, ["b.png"], only=only)
+    assert named == [folder / "b.png", folder / "a.png"]
+    with pytest.raises(InputError, match=r"d\.png"):
+        datasets.load("photographs", folder, only=["a.png", "d.png"])
+
+
 def test_cameras_are_found_once_and_anew_when_a_photograph_changes(folder, asked):
     datasets.load("photographs", folder)
     datasets.load("photographs", [folder / "a.png", folder / "b.png"])

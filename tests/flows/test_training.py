@@ -137,6 +137,21 @@ def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monk
     assert "before" in judged["lifting"].to_pylist()
 
 
+def test_the_papers_branch_is_trained_by_a_word(tmp_path, monkeypatch, capsys):
+    lessons_of(tmp_path, range(6))
+    paper = "--architecture", "paper"
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW, *paper)) == 0
+    made = load_branch(tmp_path / "out" / "branch.safetensors")
+    assert made.architecture == Architecture(others=False)
+    judged = pq.read_table(tmp_path / "out" / "judgements.parquet")["lifting"].to_pylist()
+    assert {"branch", "hard", "identity"} <= set(judged)
+    capsys.readouterr()
+    (tmp_path / "start").write_bytes(save_branch(Branch(Architecture((4, 8), 8), seed=3)))
+    start = "--from", f"{tmp_path}/start"
+    assert run(monkeypatch, *command(tmp_path, "more", *FEW, *paper, *start)) == 2
+    assert "are of another architecture than 'paper'" in capsys.readouterr().err
+
+
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()

@@ -5,6 +5,8 @@ import logging
 import os
 import subprocess
 import sys
+import threading
+import time
 
 import numba
 import pytest
@@ -96,3 +98,26 @@ def test_where_there_is_no_terminal_a_line_comes_now_and_then(monkeypatch):
     monkeypatch.setattr(display, "PATIENCE", 0.0)
     waiting("four")
     assert stream.getvalue() == "one\nfour\n"
+
+
+def test_the_clock_stands_still_while_a_kernel_is_compiled():
+    compiling.watch()
+    kernel, spent, start, ticks = (
+        new_kernel(),
+        compiling.spent(),
+        time.perf_counter(),
+        compiling.clock(),
+    )
+    kernel(1)
+    took, counted = time.perf_counter() - start, compiling.clock() - ticks
+    compiled = compiling.spent() - spent
+    assert 0 < compiled < took and counted == pytest.approx(took - compiled, abs=1e-3)
+
+
+def test_what_another_thread_compiles_is_none_of_this_one():
+    compiling.watch()
+    before = compiling.spent()
+    other = threading.Thread(target=lambda: new_kernel()(1))
+    other.start()
+    other.join()
+    assert compiling.spent() == before

@@ -7,9 +7,9 @@ import numba
 import pytest
 import torch
 
-from benches.rasterize.hard_cases import camera, case, cloud, rotated, splats
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
+from slgaussian.rasterize.hard_cases import camera, case, cloud, rotated, splats
 from slgaussian.scene import Camera
 
 EXACT = PRESETS["exact"]

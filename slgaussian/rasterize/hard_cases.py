@@ -1,15 +1,17 @@
 """Scenes on which rasterisers break, by name, and the error of the cpu backend on each.
 
 Every case is small enough for the float64 reference to draw it in a fraction of a second. The tests
-draw all of them, and a bench can sweep settings over them with :func:`measure`; ``python -m
-benches.rasterize.hard_cases`` prints the table.
+draw all of them, every report draws some (:mod:`slgaussian.benchmark.numerics`), and a bench sweeps
+settings over them with :func:`measure`.
 """
 
+from __future__ import annotations
+
 import math
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -43,24 +45,59 @@ class Errors:
     alpha: float
     depth: float
 
+    def worst(self, bounds: Errors) -> tuple[float, float]:
+        """The error that is nearest to its bound, or farthest beyond it, and that bound."""
+        pairs = list(zip(vars(self).values(), vars(bounds).values(), strict=True))
+        return max(pairs, key=lambda pair: math.inf if math.isnan(pair[0]) else pair[0] / pair[1])
+
+
+EXACT_BOUND = 5e-6
+"""Of what cuts nothing. Measured: at most 3.7e-6 in any channel, in alpha and in relative depth,
+most cases 5e-7; float32 sums are good for 1e-7 a number."""
+LONGER = {
+    "ten_thousand_on_one_pixel": 1e-4,  # measured 6.2e-5: 1 - alpha is rounded ten thousand times
+    "long_list": 2e-5,  # measured 5.4e-6, in depth
+}
+
+FAST_BOUND = 0.003
+"""Of the default. Measured: at most 8e-4 in any channel and 1.1e-3 in alpha."""
+FAST_DEPTH = {
+    "far_off_axis": 0.01,  # measured 5e-3: what is cut lies 60 times as far away
+    # A thousandth of the light, at 1e8 times the depth, is all of the mean depth.
+    "astronomical_and_microscopic": math.inf,
+}
+ALL_CUT = "ten_thousand_on_one_pixel"
+"""The one case that the default cannot draw: thousands that are each below its cut-off."""
+
+
+def bounds(name: str, preset: str) -> Errors:
+    """What the errors of a case stay below with the settings ``exact`` or ``fast``."""
+    if preset == "exact":
+        bound = LONGER.get(name, EXACT_BOUND)
+        return Errors(bound, bound, bound)
+    return Errors(FAST_BOUND, FAST_BOUND, FAST_DEPTH.get(name, FAST_BOUND))
+
 
 NEAR = Settings().near
-_MAKERS: dict[str, Callable[[], tuple]] = {}
+Made = tuple[Gaussians, torch.Tensor, Camera]
+_MAKERS: dict[str, Callable[[], Made]] = {}
 
 
-def _case(make: Callable[[], tuple]) -> Callable[[], tuple]:
+def _case(make: Callable[[], Made]) -> Callable[[], Made]:
     _MAKERS[make.__name__] = make
     return make
 
 
 def names() -> list[str]:
+    """The names of all cases."""
     return list(_MAKERS)
 
 
 @cache
 def case(name: str) -> Case:
+    """The case of that name."""
     gaussians, values, camera = _MAKERS[name]()
-    return Case(name, _MAKERS[name].__doc__, gaussians, values, camera)
+    return Case(name, _MAKERS[name].__doc__ or "", gaussians, values, camera)
 
 
 @cache
@@ -91,14 +128,22 @@ def _worst(difference: torch.Tensor) -> float:
 
 
 def camera(
-    width=32, height=24, focal=30.0, cx=None, cy=None, skew=0.0, c2w=None, aspect=1.0
+    width: int = 32,
+    height: int = 24,
+    focal: float = 30.0,
+    cx: float | None = None,
+    cy: float | None = None,
+    skew: float = 0.0,
+    c2w: np.ndarray | None = None,
+    aspect: float = 1.0,
 ) -> Camera:
+    """A small camera in the origin that looks along z; ``aspect`` is the height of a pixel."""
     cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
     K = np.array([[focal, skew, cx], [0, focal * aspect, cy], [0, 0, 1]])
     return Camera(K, np.eye(4) if c2w is None else c2w, width, height)
 
 
-def rotated(seed: int, centre=(0.0, 0.0, 0.0)) -> np.ndarray:
+def rotated(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """A camera-to-world pose with a random rotation."""
     R, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     c2w = np.eye(4)
@@ -107,7 +152,7 @@ def rotated(seed: int, centre=(0.0, 0.0, 0.0)) -> np.ndarray:
     return c2w
 
 
-def seen_at(seen: Camera, u, v, z) -> torch.Tensor:
+def seen_at(seen: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
     """World points float32 [N, 3] that ``seen`` has at pixels (u, v) and depths z."""
     u, v, z = (a.reshape(-1) for a in np.broadcast_arrays(u, v, np.asarray(z, np.float64)))
     local = np.stack([u, v, np.ones_like(z)], -1) @ np.linalg.inv(seen.K).T * z[:, None]
@@ -115,7 +160,9 @@ def seen_at(seen: Camera, u, v, z) -> torch.Tensor:
     return torch.from_numpy(world.astype(np.float32))
 
 
-def splats(means, scales=0.1, opacities=0.8, quats=(1.0, 0.0, 0.0, 0.0)) -> Gaussians:
+def splats(
+    means: Any, scales: Any = 0.1, opacities: Any = 0.8, quats: Any = (1.0, 0.0, 0.0, 0.0)
+) -> Gaussians:
     """Gaussians from what is given, each spread over all of them."""
     means = torch.as_tensor(means, dtype=torch.float32).reshape(-1, 3)
     n = len(means)
@@ -138,23 +185,27 @@ class _Random:
     def __init__(self, seed: int) -> None:
         self.generator = torch.Generator().manual_seed(seed)
 
-    def uniform(self, *shape, low=0.0, high=1.0) -> torch.Tensor:
+    def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> torch.Tensor:
         return torch.rand(*shape, generator=self.generator) * (high - low) + low
 
-    def magnitudes(self, *shape, low, high) -> torch.Tensor:
+    def magnitudes(self, *shape: int, low: float, high: float) -> torch.Tensor:
         return torch.exp(self.uniform(*shape, low=math.log(low), high=math.log(high)))
 
-    def quats(self, n) -> torch.Tensor:
+    def quats(self, n: int) -> torch.Tensor:
         return torch.randn(n, 4, generator=self.generator)
 
-    def inside(self, seen: Camera, n, low=2.0, high=6.0, margin=0.1) -> torch.Tensor:
+    def inside(
+        self, seen: Camera, n: int, low: float = 2.0, high: float = 6.0, margin: float = 0.1
+    ) -> torch.Tensor:
         """Points that ``seen`` has in its image and a little around it."""
         u = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.width
         v = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.height
         return seen_at(seen, u, v, self.magnitudes(n, low=low, high=high).numpy())
 
 
-def cloud(n: int, seed: int = 0, size: float = 0.3, seen: Camera | None = None, channels: int = 5):
+def cloud(
+    n: int, seed: int = 0, size: float = 0.3, seen: Camera | None = None, channels: int = 5
+) -> tuple[Gaussians, torch.Tensor]:
     """Gaussians of every shape and opacity before the camera, and values in [0, 1]."""
     r = _Random(seed)
     means = r.inside(camera() if seen is None else seen, n)
@@ -166,14 +217,14 @@ def cloud(n: int, seed: int = 0, size: float = 0.3, seen: Camera | None = None, 
 
 
 @_case
-def ordinary_cloud():
+def ordinary_cloud() -> Made:
     """A hundred Gaussians of every shape; the control."""
     seen = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
     return *cloud(100, 1, 0.2, seen), seen
 
 
 @_case
-def a_gaussian_per_pixel():
+def a_gaussian_per_pixel() -> Made:
     """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
     seen, r = camera(32, 24, 30), _Random(2)
     u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
@@ -187,7 +238,7 @@ def a_gaussian_per_pixel():
 
 
 @_case
-def dense_overlap():
+def dense_overlap() -> Made:
     """400 large Gaussians on a small image."""
     seen, r = camera(64, 48, 60), _Random(3)
     made = splats(
@@ -197,7 +248,7 @@ def dense_overlap():
 
 
 @_case
-def at_the_near_plane():
+def at_the_near_plane() -> Made:
     """Centres exactly on the near plane, which are not drawn, and the next float behind it."""
     on = np.float32(NEAR)
     z = [on, np.nextafter(on, np.float32(0)), np.nextafter(on, np.float32(1)), 0.0100001, 2.0]
@@ -206,14 +257,14 @@ def at_the_near_plane():
 
 
 @_case
-def behind_the_near_plane():
+def behind_the_near_plane() -> Made:
     """Centres behind the camera, in its centre and before the near plane; one is drawn."""
     z = [-3.0, -1e-3, 0.0, 1e-30, 0.005, 0.0099, 3.0]
     return splats([[0.1, 0, d] for d in z], 0.2, 0.9), torch.eye(7), camera()
 
 
 @_case
-def reaching_through_the_near_plane():
+def reaching_through_the_near_plane() -> Made:
     """Large Gaussians whose centres lie just behind the near plane."""
     r = _Random(4)
     means = torch.cat(
@@ -224,7 +275,7 @@ def reaching_through_the_near_plane():
 
 
 @_case
-def far_off_axis():
+def far_off_axis() -> Made:
     """Gaussians beside the camera, up to a thousand times as far off the axis as before it."""
     r = _Random(5)
     angle = r.uniform(60, high=2 * math.pi)
@@ -238,7 +289,7 @@ def far_off_axis():
 
 
 @_case
-def needles():
+def needles() -> Made:
     """A million times as long as wide, in all directions."""
     seen, r = camera(48, 32, 40, c2w=rotated(6)), _Random(6)
     made = splats(r.inside(seen, 40), [1.0, 1e-6, 1e-6], r.uniform(40), r.quats(40))
@@ -246,7 +297,7 @@ def needles():
 
 
 @_case
-def needles_longer_than_the_scene():
+def needles_longer_than_the_scene() -> Made:
     """A million times as long as wide, and a hundred images long."""
     seen, r = camera(48, 32, 40), _Random(7)
     made = splats(r.inside(seen, 20), [1e-4, 100.0, 1e-4], r.uniform(20), r.quats(20))
@@ -254,7 +305,7 @@ def needles_longer_than_the_scene():
 
 
 @_case
-def pancakes():
+def pancakes() -> Made:
     """A million times as wide as thick, in all directions."""
     seen, r = camera(48, 32, 40, c2w=rotated(8)), _Random(8)
     made = splats(r.inside(seen, 40), [1.0, 1.0, 1e-6], r.uniform(40), r.quats(40))
@@ -262,7 +313,7 @@ def pancakes():
 
 
 @_case
-def pancakes_on_edge():
+def pancakes_on_edge() -> Made:
     """Large discs seen exactly from the side, at angles that no axis of the image has."""
     seen, r = camera(48, 32, 40), _Random(9)
     half = r.uniform(24, high=math.pi)
@@ -272,7 +323,7 @@ def pancakes_on_edge():
 
 
 @_case
-def scales_of_nine_decades():
+def scales_of_nine_decades() -> Made:
     """Axes from a millionth to a thousand times the scene, mixed in one Gaussian."""
     seen, r = camera(48, 32, 40, c2w=rotated(10)), _Random(10)
     made = splats(
@@ -282,7 +333,7 @@ def scales_of_nine_decades():
 
 
 @_case
-def scales_of_zero():
+def scales_of_zero() -> Made:
     """Points, line segments and sheets without any thickness."""
     seen, r = camera(), _Random(11)
     scales = r.uniform(40, 3, high=0.3) * (r.uniform(40, 3) < 0.5)
@@ -290,7 +341,7 @@ def scales_of_zero():
 
 
 @_case
-def subpixel():
+def subpixel() -> Made:
     """A ten-thousandth of a pixel wide, at pixel centres, edges, corners and between."""
     seen, r = camera(), _Random(12)
     u = np.concatenate([[4.5, 5.0, 8.0, 8.0, 16.0, 31.999], 32 * r.uniform(60).double().numpy()])
@@ -299,7 +350,7 @@ def subpixel():
 
 
 @_case
-def one_covers_the_image():
+def one_covers_the_image() -> Made:
     """A single opaque Gaussian of 6000 pixels before everything."""
     r = _Random(13)
     means, scales = [[0.3, -0.2, 5.0], [0, 0, 6.0]], [[1e3] * 3, [1.0] * 3]
@@ -307,7 +358,7 @@ def one_covers_the_image():
 
 
 @_case
-def mixed_huge_and_tiny():
+def mixed_huge_and_tiny() -> Made:
     """Specks before, in and behind Gaussians of a hundred images; some of the huge are faint."""
     seen, r = camera(48, 32, 40), _Random(14)
     scales = torch.where(
@@ -319,7 +370,7 @@ def mixed_huge_and_tiny():
     return splats(r.inside(seen, 80), scales, opacities, r.quats(80)), r.uniform(80, 3), seen
 
 
-def _with_opacity(opacity, seed):
+def _with_opacity(opacity: float, seed: int) -> Made:
     seen, r = camera(), _Random(seed)
     opacities = torch.where(r.uniform(40) < 0.5, torch.tensor(opacity), r.uniform(40))
     made = splats(r.inside(seen, 40), r.uniform(40, 3, low=0.02, high=0.3), opacities, r.quats(40))
@@ -327,31 +378,31 @@ def _with_opacity(opacity, seed):
 
 
 @_case
-def opacity_0():
+def opacity_0() -> Made:
     """Half of the Gaussians have opacity 0."""
     return _with_opacity(0.0, 15)
 
 
 @_case
-def opacity_1():
+def opacity_1() -> Made:
     """Half of the Gaussians have opacity 1."""
     return _with_opacity(1.0, 16)
 
 
 @_case
-def opacity_almost_1():
+def opacity_almost_1() -> Made:
     """Half of the Gaussians have opacity 1 - 1e-7."""
     return _with_opacity(1 - 1e-7, 17)
 
 
 @_case
-def opacity_almost_0():
+def opacity_almost_0() -> Made:
     """Half of the Gaussians have an opacity that float32 holds with few bits."""
     return _with_opacity(1e-40, 18)
 
 
 @_case
-def opaque_right_at_pixel_centres():
+def opaque_right_at_pixel_centres() -> Made:
     """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
     seen, r = camera(), _Random(19)
     u, v = np.meshgrid(np.arange(0, 32, 3) + 0.5, np.arange(0, 24, 3) + 0.5)
@@ -360,7 +411,7 @@ def opaque_right_at_pixel_centres():
 
 
 @_case
-def ten_thousand_on_one_pixel():
+def ten_thousand_on_one_pixel() -> Made:
     """Each under the cut-offs around the middle, and all of them together opaque."""
     r = _Random(20)
     means = torch.zeros(10_000, 3)
@@ -369,7 +420,7 @@ def ten_thousand_on_one_pixel():
 
 
 @_case
-def long_list():
+def long_list() -> Made:
     """Four thousand faint layers on every pixel: sums of thousands of small float32 numbers."""
     r = _Random(21)
     means = torch.cat(
@@ -379,7 +430,7 @@ def long_list():
 
 
 @_case
-def equal_depths():
+def equal_depths() -> Made:
     """All at one depth, overlapping: the order of the input decides."""
     r = _Random(22)
     means = torch.cat([r.uniform(50, 2, low=-1, high=1), torch.full((50, 1), 3.0)], 1)
@@ -387,7 +438,7 @@ def equal_depths():
 
 
 @_case
-def depths_a_float_apart():
+def depths_a_float_apart() -> Made:
     """Neighbouring float32 depths, in any order."""
     r = _Random(23)
     steps = torch.randperm(50, generator=r.generator).float() * 2.0**-22
@@ -396,7 +447,7 @@ def depths_a_float_apart():
 
 
 @_case
-def quaternions_of_any_length():
+def quaternions_of_any_length() -> Made:
     """From 1e-36 to 1e36 long: the square is beyond float32 on both sides."""
     seen, r = camera(), _Random(24)
     made = splats(
@@ -407,7 +458,7 @@ def quaternions_of_any_length():
 
 
 @_case
-def quaternions_near_zero():
+def quaternions_near_zero() -> Made:
     """1e-20 long."""
     seen, r = camera(), _Random(25)
     made = splats(
@@ -416,7 +467,7 @@ def quaternions_near_zero():
     return made, r.uniform(60, 3), seen
 
 
-def _with_focal(focal, seed):
+def _with_focal(focal: float, seed: int) -> Made:
     seen, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
     means = r.inside(seen, 80)
     z = torch.from_numpy(seen.project(means.double().numpy())[1]).float()
@@ -429,25 +480,25 @@ def _with_focal(focal, seed):
 
 
 @_case
-def focal_2():
+def focal_2() -> Made:
     """A field of view of 170 degrees."""
     return _with_focal(2.0, 26)
 
 
 @_case
-def focal_50():
+def focal_50() -> Made:
     """A focal length of 50 px."""
     return _with_focal(50.0, 27)
 
 
 @_case
-def focal_50000():
+def focal_50000() -> Made:
     """A focal length of 50,000 px: a field of view of three minutes of arc."""
     return _with_focal(50_000.0, 28)
 
 
 @_case
-def a_million_units_away():
+def a_million_units_away() -> Made:
     """Camera and scene a million units from the origin, where float32 places are 0.06 apart."""
     seen, r = camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), _Random(29)
     means = r.inside(seen, 80, low=8, high=24)
@@ -459,7 +510,7 @@ def a_million_units_away():
 
 
 @_case
-def astronomical_and_microscopic():
+def astronomical_and_microscopic() -> Made:
     """Depths from the near plane to 1e8, each Gaussian a few pixels wide."""
     seen, r = camera(48, 32, 40, c2w=rotated(30)), _Random(30)
     z = r.magnitudes(80, low=0.011, high=1e8)
@@ -474,119 +525,108 @@ def astronomical_and_microscopic():
 
 
 @_case
-def nothing():
+def nothing() -> Made:
     """No Gaussian at all."""
     return splats(torch.zeros(0, 3)), torch.zeros(0, 3), camera()
 
 
 @_case
-def nothing_in_sight():
+def nothing_in_sight() -> Made:
     """All beside or behind the camera."""
     r = _Random(31)
     means = torch.cat([r.uniform(30, 2, low=50, high=60), r.uniform(30, 1, low=-5, high=5)], 1)
     return splats(means, 0.1, 0.9), r.uniform(30, 3), camera()
 
 
-def _with_size(width, height, seed):
+def _with_size(width: int, height: int, seed: int) -> Made:
     seen = camera(width, height, max(width, height), c2w=rotated(seed))
     return *cloud(60, seed, 0.5, seen, 3), seen
 
 
 @_case
-def image_of_1x1():
+def image_of_1x1() -> Made:
     """One pixel."""
     return _with_size(1, 1, 32)
 
 
 @_case
-def image_of_7x5():
+def image_of_7x5() -> Made:
     """Less than a tile."""
     return _with_size(7, 5, 33)
 
 
 @_case
-def image_of_17x33():
+def image_of_17x33() -> Made:
     """A pixel more than tiles of 8 and 16 and 32."""
     return _with_size(17, 33, 34)
 
 
 @_case
-def image_of_200x3():
+def image_of_200x3() -> Made:
     """Wide and flat."""
     return _with_size(200, 3, 35)
 
 
 @_case
-def principal_point_far_outside():
+def principal_point_far_outside() -> Made:
     """A window cut from far off the middle of a large image."""
     seen = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
     return *cloud(80, 36, 0.5, seen, 3), seen
 
 
 @_case
-def principal_point_at_a_corner():
+def principal_point_at_a_corner() -> Made:
     """At the top left pixel, with some of the scene off-axis on the other sides."""
     seen = camera(48, 32, 60, cx=0.5, cy=0.5)
     return *cloud(80, 37, 0.3, seen, 3), seen
 
 
 @_case
-def skewed_pixels():
+def skewed_pixels() -> Made:
     """Rows shifted by a third of a pixel each, and the far corner off-axis."""
     seen = camera(48, 32, 60, skew=20.0, cx=10, c2w=rotated(38))
     return *cloud(80, 38, 0.3, seen, 3), seen
 
 
 @_case
-def pixels_that_are_not_square():
+def pixels_that_are_not_square() -> Made:
     """Ten times as wide as high."""
     seen = camera(48, 32, 20, aspect=10.0, c2w=rotated(39))
     return *cloud(80, 39, 0.2, seen, 3), seen
 
 
 @_case
-def a_pose_of_three_digits():
+def a_pose_of_three_digits() -> Made:
     """A rotation that is one only to a thousandth, as in files that print few digits."""
     seen = camera(48, 32, 40, c2w=rotated(40).round(4))
     return *cloud(80, 40, 0.3, seen, 3), seen
 
 
-def _with_channels(channels, seed):
+def _with_channels(channels: int, seed: int) -> Made:
     seen = camera()
     made, _ = cloud(40, seed, 0.3, seen)
     return made, _Random(seed).uniform(40, channels, low=-1), seen
 
 
 @_case
-def no_channel():
+def no_channel() -> Made:
     """Alpha and depth alone."""
     return _with_channels(0, 41)
 
 
 @_case
-def one_channel():
+def one_channel() -> Made:
     """A single value, of both signs."""
     return _with_channels(1, 42)
 
 
 @_case
-def seven_channels():
+def seven_channels() -> Made:
     """No multiple of what is summed side by side."""
     return _with_channels(7, 43)
 
 
 @_case
-def three_hundred_channels():
+def three_hundred_channels() -> Made:
     """Features rather than colours."""
     return _with_channels(300, 44)
-
-
-if __name__ == "__main__":
-    presets = sys.argv[1:] or ["exact", "fast"]
-    print(
-        f"{'case':32}"
-        + "".join(f"{p + ' ' + f:>16}" for p in presets for f in ("values", "alpha", "depth"))
-    )
-    for name in names():
-        row = [e for p in presets for e in vars(measure(name, p)).values()]
-        print(f"{name:32}" + "".join(f"{e:16.1e}" for e in row))

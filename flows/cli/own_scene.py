@@ -1,0 +1,88 @@
+"""One's own photographs as a scene of a run, one of them held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flows.cli.posing import view_of
+from flows.settings import SceneSettings
+from slgaussian import datasets
+from slgaussian.datasets import unposed
+from slgaussian.datasets.recognise import recognise
+from slgaussian.errors import InputError
+from slgaussian.things import COMMON_THINGS
+
+CAMERAS = ("nerfstudio", "colmap", "llff")
+"""Formats of cameras that are read beside photographs."""
+
+
+def own_scene(photos: Sequence[str], cameras: Path | None) -> tuple[SceneSettings, str]:
+    """Photographs, or a folder of them, as a scene, and what is to be said of it.
+
+    Of three or more one is held out: the last that is named, or the middle one of a folder. Without
+    cameras these are found, from all photographs together.
+
+    Raises
+    ------
+    InputError
+        If a photograph cannot be found, or has no camera among those given.
+    """
+    files = unposed.named(photos)
+    middle = len(photos) == 1
+    if cameras is None:
+        for file in files.values():
+            if not file.is_file():
+                raise InputError(f"{file}: is no file; give photographs, or a folder of them")
+        names = list(files)
+        folder = unposed.folder_of(files)
+        context, targets = held_out(names, middle)
+        scene = SceneSettings(
+            name=folder.name or "photographs",
+            dataset="photographs",
+            format="photographs",
+            options={"only": names},
+            path=folder,
+            context=context,
+            targets=targets,
+            queries=list(COMMON_THINGS),
+        )
+        return scene, _said(targets)
+    format, place = recognise(cameras)
+    if format not in CAMERAS:
+        raise InputError(
+            f"{cameras}: found {format}, expected cameras of {', '.join(CAMERAS)}; give other data "
+            "with --data and --pairs"
+        )
+    known = datasets.load(format, place)
+    folder = place if place.is_dir() else place.parent
+    given = map(str, files.values()) if middle else photos
+    names = [view_of(known, photo, folder) for photo in given]
+    context, targets = held_out(names, middle)
+    scene = SceneSettings(
+        name=folder.resolve().name or "photographs",
+        dataset="photographs",
+        format=format,
+        path=place,
+        context=context,
+        targets=targets,
+        queries=list(COMMON_THINGS),
+    )
+    return scene, _said(targets)
+
+
+def held_out(names: Sequence[str], middle: bool) -> tuple[list[str], list[str]]:
+    """Those that a field is built from, and the one that it is judged by, if there are three."""
+    if len(names) < 3:
+        return list(names), []
+    left = len(names) // 2 if middle else len(names) - 1
+    return [name for k, name in enumerate(names) if k != left], [names[left]]
+
+
+def _said(targets: Sequence[str]) -> str:
+    if targets:
+        return f"{targets[0]} is held out: it shows the error of a new view"
+    return (
+        "of two photographs none is held out: settings are judged by how far they agree with those "
+        "given; add a third from between them"
+    )

@@ -1,0 +1,25 @@
+"""Measure the hard cases on the machine that works, once for each kind of it and each version."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import pyarrow as pa
+
+from slgaussian.benchmark.numerics import measured
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef
+from tasks.stage import Worksite, stage
+
+
+@stage("numerics", version=1)
+def numerics(site: Worksite, machine: Mapping[str, str]) -> ArtifactRef:
+    """What float32 makes of hard cases: spec ``hard_cases``.
+
+    ``machine`` says what decides the last digits: processor, libraries and kernels.
+    """
+    rows = [asdict(case) for case in measured()]
+    return site.store.put(
+        "hard_cases", pa.Table.from_pylist(rows, schema=load_spec("hard_cases").schema)
+    )
