@@ -125,6 +125,7 @@ def prepare(
         raise InputError(
             f"{settings.chunks}: holds no chunk (.torch); `slgaussian pack` makes some"
         )
+    withdrawn = settings.withdrawn_clips()
     store.check_writable()
     check_folder(settings.out)
     progress = Progress(len(chunks), len(stages), verbose=verbose, unit="chunks")
@@ -136,7 +137,7 @@ def prepare(
     with progress:
         outcome = prepare_chunks(store, settings.runner, settings.workers, jobs, progress)
     try:
-        prepared = _write(settings.out, store, outcome, stages)
+        prepared = _write(settings.out, store, outcome, stages, withdrawn)
     except OSError as error:
         raise InputError(
             f"{settings.out}: cannot write the tables ({error.strerror or error}); what they are "
@@ -147,27 +148,48 @@ def prepare(
     return prepared
 
 
-def _write(out: Path, store: ArtifactStore, outcome: Outcome, stages: Sequence[str]) -> Prepared:
+def _write(
+    out: Path, store: ArtifactStore, outcome: Outcome, stages: Sequence[str], withdrawn: set[str]
+) -> Prepared:
     refs = {chunk: outcome.refs[chunk] for chunk in sorted(outcome.refs)}
     failures = [*outcome.failures]
     for own in refs.values():
         for stage in stages:
             failures += [Failure(stage=stage, **bad) for bad in own[stage].meta["left_out"]]
-    owners: dict[str, str] = {}
+    # A clip belongs to the first chunk that has it; what is withdrawn belongs to none.
+    owners = dict.fromkeys(withdrawn, "")
     rows = {}
     for stage in stages:
         if stage in FILES:
             rows[stage] = _join(out / FILES[stage], stage, store, refs, owners, failures)
-    sheets = out / "sheets"
-    for chunk, own in refs.items():
-        sheet = own[stages[-1]].meta.get("sheet")
-        if sheet is not None:
-            sheets.mkdir(exist_ok=True)
-            png = store.get(ArtifactRef("sheet", **sheet))["png"]
-            write_atomic(sheets / f"{Path(chunk).stem}.png", png.tobytes())
+    if stages == SUPERVISE:
+        _write_sheets(out / "sheets", store, refs, withdrawn)
+    failures = [failure for failure in failures if failure.scene not in withdrawn]
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
     write_atomic(out / "failures.parquet", failures_file(failures))
     return Prepared(rows, refs, failures)
+
+
+def _write_sheets(
+    folder: Path,
+    store: ArtifactStore,
+    refs: Mapping[str, Mapping[str, ArtifactRef]],
+    withdrawn: set[str],
+) -> None:
+    """Write the contact sheet of each chunk, if it shows nothing withdrawn, and remove others."""
+    sheets = {}
+    for chunk, own in refs.items():
+        sheet = own["lessons"].meta.get("sheet")
+        # Most chunks are not read for this.
+        clips = store.get(own["views"])["clip"].to_pylist() if withdrawn and sheet else ()
+        if sheet is not None and withdrawn.isdisjoint(clips):
+            sheets[f"{Path(chunk).stem}.png"] = ArtifactRef("sheet", **sheet)
+    for file in folder.glob("*.png"):
+        if file.name not in sheets:
+            file.unlink()
+    for name, ref in sheets.items():
+        folder.mkdir(exist_ok=True)
+        write_atomic(folder / name, store.get(ref)["png"].tobytes())
 
 
 def _join(
@@ -181,6 +203,7 @@ def _join(
     """Write one table of those of all chunks, one of them in memory at a time; its rows.
 
     A clip belongs to the first chunk that has it, ``owners``; another with its key is a failure.
+    One that belongs to none is left away.
     """
     count = 0
     schema = speaking(load_spec(stage).schema)
@@ -197,7 +220,7 @@ def _own_rows(
 ) -> pa.Table:
     clips = table["clip"].to_pylist()
     for clip in dict.fromkeys(clips):
-        if owners.setdefault(clip, chunk) != chunk:
+        if owners.setdefault(clip, chunk) not in (chunk, ""):
             reason = f"clip {clip!r} of {chunk} is in {owners[clip]} too, which is the one used"
             failure = Failure(clip, "views", "InputError", reason)
             if failure not in failures:

@@ -103,7 +103,31 @@ class IndexSettings(PairSettings):
     )
 
 
-class CorpusSettings(PairSettings, Engine, Method):
+class Withdrawal(BaseModel):
+    """What must not be used any more."""
+
+    model_config = ConfigDict(title="The clips", extra="forbid", frozen=True, allow_inf_nan=False)
+
+    withdrawn: Path | None = Field(
+        None,
+        description="File with the keys of clips that may not be used any more, a line each.",
+    )
+
+    def withdrawn_clips(self) -> set[str]:
+        """The keys in the file; InputError if it cannot be read."""
+        if self.withdrawn is None:
+            return set()
+        try:
+            lines = self.withdrawn.read_text("utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, a "
+                "line each"
+            ) from error
+        return {line.strip() for line in lines if line.strip()}
+
+
+class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
     """What views, samples and lessons depend on, and where they go."""
 
     model_config = ConfigDict(title="The corpus")

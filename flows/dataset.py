@@ -90,11 +90,13 @@ def dataset(settings: DatasetSettings, store: ArtifactStore, verbose: bool = Fal
     """
     settings.built_by.check()
     sources = sources_of(settings.sources, PackSettings())
+    withdrawn = settings.withdrawn_clips()
     store.check_writable()
     check_folder(settings.out)
     places = Places()
     failures: list[Failure] = []
-    chosen = _choose(settings, store, sources, places, failures, verbose)
+    found = _choose(settings, store, sources, places, failures, verbose)
+    chosen = [one for one in found if one.row["clip"] not in withdrawn]
     finished = _finish(settings, store, chosen, places, failures, verbose)
     failures.sort(key=lambda failure: (failure.scene, failure.stage, failure.reason))
     write_atomic(settings.out / "failures.parquet", failures_file(failures))

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from flows.corpus_settings import PairSettings, Sides, check_bounds
+from flows.corpus_settings import PairSettings, Sides, Withdrawal, check_bounds
 from flows.encoder_choice import settled
 from flows.settings import Engine, Method, checked, refuse_idle
 
@@ -42,7 +42,7 @@ class SetSettings(BaseModel):
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is closed.")
 
 
-class DatasetSettings(SetSettings, PairSettings, Engine, Method):
+class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
     """A training set, what it is made from, and where it goes."""
 
     model_config = ConfigDict(title="The training set")

@@ -1,4 +1,4 @@
-"""What a Prefect server and its workers start by the clock: retraining, reports, lessons."""
+"""What a Prefect server and its workers start by the clock: nights, reports, lessons."""
 
 from __future__ import annotations
 
@@ -16,36 +16,48 @@ from typing import Any
 
 from prefect import flow
 from prefect.client.schemas.schedules import CronSchedule
+from prefect.events import emit_event
 from prefect.flows import EntrypointType
 from prefect.runner import Runner
 from prefect.runtime import deployment
 from pydantic import ValidationError
 
 from flows.corpus_settings import read_corpus
+from flows.night_settings import read_night
 from flows.runners.child import import_path
 from flows.runners.commands import perform
 from flows.runners.shard import Failure
 from flows.settings import read_toml
-from flows.training_settings import from_anywhere, read_retraining
+from flows.training_settings import from_anywhere
 from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.storage.locks import BusyError
 
-NAME = "slgaussian-retrain"
+NAME = "slgaussian-nightly"
 
 
 @flow(name=NAME, persist_result=False)
-def scheduled(config: str | None = None, given: dict[str, Any] | None = None) -> str:
-    """What `slgaussian retrain` does, each time in a process of its own; what it says.
+def nightly(config: str, given: dict[str, Any] | None = None) -> str:
+    """What `slgaussian nightly` does, each time in a process of its own; what it says.
+
+    What came of it is an event of Prefect's too, ``slgaussian.night.promoted`` for example, which
+    automations can wait for. A night that fails fails the run.
 
     Parameters
     ----------
-    config : str, optional
+    config : str
         TOML file, read anew each time.
     given : mapping, optional
         Settings that win over it.
     """
-    file = None if config is None else Path(config)
-    learnt, prepared = _performed("retrain", lambda: read_retraining(file, given or {}))
-    return _said(learnt.said, prepared.failures)
+    file = Path(config)
+    try:
+        had = _performed("nightly", lambda: read_night(file, given or {}))
+    except BusyError as error:
+        return _said(str(error), ())
+    resource = {"prefect.resource.id": f"slgaussian.night.{file.stem}"}
+    payload = {"said": list(had.said), "page": str(had.page)}
+    emit_event(f"slgaussian.night.{had.outcome.replace(' ', '-')}", resource, payload=payload)
+    return _said(f"{'; '.join(had.said)}; {had.outcome}; page: {had.page}", ())
 
 
 @flow(name="slgaussian-report", persist_result=False)
@@ -78,15 +90,13 @@ def _said(what: str, failures: Sequence[Failure]) -> str:
     return f"{what}{more}"
 
 
-def serve(
-    config: Path | None, given: dict[str, Any], every: float | None, cron: str | None
-) -> None:
-    """Wait for the times of a schedule and retrain at each, one at a time, until stopped.
+def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | None) -> None:
+    """Wait for the times of a schedule and have a night at each, one at a time, until stopped.
 
     Parameters
     ----------
     config, given
-        As :func:`flows.training_settings.read_retraining` takes them.
+        As :func:`flows.night_settings.read_night` takes them.
     every : float, optional
         Seconds between two times.
     cron : str, optional
@@ -98,7 +108,7 @@ def serve(
         If it is not one of both, the times are none, or no Prefect server answers.
     """
     if (every is None) == (cron is None):
-        raise InputError("retrain: --every and --cron are two ways; choose one")
+        raise InputError("nightly: --every and --cron are two ways; choose one")
     if every is not None and every <= 0:
         raise InputError(f"--every: found {every:g}, expected a number of seconds above 0")
     if cron is not None:
@@ -109,15 +119,15 @@ def serve(
                 f"--cron: found {cron!r}, expected five fields as in '0 3 * * *'"
             ) from error
     times = f"every {every:g} s" if cron is None else f"at {cron!r}, UTC"
-    print(f"retraining {times}, by {_server()}; stop with Ctrl-C", file=sys.stderr, flush=True)
+    print(f"nightly {times}, by {_server()}; stop with Ctrl-C", file=sys.stderr, flush=True)
     runner = _Runner(name=NAME, limit=1)
     runner.add_flow(
-        scheduled,
+        nightly,
         name=NAME,
         interval=every,
         cron=cron,
         parameters={
-            "config": None if config is None else str(config.resolve()),
+            "config": str(config.resolve()),
             "given": from_anywhere(config, given),
         },
         entrypoint_type=EntrypointType.MODULE_PATH,
@@ -151,7 +161,7 @@ def _server() -> str:
         raise InputError(
             "a schedule needs a Prefect server that keeps running: start one with `prefect server "
             "start`, set PREFECT_API_URL=http://127.0.0.1:4200/api and run this again; or let cron "
-            "run `slgaussian retrain` without --every and --cron"
+            "run `slgaussian nightly` without --every and --cron"
         )
     try:
         urllib.request.urlopen(f"{url}/health", timeout=30).close()

@@ -419,7 +419,7 @@ class Settings(Engine, Method):
     scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
 
 
-PATHS = ("out", "data", "pairs", "labels", "models")
+PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
 """The settings that are paths."""
 
 URLS = ("store", "chunks")

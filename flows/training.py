@@ -178,17 +178,17 @@ def train_on(
     store: ArtifactStore,
     verbose: bool,
     architecture: Architecture | None = None,
+    rival: Path | None = None,
 ) -> Trained:
     """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
 
-    What was done before comes from the store; what was interrupted goes on.
+    Judged beside it, as ``before``, are the weights ``rival``, by default ``start``. What was done
+    before comes from the store; what was interrupted goes on.
     """
     architecture = architecture or Architecture()
     if start is not None:
         architecture = load_branch(start).architecture
-    began = None
-    if start is not None:
-        began = store.put("weights", {"safetensors": np.fromfile(start, np.uint8)})
+    began, before = (_kept(file, store) for file in (start, rival or start))
     settings = TrainingSettings(
         architecture=architecture,
         steps=options.steps,
@@ -206,7 +206,8 @@ def train_on(
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
-    job = Job("branch", train_branch, (learnt, held_out, began, settings, manifest, checkpoints))
+    asked = learnt, held_out, began, before, settings, manifest, checkpoints
+    job = Job("branch", train_branch, asked)
     progress = _Course(1, len(STAGES), verbose=verbose)
     with progress:
         outcome = train_flow(store, "threads", 1, job, progress)
@@ -223,6 +224,12 @@ def train_on(
     )
 
 
+def _kept(weights: Path | None, store: ArtifactStore) -> ArtifactRef | None:
+    if weights is None:
+        return None
+    return store.put("weights", {"safetensors": np.fromfile(weights, np.uint8)})
+
+
 STAGES = (train_stage, judge, training_report)
 
 
@@ -230,6 +237,7 @@ def train_branch(
     learnt: ArtifactRef,
     held_out: ArtifactRef,
     start: ArtifactRef | None,
+    before: ArtifactRef | None,
     settings: TrainingSettings,
     manifest: Mapping[str, Any],
     checkpoints: Path,
@@ -237,7 +245,7 @@ def train_branch(
     """The road of a training: learn, be judged on what was held out, and report."""
     asked = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints)
-    judgements = judge(held_out, branch, start, *asked)
+    judgements = judge(held_out, branch, before, *asked)
     training_report(judgements, held_out, branch, *asked, manifest)
 
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from flows.corpus_settings import read_corpus
+from flows.night_settings import read_night
 from flows.settings import read_toml
-from flows.training_settings import read_retraining
 
 ROOT = Path(__file__).parents[1]
 DOCKER = ROOT / "docker"
@@ -88,7 +88,7 @@ def test_credentials_are_in_no_file_of_the_repository():
 READERS = {
     "report.toml": lambda file: read_toml(file, {}),
     "corpus.toml": lambda file: read_corpus(file, {}),
-    "retrain.toml": lambda file: read_retraining(file, {}),
+    "night.toml": lambda file: read_night(file, {}),
 }
 
 

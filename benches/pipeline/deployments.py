@@ -25,7 +25,7 @@ from benches.pipeline.scheduled_retraining import CONFIG, answers, pack, process
 
 PREFECT = ("-m", "prefect", "--no-prompt")
 REPORT = 'out = "{0}"\nstore = "store"\nsize = "64x96"\nrooms = "{1}"\nrunner = "{2}"\n'
-RUNS = ("slgaussian-report/report", "slgaussian-supervise/lessons", "slgaussian-retrain/nightly")
+RUNS = ("slgaussian-report/report", "slgaussian-supervise/lessons", "slgaussian-nightly/nightly")
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     shutil.copy(Path(__file__).parents[2] / "prefect.yaml", work)
     own = ("models", "held_out", "steps")
     lessons = [line for line in CONFIG.splitlines() if not line.startswith(own)]
-    (work / "retrain.toml").write_text(CONFIG)
+    (work / "night.toml").write_text(CONFIG)
     (work / "corpus.toml").write_text("\n".join(lessons))
     (work / "report.toml").write_text(REPORT.format("scores", "0-0", "threads"))
     with socket.create_server(("127.0.0.1", 0)) as free:

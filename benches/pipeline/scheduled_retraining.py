@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="an empty folder for all files")
     work = parser.parse_args().work.resolve()
     work.mkdir(parents=True)
-    (work / "retrain.toml").write_text(CONFIG)
+    (work / "night.toml").write_text(CONFIG)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     url = f"http://127.0.0.1:{port}/api"
@@ -56,7 +56,7 @@ def main() -> None:
     pack(work, env, "procedural:0-3")
     say("four rooms are there")
     server = ["-m", "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
-    serve = [*CLI, "retrain", str(work / "retrain.toml"), "--every", str(EVERY)]
+    serve = [*CLI, "nightly", str(work / "night.toml"), "--every", str(EVERY)]
     started = [start(server, env, work / "server.log")]
     try:
         wait(lambda: answers(url), started)

@@ -48,7 +48,7 @@ BUILD: Names = ("preset", *(name for name in METHOD if name not in RULES))
 RUN: Names = ("preset", *METHOD, "store", "runner", "workers", "method")
 INGEST = (
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped",
-    "most", "store", "runner", "workers",
+    "most", "withdrawn", "store", "runner", "workers",
 )  # fmt: skip
 LABEL = ("predictor", "proposer", "tracker")
 SUPERVISE: Names = ("size", "near", "far", *LABEL, "replicas", "seed", _tables(*LABEL), *INGEST)
@@ -96,6 +96,7 @@ COMMON = {
     "dataset": ("size", "targets", "min_confirmed", "held_out", "gaussians", "store"),
     "train": ("steps", "rate", "codes", "architecture", "seed", "store"),
     "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
+    "nightly": ("notify", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),
 }
 """The settings that most people need of a command: `--help` shows these, `--help-all` the rest."""

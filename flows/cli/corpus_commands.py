@@ -182,6 +182,47 @@ def retrain(
     config: Annotated[
         Path | None, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
     ] = None,
+    verbose: Verbose = False,
+) -> None:
+    """Learn what is new in a corpus; use it if it is better.
+
+    New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
+    is put to use if it is better on held-out clips than those and than no network, beyond noise.
+    Every version is kept; see `versions`. A file has chunks, out, models, store and other settings;
+    options win over it. `nightly` does this by the clock.
+
+    \b
+    slgaussian retrain --chunks chunks/train --out corpus --models models
+    slgaussian retrain retrain.toml --steps 300
+    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
+        --branch-weights models -o field/
+    """
+    from flows.training_settings import read_retraining
+
+    chosen = read_retraining(config, settings)
+    learnt, prepared = performed("retrain", chosen, verbose)
+    if prepared.failures:
+        file = chosen.out / "failures.parquet"
+        typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
+    typer.echo(learnt.said)
+
+
+@commands.command(rich_help_panel=CORPORA)
+@with_options(
+    "notify",
+    "chunks",
+    "out",
+    "models",
+    *TRAIN,
+    *SUPERVISE,
+    of="flows.night_settings:NightSettings",
+    common=COMMON["nightly"],
+)
+def nightly(
+    settings: dict,
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ],
     every: Annotated[
         float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
     ] = None,
@@ -190,23 +231,23 @@ def retrain(
     ] = None,
     verbose: Verbose = False,
 ) -> None:
-    """Learn what is new in a corpus; use it if it is better.
+    """Do what `retrain` does, by the clock, and report it.
 
-    New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
-    is put to use if it is better on held-out clips than those and than no network, beyond noise.
-    Every version is kept; see `versions`. --every and --cron wait for their times, which needs
-    `prefect server start` and PREFECT_API_URL. A file has chunks, out, models, store and other
-    settings; options win over it.
+    A night leaves OUT/nights/NUMBER.html: what came, changed and was withdrawn, drift, scores, what
+    was decided. --notify tells a command or an HTTP address of a promotion, a refusal, a regression
+    and a failure. --every and --cron wait for their times, which needs `prefect server start` and
+    PREFECT_API_URL. The exit status is 0 if a version was put to use, 1 if clips were left out
+    first now and nothing else is new, 2 if the night failed, 3 if the version was refused, 4 if the
+    one in use is worse than none, 5 if another night is on, 6 if nothing is new.
 
     \b
-    slgaussian retrain --chunks chunks/train --out corpus --models models
-    slgaussian retrain retrain.toml --cron "0 3 * * *"
-    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
-        --branch-weights models -o field/
+    slgaussian nightly night.toml
+    slgaussian nightly night.toml --notify "./told.sh ops@example.org"
+    slgaussian nightly night.toml --cron "0 3 * * *"
     """
-    from flows.training_settings import read_retraining
+    from flows.night_settings import read_night
 
-    chosen = read_retraining(config, settings)
+    chosen = read_night(config, settings)
     if every is not None or cron is not None:
         from flows.runners.environment import home_of, prepare
         from slgaussian.storage.store import ArtifactStore
@@ -217,11 +258,17 @@ def retrain(
         serve(config, settings, every, cron)
         return
 
-    learnt, prepared = performed("retrain", chosen, verbose)
-    if prepared.failures:
-        file = chosen.out / "failures.parquet"
-        typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
-    typer.echo(learnt.said)
+    from flows.night_settings import STATUS
+    from slgaussian.storage.locks import BusyError
+
+    try:
+        had = performed("nightly", chosen, verbose)
+    except BusyError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(STATUS["busy"]) from None
+    typer.echo("\n".join(had.said))
+    typer.echo(f"{had.outcome}; page: {had.page}")
+    raise typer.Exit(STATUS[had.outcome])
 
 
 @commands.command(rich_help_panel=CORPORA)

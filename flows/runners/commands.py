@@ -20,6 +20,7 @@ WORK = {
     "dataset": "dataset.dataset",
     "train": "training.train",
     "retrain": "retraining.retrain",
+    "nightly": "nightly.night",
 }
 """The function of this package that does the work of a command; it is given the settings, the store
 and whether to be verbose."""

@@ -25,7 +25,7 @@ ABOUT = {
     "filled": "the same, after pixels without an object took one from other views; no network",
     "identity": "the branch before training: equals filled, or hard if it sees single views",
     "branch": "the branch that was trained",
-    "before": "the weights that training began from",
+    "before": "the weights that training began from, or that are in use",
 }
 """What each lifting is."""
 

@@ -1,7 +1,8 @@
 """Trained weights under one folder: every version kept, at most one in use, all of it traceable.
 
 ``versions/000003.parquet`` is what is known of version 3, a row of spec ``versions``, written once
-and never changed; ``weights/<digest>.safetensors`` are its weights; ``current.json`` names the
+and never changed; ``versions/000003.clips.parquet`` are the clips that it learnt, spec ``clips``;
+``weights/<digest>.safetensors`` are its weights; ``current.json`` names the
 version in use, and has the history of that: who or what put which to use when, and why. Each file
 is written whole or not at all and the pointer last, so whatever is killed when, the version in use
 is there, and the history ends with it. Two that add at the same time get different numbers.
@@ -125,6 +126,22 @@ class Versions:
         """The version of a number; SpecError if it is damaged or not there."""
         return _read(self._file(number))
 
+    def learnt(self, version: Version) -> list[pa.Table]:
+        """The clips that a version and those that it was trained from learnt, spec ``clips``.
+
+        A table a version; those of before such tables were kept have none. SpecError if one is
+        damaged.
+        """
+        found = []
+        while True:
+            file = self._clips_of(version.number)
+            if file.exists():
+                repair = "train it again"
+                found.append(decode_table(file.read_bytes(), load_spec("clips"), str(file), repair))
+            if not version.parent:
+                return found
+            version = self.version(version.parent)
+
     def weights(self, version: Version) -> Path:
         """The weights file of a version.
 
@@ -146,11 +163,28 @@ class Versions:
         why: str,
         parent: Version | None = None,
         by: str = "",
+        rival: Version | None = None,
+        clips: pa.Table | None = None,
     ) -> Version:
         """Keep new weights, and put them to use if ``promote``.
 
-        ``parent`` is the version in use that they were trained from and compared with. If another
-        one was put to use since, they are not, whatever ``promote`` says: nobody compared the two.
+        Parameters
+        ----------
+        weights : bytes
+        facts : dict
+            What else is known.
+        promote : bool
+        why : str
+            One sentence on that.
+        parent : Version, optional
+            What they were trained from.
+        by : str
+            Who or what decided, for the history.
+        rival : Version, optional
+            The version in use that they were compared with, by default ``parent``. If another one
+            was put to use since, they are not, whatever ``promote`` says: nobody compared the two.
+        clips : table of spec ``clips``, optional
+            What they were trained on, besides what ``parent`` was.
 
         Raises
         ------
@@ -158,7 +192,8 @@ class Versions:
             If the folder cannot be written; then the version in use is what it was.
         """
         digest = hashlib.sha256(weights).hexdigest()
-        before = 0 if parent is None else parent.number
+        compared = rival or parent
+        before = 0 if compared is None else compared.number
         with self._locked():
             try:
                 for name in ("weights", "versions"):
@@ -167,7 +202,7 @@ class Versions:
                 version = Version(
                     self._claim(),
                     digest,
-                    before,
+                    0 if parent is None else parent.number,
                     datetime.now(UTC).isoformat(timespec="seconds"),
                     promote,
                     why,
@@ -177,6 +212,9 @@ class Versions:
                 if promote and now != before:
                     meanwhile = f"{called(now)} came into use while it was trained; {why}"
                     version = replace(version, promoted=False, why=meanwhile)
+                if clips is not None:
+                    file = encode_table(clips, load_spec("clips"))
+                    write_atomic(self._clips_of(version.number), file)
                 file = encode_table(_table(version), load_spec("versions"))
                 write_atomic(self._file(version.number), file)
             except OSError as error:
@@ -262,6 +300,9 @@ class Versions:
                 return number
             except FileExistsError:
                 number += 1
+
+    def _clips_of(self, number: int) -> Path:
+        return self.folder / "versions" / f"{number:06d}.clips.parquet"
 
     def _file(self, number: int) -> Path:
         return self.folder / "versions" / f"{number:06d}.parquet"

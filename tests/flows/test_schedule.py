@@ -30,13 +30,13 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def config(tmp_path):
-    file = tmp_path / "retrain.toml"
+    file = tmp_path / "night.toml"
     file.write_text(f'chunks = "{tmp_path}"\nout = "corpus"\nmodels = "models"\nstore = "store"\n')
     return file
 
 
 def refused(monkeypatch, capsys, *arguments) -> str:
-    assert run(monkeypatch, "retrain", *arguments) == 2
+    assert run(monkeypatch, "nightly", *arguments) == 2
     return said(capsys)
 
 
@@ -88,23 +88,23 @@ def test_the_deployments_of_the_repository_can_be_loaded(deployment):
 
 def test_a_served_flow_is_found_by_its_module():
     """In a process that knows no path of this one."""
-    from flows.schedule import scheduled
+    from flows.schedule import nightly
 
-    assert getattr(import_module(scheduled.__module__), scheduled.__name__) is scheduled
+    assert getattr(import_module(nightly.__module__), nightly.__name__) is nightly
 
 
 def test_what_stops_a_run_is_said_and_fails_it(config, server, capsys):
-    from flows.schedule import scheduled
+    from flows.schedule import nightly
 
     with pytest.raises(InputError, match="holds no chunk"):
-        scheduled(str(config), {})
+        nightly(str(config), {})
     assert "holds no chunk (.torch)" in capsys.readouterr().err
 
 
 def test_other_configurations_are_read_like_those_of_the_commands(config, server, capsys):
     from flows.schedule import report, supervise
 
-    with pytest.raises(InputError, match=r"retrain.toml: unknown key 'models'"):
+    with pytest.raises(InputError, match=r"night.toml: unknown key 'models'"):
         supervise(str(config))
     config.write_text(f'chunks = "{config.parent}"\nout = "corpus"\nstore = "store"\n')
     with pytest.raises(InputError, match="holds no chunk"):

@@ -1,0 +1,355 @@
+"""Everything at once: processes killed, inputs damaged, a full disk, an S3 server on a bad day.
+
+    python -m benches.pipeline.storm WORK [--scenes 1000] [--in-bucket 200] [--kills 50]
+
+Scenes of two stages of some milliseconds (`storm_stages`), one in twenty damaged, on two worker
+processes. They go into a folder on a disk of its own (tmpfs), and into a bucket of moto's server
+behind a proxy (`benches.common.bad_weather`) that fails 5 % of the requests: 500, 503, time-outs,
+resets, bodies cut short. In both, processes are killed (SIGKILL) at random, every tenth time the
+whole run, and the disk, or the server's, is full for a while. A run that ends is started again
+until nothing but the damaged scenes is left out. What is then in the stores is compared, byte for
+byte, with what a run left alone makes of the whole scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+import s3fs
+
+from benches.common.bad_weather import BadWeather
+from benches.common.machine import machine
+from benches.pipeline.fault_injection import workers_of
+from benches.pipeline.storm_stages import SHAPE, road
+from slgaussian.storage.records import Records
+from slgaussian.storage.store import ArtifactStore
+
+SHARE = 20
+"""One in so many scenes is damaged."""
+
+BETWEEN = (0.5, 2.0)
+"""Seconds between two kills, at random."""
+
+WHOLE = 10
+"""Every so manieth kill is of the whole run."""
+
+FAILING = 0.05
+"""Share of the requests that fail."""
+
+FULL = 15.0
+"""Seconds that the disk is full, once half of the kills are done."""
+
+DISK = "600m"
+
+PATIENCE = 1800.0
+"""Seconds after which the bench gives up."""
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "cut short": lambda file: file.write_bytes(file.read_bytes()[:200]),
+    "empty": lambda file: file.write_bytes(b""),
+    "text": lambda file: file.write_text("no labels"),
+    "of another shape": lambda file: np.save(file, np.zeros((3, 3))),
+    "not finite": lambda file: np.save(file, np.full(SHAPE, np.nan)),
+    "gone": lambda file: file.unlink(),
+}
+
+
+@dataclass
+class Storm:
+    """What happened: seconds, kills by what was killed, runs, and what was wrong in the end."""
+
+    seconds: float = 0.0
+    kills: Counter[str] = field(default_factory=Counter)
+    runs: int = 0
+    again: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
+    """The files of all scenes, and what ails some of them."""
+    folder = work / "scenes"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    files, ailing, kinds = [], {}, cycle(DAMAGES.items())
+    for number in range(count):
+        file = folder / f"scene_{number:05d}.npy"
+        np.save(file, np.random.default_rng(number).integers(0, 9, SHAPE))
+        files.append(file)
+        if number % SHARE == SHARE // 2:
+            ailing[file.stem], damage = next(kinds)
+            damage(file)
+    return files, ailing
+
+
+def run(store: str, listed: Path, out: Path, workers: int) -> None:
+    """The program that is disturbed: take the scenes of a list down their road."""
+    from flows.runners.environment import interruptible, orchestration
+
+    kept = ArtifactStore(store)
+    with interruptible(), orchestration(kept) as ready:
+        from flows.runners.progress import Progress
+        from flows.runners.shard import Job
+        from flows.runners.worker_pool import job_flow, work_through_all
+
+        ready()
+        files = json.loads(listed.read_text())
+        jobs = [Job(Path(file).stem, road, (file,), first="storm_take") for file in files]
+        progress = Progress(len(jobs), 2)
+        flow = job_flow("storm")(lambda pool: work_through_all(jobs, pool, progress))
+        with progress:
+            outcome = flow(kept, "processes", workers)
+    failures = {failure.scene: failure.reason for failure in outcome.failures}
+    out.write_text(json.dumps(failures))
+    raise SystemExit(bool(failures))
+
+
+def weathered(
+    work: Path,
+    store: str,
+    listed: Path,
+    ailing: Mapping[str, str],
+    kills: int,
+    env: Mapping[str, str],
+    full: Callable[[bool], None],
+    seed: int,
+) -> Storm:
+    """Run until only the damaged scenes are left out, through so many kills and a full disk."""
+    storm, dice = Storm(), random.Random(seed)
+    out, log = work / "failures.json", work / "storm.log"
+    command = [sys.executable, "-m", "benches.pipeline.storm", "--run", store, listed, out]
+    start = time.perf_counter()
+    filled = kills == 0
+    while True:
+        if time.perf_counter() - start > PATIENCE:
+            raise SystemExit(f"not done within {PATIENCE:.0f} s; see {log}")
+        out.unlink(missing_ok=True)
+        with log.open("ab") as told:
+            process = subprocess.Popen(
+                list(map(str, command)), stdout=told, stderr=told, env={**os.environ, **env}
+            )
+        storm.runs += 1
+        while process.poll() is None:
+            due = time.perf_counter() + dice.uniform(*BETWEEN)
+            while process.poll() is None and time.perf_counter() < due:
+                time.sleep(0.05)
+            at_work = workers_of(process.pid)
+            done = storm.kills.total()
+            if not filled and done >= kills // 2:
+                filled = True
+                full(True)
+                threading.Timer(FULL, full, (False,)).start()
+            if done >= kills or not at_work or process.poll() is not None:
+                continue
+            whole = done % WHOLE == WHOLE - 1
+            with suppress(ProcessLookupError):
+                os.kill(process.pid if whole else dice.choice(at_work), signal.SIGKILL)
+                storm.kills["runs" if whole else "workers"] += 1
+        left_out = json.loads(out.read_text()) if out.exists() else None
+        if left_out is None or left_out.keys() - ailing.keys():
+            storm.again += len((left_out or {}).keys() - ailing.keys())
+            continue  # killed, or it could not do what can be done
+        if storm.kills.total() >= kills:
+            break
+        # All is done before all kills are: once more, from a store that lost a part.
+        lose(ArtifactStore(store), dice)
+    storm.seconds = time.perf_counter() - start
+    if left_out.keys() != ailing.keys():
+        storm.wrong.append(f"left out {sorted(left_out)}, damaged {sorted(ailing)}")
+    return storm
+
+
+def lose(store: ArtifactStore, dice: random.Random) -> None:
+    """Remove a third of the artifacts: a person with a broom."""
+    names = [file.uri for files in store.walk(["labels"]) for file in files]
+    store.remove(dice.sample(names, len(names) // 3))
+
+
+def content(store: ArtifactStore) -> dict[str, bytes]:
+    """What a store holds: artifacts by path, and of records what they name."""
+    found = {}
+    for records in Records(store).all():
+        for record in records:
+            ref = record.ref
+            found[record.file.uri] = repr(ref and (ref.spec, ref.uri, ref.digest)).encode()
+    for files in store.walk(["labels"]):
+        uris = [file.uri for file in files]
+        found |= zip(uris, store.at_once(store.read, uris), strict=True)
+    return found
+
+
+def compared(store: str, wanted: Mapping[str, bytes]) -> list[str]:
+    found = content(ArtifactStore(store))
+    return [
+        *(f"not there: {name}" for name in wanted.keys() - found.keys()),
+        *(f"too much: {name}" for name in found.keys() - wanted.keys()),
+        *(f"other bytes: {name}" for name in wanted.keys() & found if wanted[name] != found[name]),
+    ]
+
+
+def in_a_folder(work: Path, listed: Path, asked: argparse.Namespace, calm: bool) -> Storm:
+    """The storm over a folder, on a small disk that is full for a while."""
+    store, filler = work / "disk" / ("calm" if calm else "storm"), work / "disk" / "filler"
+
+    def full(now: bool) -> None:
+        if not now:
+            filler.unlink(missing_ok=True)
+            return
+        with suppress(OSError), filler.open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+
+    ailing, kills = ({}, 0) if calm else (asked.ailing, asked.kills)
+    return weathered(work, str(store), listed, ailing, kills, {}, full, asked.seed)
+
+
+def in_a_bucket(work: Path, listed: Path, asked: argparse.Namespace, calm: bool) -> Storm:
+    """The storm over a bucket, whose server fails requests and is full for a while."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = ["-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+    with (work / "moto.log").open("ab") as log:
+        moto = subprocess.Popen([sys.executable, *words], stdout=log, stderr=log)
+    weather = BadWeather(f"http://127.0.0.1:{port}", 0.0, asked.seed, hang=4.0)
+    env = {
+        "AWS_ENDPOINT_URL": weather.url,
+        "AWS_ACCESS_KEY_ID": "AKIAEXAMPLE",
+        "AWS_SECRET_ACCESS_KEY": "none",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+        # A time-out would else cost 30 seconds, and here are many in little time.
+        "FSSPEC_S3": '{"config_kwargs": {"read_timeout": 2}}',
+        "XDG_CACHE_HOME": str(work / "cache"),
+        "SLGAUSSIAN_CACHE_SIZE": "0",
+    }
+    try:
+        while True:
+            try:
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/moto-api/", timeout=5).close()
+                break
+            except OSError:
+                time.sleep(0.2)
+        os.environ.update(env)
+        s3fs.S3FileSystem.clear_instance_cache()  # of another proxy, perhaps
+        ArtifactStore("s3://storm/slg").fs.mkdir("storm")
+        weather.share = 0.0 if calm else FAILING
+        ailing, kills = ({}, 0) if calm else (asked.ailing, asked.kills)
+
+        def full(now: bool) -> None:
+            weather.full = now
+
+        storm = weathered(work, "s3://storm/slg", listed, ailing, kills, env, full, asked.seed)
+        weather.share = 0.0
+        storm.wrong += compared("s3://storm/slg", asked.wanted)
+    finally:
+        weather.close()
+        moto.terminate()
+        moto.wait()
+    failed = weather.met.total() - weather.met[""]
+    print(f"requests: {weather.met.total()}, failed: {failed} {dict(weather.met)}", flush=True)
+    return storm
+
+
+HEAD = (
+    "| store | scenes | damaged | alone, s | storm, s | lost, s | workers killed | runs killed "
+    "| runs | scenes left for a later run | files |\n|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|---|"
+)
+
+
+def row(name: str, scenes: int, damaged: int, storm: Storm, calm: Storm) -> str:
+    """A line of the table."""
+    lost = storm.seconds - calm.seconds
+    cells = [
+        name,
+        f"{scenes:,}",
+        str(damaged),
+        f"{calm.seconds:.0f}",
+        f"{storm.seconds:.0f}",
+        f"{lost:+.0f}",
+    ]
+    cells += [str(storm.kills["workers"]), str(storm.kills["runs"]), str(storm.runs)]
+    cells += [str(storm.again), "equal" if not storm.wrong else f"{len(storm.wrong)} differ"]
+    return f"| {' | '.join(cells)} |"
+
+
+def in_own_namespace(words: list[str]) -> None:
+    """Begin again where disks may be mounted that nobody else sees."""
+    command = ["unshare", "--user", "--map-root-user", "--mount"]
+    if "SLG_STORM" not in os.environ:
+        os.environ["SLG_STORM"] = "1"
+        os.execvp(command[0], [*command, sys.executable, "-m", "benches.pipeline.storm", *words])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("work", type=Path, nargs="?", help="folder for scenes and stores")
+    parser.add_argument("--scenes", type=int, default=1000)
+    parser.add_argument("--in-bucket", type=int, default=200, help="so many of them; each is slow")
+    parser.add_argument("--kills", type=int, default=50, help="of each store")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=("folder", "bucket"))
+    parser.add_argument("--run", nargs=3, metavar=("STORE", "SCENES", "OUT"), help="used by itself")
+    asked = parser.parse_args()
+    if asked.run:
+        run(asked.run[0], Path(asked.run[1]), Path(asked.run[2]), 2)
+    in_own_namespace(sys.argv[1:])
+    work = asked.work.resolve()
+    for left in ("cache", "storm.log", "moto.log"):
+        shutil.rmtree(work / left, ignore_errors=True)
+        if (work / left).is_file():
+            (work / left).unlink()
+    (work / "disk").mkdir(parents=True, exist_ok=True)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(work / "disk")]
+    subprocess.run(mount, check=True)
+    files, ailing = scenes_of(work, asked.scenes)
+    rows, wrong = [], []
+    for name, count, weather in (
+        ("folder", asked.scenes, in_a_folder),
+        ("bucket", asked.in_bucket, in_a_bucket),
+    ):
+        if asked.only not in (None, name):
+            continue
+        some = files[:count]
+        asked.ailing = {own.stem: ailing[own.stem] for own in some if own.stem in ailing}
+        everything, whole = work / "all.json", work / "whole.json"
+        everything.write_text(json.dumps(list(map(str, some))))
+        whole.write_text(json.dumps([str(own) for own in some if own.stem not in asked.ailing]))
+        shutil.rmtree(work / "disk" / "calm", ignore_errors=True)
+        calm = in_a_folder(work, whole, asked, calm=True)
+        asked.wanted = content(ArtifactStore(work / "disk" / "calm"))
+        if weather is in_a_bucket:
+            calm = in_a_bucket(work, whole, asked, calm=True)
+        print(f"{name}: a run left alone took {calm.seconds:.0f} s", flush=True)
+        storm = weather(work, everything, asked, calm=False)
+        if weather is in_a_folder:
+            storm.wrong += compared(str(work / "disk" / "storm"), asked.wanted)
+        rows.append(row(name, count, len(asked.ailing), storm, calm))
+        wrong += calm.wrong + storm.wrong
+        print(rows[-1], flush=True)
+    print(
+        f"\nTwo stages a scene, two processes, the disk full for {FULL:.0f} s; of the bucket "
+        f"{100 * FAILING:.0f} % of the requests fail; {machine()}\n\n{HEAD}"
+    )
+    print("\n".join([*rows, *wrong[:20]]))
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()

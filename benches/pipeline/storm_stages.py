@@ -1,0 +1,49 @@
+"""Stages of some milliseconds, to watch the machinery of a run and not the method."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.parts.identity import KnownFile, file_digest
+from slgaussian.storage.store import ArtifactRef
+from tasks.stage import Worksite, stage
+
+SHAPE = (2, 24, 32)
+
+
+@stage("storm_take", version=1)
+def take(site: Worksite, file: KnownFile) -> ArtifactRef:
+    """Labels from a file; InputError if it is damaged."""
+    try:
+        found = np.load(file.place, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{file.place}: cannot be read ({error})") from None
+    if found.shape != SHAPE or not np.isfinite(found).all() or (found < 0).any():
+        raise InputError(f"{file.place}: found {found.shape}, expected whole numbers {SHAPE}")
+    return site.store.put("labels", _maps(found))
+
+
+@stage("storm_smooth", version=1)
+def smooth(site: Worksite, taken: ArtifactRef, times: int) -> ArtifactRef:
+    """The greatest of each pixel and its neighbours, so many times."""
+    labels = site.store.get(taken)["labels"]
+    for _ in range(times):
+        around = [np.roll(labels, step, axis) for step in (-1, 1) for axis in (1, 2)]
+        labels = np.maximum.reduce([labels, *around])
+    return site.store.put("labels", _maps(labels))
+
+
+def road(file: str) -> None:
+    """A scene of the storm: two stages, the second reads what the first has stored."""
+    if not os.path.exists(file):
+        raise InputError(f"{file}: is not there")
+    smooth(take(KnownFile(file, file_digest(Path(file)))), 3)
+
+
+def _maps(labels: np.ndarray) -> dict[str, np.ndarray]:
+    whole = labels.astype(np.int32)
+    return {"labels": whole, "margin": np.full(whole.shape, 0.5, np.float32)}

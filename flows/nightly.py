@@ -1,0 +1,277 @@
+"""A night: take in what is new, learn it, judge it, keep a page of it, and tell who asked to know.
+
+Each night has a number and a file of that number, ``nights/000012.json``, in the output folder. It
+says that the night is on, and in the end what came of it. One that still says so when the next
+begins was ended from outside: a night holds a lock, which the kernel takes back. Nothing goes by
+the time of day, so no clock that is put forward or back loses a night or counts one twice.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from flows import corpus, hooks
+from flows.night_settings import NightSettings
+from flows.pipeline import check_folder
+from flows.retraining import Learnt, alone, failed_in, few, forgotten_by, learn
+from flows.runners.journal import log
+from flows.training import read_lessons
+from slgaussian.benchmark.night_page import render_night
+from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
+from slgaussian.errors import SLGaussianError, SpecError
+from slgaussian.formats import strict_json
+from slgaussian.semantic.versions import Versions, called
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactStore, decode_table, encode_table, write_atomic
+
+TOLD = ("promoted", "refused", "regressed", "failed")
+"""Of these the hook is told."""
+
+NAMES = 20
+"""Names of each kind that a record has at most; there may be as many as there are clips."""
+
+BEFORE = 14
+"""Nights before that a page lists."""
+
+BY = "slgaussian nightly"
+
+
+@dataclass(frozen=True)
+class Night:
+    """What came of a night.
+
+    Attributes
+    ----------
+    outcome : str
+        One of :data:`flows.night_settings.STATUS`.
+    said : tuple of str
+        Sentences for people.
+    page : Path
+        The summary page.
+    """
+
+    outcome: str
+    said: tuple[str, ...]
+    page: Path
+
+
+def night(settings: NightSettings, store: ArtifactStore, verbose: bool = False) -> Night:
+    """Have a night; needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+
+    Raises
+    ------
+    BusyError
+        If a night or a retraining is on in the same folders; then nothing is done.
+    InputError
+        As :func:`flows.corpus.supervise` and :func:`flows.retraining.learn`; the page and the hook
+        say so first.
+    """
+    check_folder(settings.out)
+    with alone(settings, "nightly"):
+        records = _Records(settings.out)
+        _bury(records, settings)
+        record = records.begin()
+        start = time.perf_counter()
+        try:
+            clips = _work(settings, store, verbose, records, record)
+        except Exception as error:
+            known = isinstance(error, SLGaussianError)
+            said = str(error) if known else f"unexpected {type(error).__name__}: {error}"
+            record |= {"outcome": "failed", "said": [said]}
+            raise
+        finally:
+            # What is stopped by a signal stays on record as being on: the next night says so.
+            if record["outcome"] != "on":
+                record["seconds"] = round(time.perf_counter() - start, 1)
+                record["ended"] = _now()
+                _tell(settings, records, record)
+                failed = record["outcome"] == "failed"
+                records.end(record, None if failed else clips)
+        return Night(record["outcome"], tuple(record["said"]), records.page(record["night"]))
+
+
+def _work(
+    settings: NightSettings,
+    store: ArtifactStore,
+    verbose: bool,
+    records: _Records,
+    record: dict[str, Any],
+) -> pa.Table:
+    """The steps of a night, what they found put down in its record; the clips that there are."""
+    prepared = corpus.supervise(settings, store, verbose)
+    before = records.last_clips()
+    clips = clips_of(pq.read_table(settings.out / corpus.FILES["views"]))
+    failed = failed_in(prepared)
+    found = changes(before, clips, failed)
+    record["changes"] = {kind: _some(names) for kind, names in asdict(found).items()}
+    left_out = {failure.scene: failure.reason for failure in prepared.failures}
+    new = sorted(left_out.keys() - records.left_out())
+    record["left out"] = sorted(left_out)
+    record["newly left out"] = {name: left_out[name] for name in new[:NAMES]}
+    record["drift"] = [asdict(one) for one in drift(before, _came(clips, found))]
+
+    lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
+    learnt = learn(lessons, settings, store, verbose, BY, clips, failed)
+    versions = Versions(settings.models)
+    used = versions.current()
+    record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}
+    said = [learnt.said]
+    if learnt.version is not None:
+        record |= {
+            "version": learnt.version.number,
+            "scores": learnt.version.facts["scores"]["iou"],
+        }
+    if learnt.regressed:
+        said.append(
+            f"{learnt.regressed}; `slgaussian versions {settings.models} --use none` ends it"
+        )
+    if used is not None and (gone := forgotten_by(versions, used, clips, failed)):
+        said.append(
+            f"{called(used.number)}, in use, has learnt what was withdrawn or changed since: "
+            f"{few(gone)}; `slgaussian versions {settings.models} --use none` ends it"
+        )
+    for name in new[:1]:
+        said.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
+    drifted = [one["measure"] for one in record["drift"] if one["drifted"]]
+    if drifted:
+        said.append(f"what came is different from what there was in {', '.join(drifted)}")
+    record |= {"outcome": _outcome(learnt, bool(new)), "said": said}
+    return clips
+
+
+def _outcome(learnt: Learnt, left_out: bool) -> str:
+    if learnt.regressed:
+        return "regressed"
+    if learnt.version is None:
+        return "left out" if left_out else "nothing new"
+    return "promoted" if learnt.version.promoted else "refused"
+
+
+def _came(clips: pa.Table, found: Changes) -> pa.Table:
+    names = {*found.arrived, *found.changed}
+    return clips.filter(pa.array([clip in names for clip in clips["clip"].to_pylist()], pa.bool_()))
+
+
+def _some(names: Sequence[str]) -> dict[str, Any]:
+    return {"count": len(names), "first": list(names[:NAMES])}
+
+
+def _tell(settings: NightSettings, records: _Records, record: dict[str, Any]) -> None:
+    """Tell the hook, and put down if that failed: the night is none the worse for it."""
+    if settings.notify is None or record["outcome"] not in TOLD:
+        return
+    facts: dict[str, Any] = {
+        "event": record["outcome"],
+        "said": "; ".join(record["said"]),
+        "page": str(records.page(record["night"]).resolve()),
+        "models": str(settings.models.resolve()),
+    }
+    facts |= {name: record[name] for name in ("night", "version", "in use") if name in record}
+    wrong = hooks.tell(settings.notify, facts, settings.out)
+    if wrong:
+        log(logging.WARNING, "hook_failed", wrong)
+        print(wrong, file=sys.stderr, flush=True)
+        record["hook"] = wrong
+
+
+def _bury(records: _Records, settings: NightSettings) -> None:
+    """Say of the last night that it was ended from outside, if it was."""
+    last = records.last()
+    if last is None or last["outcome"] != "on":
+        return
+    last |= {
+        "outcome": "failed",
+        "said": [f"night {last['night']}, begun {last['begun']}, was ended from outside; the next "
+                 "goes on with what it made"],
+    }  # fmt: skip
+    _tell(settings, records, last)
+    records.end(last, None)
+
+
+class _Records:
+    """The files of the nights: a record, a page, and of the last one the clips that there were."""
+
+    def __init__(self, out: Path) -> None:
+        self.folder = out / "nights"
+
+    def page(self, number: int) -> Path:
+        return self.folder / f"{number:06d}.html"
+
+    def numbers(self) -> list[int]:
+        return sorted(int(f.stem) for f in self.folder.glob("*.json") if f.stem.isdecimal())
+
+    def read(self, number: int) -> dict[str, Any]:
+        file = self.folder / f"{number:06d}.json"
+        try:
+            record = strict_json.parse(file.read_bytes())
+            return {**record, "night": number, "outcome": str(record["outcome"])}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SpecError(f"{file}: cannot be read ({error!r:.200}); delete it") from error
+
+    def last(self) -> dict[str, Any] | None:
+        numbers = self.numbers()
+        return self.read(numbers[-1]) if numbers else None
+
+    def begin(self) -> dict[str, Any]:
+        """The record of a new night, which is on."""
+        self.folder.mkdir(exist_ok=True)
+        number = max(self.numbers(), default=0) + 1
+        record = {"night": number, "begun": _now(), "outcome": "on", "said": []}
+        self._write(record)
+        return record
+
+    def end(self, record: dict[str, Any], clips: pa.Table | None) -> None:
+        """Write the page, then the record, with which the night is over.
+
+        ``clips`` are what the next night compares with; None if nothing is known of them.
+        """
+        number = record["night"]
+        if clips is not None:
+            write_atomic(self._clips_of(number), encode_table(clips, load_spec("clips")))
+        earlier = [own for own in self.numbers() if own < number][-BEFORE:]
+        page = render_night(record, [self.read(own) for own in reversed(earlier)])
+        write_atomic(self.page(number), page.encode())
+        self._write(record | {"clips": clips is not None})
+        if clips is not None:
+            for file in self.folder.glob("*.clips.parquet"):
+                if file != self._clips_of(number):
+                    file.unlink()
+
+    def last_clips(self) -> pa.Table:
+        """What there was when the last night ended that knew; an empty table at first."""
+        spec = load_spec("clips")
+        for number in reversed(self.numbers()):
+            if self.read(number).get("clips"):
+                file = self._clips_of(number)
+                return decode_table(file.read_bytes(), spec, str(file), "delete this night")
+        return spec.schema.empty_table()
+
+    def left_out(self) -> set[str]:
+        """The names of what was left out in the last night that knew."""
+        for number in reversed(self.numbers()):
+            record = self.read(number)
+            if record.get("clips"):
+                return set(record["left out"])
+        return set()
+
+    def _clips_of(self, number: int) -> Path:
+        return self.folder / f"{number:06d}.clips.parquet"
+
+    def _write(self, record: dict[str, Any]) -> None:
+        file = self.folder / f"{record['night']:06d}.json"
+        write_atomic(file, json.dumps(record, indent=1).encode())
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,149 @@
+"""Nights: what comes is learnt once, what is withdrawn is unlearnt, each end has its status."""
+
+import json
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from command import run, said
+
+from flows.night_settings import STATUS
+from flows.retraining import LOCK
+from slgaussian import datasets
+from slgaussian.datasets import re10k
+from slgaussian.semantic.split import held_out
+from slgaussian.semantic.versions import Versions
+from slgaussian.storage.locks import held
+
+pytestmark = pytest.mark.usefixtures("server")
+
+SHARE = 0.4
+CONFIG = f"""
+chunks = "chunks"
+out = "corpus"
+models = "models"
+store = "store"
+withdrawn = "withdrawn.txt"
+notify = "sh -c 'cat >> told.jsonl; echo >> told.jsonl'"
+size = "72x96"
+replicas = 1
+held_out = {SHARE}
+steps = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def clips():
+    """Rooms by their side: the first two are learnt, the third is judged by."""
+    made = {True: [], False: []}
+    for seed in (0, 1, 3):  # of which samples can be made
+        size = {"height": 90, "width": 160}
+        room = datasets.load("procedural", seed=seed, objects=4, views=6, baseline=1.0, **size)
+        clip = re10k.clip_of(room)
+        made[held_out(clip.key, SHARE)].append(clip)
+    return [*made[False][:2], made[True][0]]
+
+
+def arrive(folder: Path, clip: re10k.Clip) -> None:
+    """A chunk of its own, or another content of it."""
+    (folder / "chunks").mkdir(exist_ok=True)
+    made = re10k.write(folder / "one", [clip], 10**8)
+    (folder / "one" / made[0]).rename(folder / "chunks" / f"{clip.key.replace(' ', '_')}.torch")
+    (folder / "one" / "index.json").unlink()
+
+
+def record(folder: Path, number: int) -> dict:
+    return json.loads((folder / "corpus" / "nights" / f"{number:06d}.json").read_text())
+
+
+def told(folder: Path) -> list[dict]:
+    file = folder / "corpus" / "told.jsonl"
+    return [json.loads(line) for line in file.read_text().splitlines() if line]
+
+
+def named(folder: Path, table: str) -> set[str]:
+    return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
+
+
+def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
+    first, second, judged = clips
+    config = tmp_path / "night.toml"
+    config.write_text(CONFIG)
+    (tmp_path / "withdrawn.txt").touch()
+    versions = Versions(tmp_path / "models")
+
+    def night(expected: str) -> str:
+        status, heard = run(monkeypatch, "nightly", config), capsys.readouterr()
+        assert status == STATUS[expected], heard
+        return heard.out + heard.err
+
+    # A first one, of too few clips to promote anything.
+    for clip in (first, judged):
+        arrive(tmp_path, clip)
+    assert "version 1 kept, not used: too few clips" in night("refused")
+    made = record(tmp_path, 1)
+    assert made["changes"]["arrived"]["count"] == 2 and made["outcome"] == "refused"
+    page = (tmp_path / "corpus" / "nights" / "000001.html").read_text()
+    assert "new places" in page and first.key in page and "filled" in page
+    (heard,) = told(tmp_path)
+    assert heard["event"] == "refused" and heard["night"] == heard["version"] == 1
+    assert Path(heard["page"]).is_file()
+
+    # Nothing happens; then another night is on; then one is killed while something damaged came.
+    assert "nothing new since version 1; no version is in use" in night("nothing new")
+    with held(tmp_path / "models" / LOCK, "test"):
+        assert "models is in use by process" in night("busy")
+    lost = {"night": 3, "begun": "2099-01-01T00:00:00+00:00", "outcome": "on", "said": []}
+    (tmp_path / "corpus" / "nights" / "000003.json").write_text(json.dumps(lost))
+    (tmp_path / "chunks" / "broken.torch").write_bytes(b"no chunk")
+    assert "left out for the first time: 1, as broken.torch: " in night("left out")
+    assert record(tmp_path, 3)["outcome"] == "failed"
+    assert told(tmp_path)[-1]["said"].startswith("night 3, begun 2099-01-01T00:00:00+00:00, was")
+    assert "nothing new" in night("nothing new")  # what was left out before is no news
+
+    # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.
+    assert run(monkeypatch, "versions", tmp_path / "models", "--use", "1") == 0
+    assert [table["clip"].to_pylist() for table in versions.learnt(versions.current())] == [
+        [first.key]
+    ]
+    (tmp_path / "withdrawn.txt").write_text(f"{first.key}\n")
+    arrive(tmp_path, second)
+    text = night("refused")
+    assert (
+        f"trained anew, as version 1 has learnt what was withdrawn or changed since: {first.key}"
+        in text
+    )
+    assert f"version 1, in use, has learnt what was withdrawn or changed since: {first.key}" in text
+    made = record(tmp_path, 6)
+    assert made["changes"]["withdrawn"]["first"] == [first.key]
+    assert made["changes"]["arrived"]["first"] == [second.key]
+    assert made["forgotten"] == [first.key] and "before" in made["scores"]
+    added = versions.all()[-1]
+    assert added.number == 2 and added.parent == 0
+    assert [table["clip"].to_pylist() for table in versions.learnt(added)] == [[second.key]]
+    for table in ("views", "pairs", "lessons"):
+        assert named(tmp_path, table) == {second.key, judged.key}
+    sheets = {file.stem for file in (tmp_path / "corpus" / "sheets").iterdir()}
+    assert first.key.replace(" ", "_") not in sheets and len(sheets) == 2
+
+    # What cannot be done is a failure, told to people and hook, and the next night is as good.
+    config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
+    assert "held_out 0.01: found" in night("failed")
+    assert told(tmp_path)[-1]["event"] == record(tmp_path, 7)["outcome"] == "failed"
+    config.write_text(CONFIG)
+    assert "nothing new since version 2; version 1 is in use" in night("nothing new")
+    assert record(tmp_path, 8)["changes"]["arrived"]["count"] == 0
+    files = sorted(file.name for file in (tmp_path / "corpus" / "nights").glob("*.parquet"))
+    assert files == ["000008.clips.parquet"]
+
+
+def test_settings_of_a_night_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):
+    config = tmp_path / "night.toml"
+    config.write_text(CONFIG)
+    (tmp_path / "chunks").mkdir()
+    (tmp_path / "chunks" / "one.torch").touch()
+    assert run(monkeypatch, "nightly", config) == 2
+    assert "withdrawn.txt: cannot be read" in said(capsys)
+    config.write_text(CONFIG.replace("notify", "notice"))
+    assert run(monkeypatch, "nightly", config) == 2
+    assert "night.toml: unknown key 'notice'" in said(capsys)
