@@ -28,8 +28,9 @@ import numpy as np
 EVEN_OUT = 0.02
 """Added to the standard deviation of the rest, so that a view of two alike things is no proof."""
 
-TYPICAL = 1.1
-"""How far an answer stands out where there is nothing to compare with: the median answer's."""
+TYPICAL = 2.1
+"""How far an answer stands out where there is nothing to compare with, and so nothing against it:
+the median of those whose mask is right."""
 
 USUAL = 6
 """Measurements that a text asks for if nobody counts them, as of a taught word: the median's."""

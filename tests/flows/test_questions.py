@@ -283,9 +283,9 @@ def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
     mask, point = (answer["confidence"][name] for name in ("mask", "point"))
     said_so = f"not sure: {mask:.2f} that the mask is right, {point:.2f} that the point is on it\n"
     assert capsys.readouterr().out.startswith(said_so)
-    status, (answer,) = ask("query", field, "wall")
+    status, (answer,) = ask("query", field, "tall")
     assert (status, answer["found"], answer["verdict"]) == (0, True, "not here")
-    assert run(monkeypatch, "query", field, "wall") == 0
+    assert run(monkeypatch, "query", field, "tall") == 0
     point = answer["confidence"]["point"]
     said_so = f"probably not here: {point:.2f} that the point is on it; what is most like it:\n"
     assert capsys.readouterr().out.startswith(said_so)
