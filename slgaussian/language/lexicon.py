@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -30,12 +31,15 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.vocabulary import load_vocabulary
+from slgaussian.language.vocabulary import Reading, load_vocabulary
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.parts.settings import setting
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
+
+REMEMBERED = 64
+"""Texts whose reading is kept."""
 
 POSITIVE = 0.8
 """Evidence for a descriptor counts this much of evidence against: one word that does not fit
@@ -92,6 +96,11 @@ class Lexicon:
         )
         self._axis = {name: i for i, name in enumerate(self._descriptors.names)}
         self.canonical = self._vocabulary.canonical
+        # Of one text several things are asked one after the other.
+        self._read = lru_cache(REMEMBERED)(self._understood)
+
+    def _understood(self, text: str) -> Reading:
+        return self._vocabulary.read(text, self._guess)
 
     @property
     def width(self) -> int:
@@ -147,7 +156,7 @@ class Lexicon:
         """
         vectors = np.zeros((len(texts), self.width))
         for vector, text in zip(vectors, texts, strict=True):
-            for word in self._vocabulary.read(text, self._guess).words:
+            for word in self._read(text).words:
                 total = sum(abs(weight) for weight in word.weights.values())
                 for name, weight in word.weights.items():
                     vector[self._axis[name]] += weight / total
@@ -158,21 +167,21 @@ class Lexicon:
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are not known; InputError as in :meth:`encode_text`."""
-        return self._vocabulary.read(text, self._guess).unknown
+        return self._read(text).unknown
 
     def unused_words(self, text: str) -> Mapping[str, str]:
         """Other words of ``text`` that do not count, with the reason."""
-        return self._vocabulary.read(text, self._guess).unused
+        return self._read(text).unused
 
     def read_as(self, text: str) -> str:
         """The words of ``text`` that count, as the vocabulary spells them."""
-        return " ".join(word.name for word in self._vocabulary.read(text, self._guess).words)
+        return " ".join(word.name for word in self._read(text).words)
 
     def measurements(self, text: str) -> int:
         """How many descriptors the words of ``text`` ask for."""
-        words = self._vocabulary.read(text, self._guess).words
+        words = self._read(text).words
         return len({name for word in words for name in word.weights})
 
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """Unknown words of ``text`` that count as known ones, with these and their similarity."""
-        return self._vocabulary.read(text, self._guess).taken_for
+        return self._read(text).taken_for

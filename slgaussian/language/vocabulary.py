@@ -10,7 +10,7 @@ import tomllib
 import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 
 from slgaussian.errors import InputError
@@ -93,6 +93,11 @@ class Vocabulary:
     stop: frozenset[str]
     relations: frozenset[str]
     negations: frozenset[str]
+
+    @cached_property
+    def _lengths(self) -> list[int]:
+        """Of how many spellings phrases are, the longest first."""
+        return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
 
     def read(self, text: str, guess: Guess | None = None) -> Reading:
         """Understand a text as one noun and what describes it.
@@ -201,7 +206,7 @@ class Vocabulary:
 
     def phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """The longest phrase that begins there, which may be a plural, and how long it is."""
-        for length in sorted({len(phrase) for phrase in self.phrases}, reverse=True):
+        for length in self._lengths:
             *first, last = spelled[start : start + length]
             for form in _singulars(last):
                 if (*first, form) in self.phrases:
