@@ -6,7 +6,6 @@ import io
 
 import cv2
 import numpy as np
-from skimage.measure import blur_effect
 
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened
@@ -64,6 +63,8 @@ def blur(grey: np.ndarray) -> float:
     """
     if min(grey.shape) < REBLUR:
         return 1.0
+    from skimage.measure import blur_effect  # only where views are chosen: it takes long to import
+
     return float(blur_effect(grey, h_size=REBLUR))
 
 

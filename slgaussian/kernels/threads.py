@@ -18,6 +18,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -38,7 +39,7 @@ ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread a
 
 
 class Sources(NamedTuple):
-    """Digests of the package's sources: of those that use Numba, and of all."""
+    """Digests of the package's sources: of those that hold kernels, and of all."""
 
     kernels: str
     whole: str
@@ -53,7 +54,7 @@ def sources() -> Sources:
         source = file.read_bytes()
         named = str(file.relative_to(package)).encode() + b"\0" + source
         whole.update(named)
-        if b"numba" in source:
+        if re.search(rb"^(import|from) numba\b", source, re.MULTILINE):
             kernels.update(named)
     return Sources(kernels.hexdigest(), whole.hexdigest())
 

@@ -10,6 +10,7 @@ meet, so the chroma needed to be called red shrinks with lightness.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -48,7 +49,12 @@ class ColourNames:
 
     def __init__(self, swatches: Mapping[str, tuple[list[str], float]]) -> None:
         self.names = tuple(swatches)
-        self._points = [_points(*swatch) for swatch in swatches.values()]
+        self._swatches = tuple(swatches.values())
+
+    @cached_property
+    def _points(self) -> list[np.ndarray]:
+        """Of each name the points that stand for it: texts need none of them."""
+        return [_points(*swatch) for swatch in self._swatches]
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
         """Memberships float32 [..., number of names], summing to 1, of sRGB uint8 [..., 3]."""

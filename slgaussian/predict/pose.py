@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from slgaussian.cameras.relative import Relative
 
@@ -46,6 +45,8 @@ def refine(given: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
 
     def residuals(step: np.ndarray) -> np.ndarray:
         return np.concatenate([moved(step).epipolar_distance(ref, src), step / deviation])
+
+    from scipy.optimize import least_squares  # only here, and it takes long to import
 
     fit = least_squares(
         residuals, np.zeros(5), loss="cauchy", f_scale=0.5, x_scale=deviation, max_nfev=30
