@@ -35,7 +35,7 @@ from slgaussian.kernels import threads
 KERNELS = ("Haswell", "SkylakeX", "Zen")
 """Processors whose kernels OpenBLAS is told to use, by OPENBLAS_CORETYPE."""
 
-PAIRS = 3
+PAIRS = 2
 """Pairs of the office, the first ones, that are done with each."""
 
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
