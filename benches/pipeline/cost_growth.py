@@ -1,0 +1,184 @@
+"""How cost grows: processor seconds against the size of what is asked, with fitted exponents.
+
+    python -m benches.pipeline.cost_growth [-o FILE] [--only WHAT ...]
+
+All on made-up scenes. Each point runs in a process of its own, which first does the same with
+something small, so that imports and kernels do not count: processor seconds, the median of three
+times where one is short. The exponent is the slope of the logarithms over the larger half of the
+range: 1 is linear.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benches.common.pages import publish
+
+RANGES: Mapping[str, tuple[float, ...]] = {
+    "texts": (1, 10, 100, 1000),
+    "objects": (5, 50, 500),
+    "Gaussians": (50_000, 200_000, 1_000_000, 4_000_000),
+    "pixels": (0.05, 0.1, 0.2, 0.4),
+    "views": (2, 3, 4, 6),
+}
+"""What grows, and through which sizes; pixels are megapixels a view."""
+
+SAYS = {
+    "texts": "asking one view of 416x576 pixels and 60 objects",
+    "objects": "a new view's first question: reading ids and one answer, 416x576 pixels",
+    "Gaussians": "drawing six channels at 416x576 pixels on all cores",
+    "pixels": "a whole field of a made-up room, two views",
+    "views": "a whole field of a made-up room, 240x320 pixels a view",
+}
+TIMES = 3
+SHORT = 2.0
+"""Seconds below which a job runs several times."""
+
+
+def exponent(sizes: list[float], costs: list[float]) -> float:
+    """The slope of log cost over log size, of the larger half of the sizes."""
+    upper = slice(len(sizes) // 2 - (len(sizes) % 2 == 0), None)
+    return float(np.polyfit(np.log(sizes[upper]), np.log(np.maximum(costs[upper], 1e-9)), 1)[0])
+
+
+def job(what: str, size: float) -> Callable[[], object]:
+    """What is done at one size; making it ready is not counted."""
+    return {
+        "texts": _texts,
+        "objects": _objects,
+        "Gaussians": _gaussians,
+        "pixels": lambda s: _field(2, s),
+        "views": lambda s: _field(int(s), 0.0768),
+    }[what](size)
+
+
+def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[], object]]:
+    from slgaussian.language import load_encoder
+    from slgaussian.language.bank import MemoryBank
+    from slgaussian.language.objectmap import ObjectMap
+    from slgaussian.language.query import BankReader, Rules, ask
+    from slgaussian.language.vocabulary import load_vocabulary
+
+    encoder = load_encoder("lexicon")
+    rng = np.random.default_rng(0)
+    words = [word for word, one in load_vocabulary().words.items() if one.weights]
+    colours = ("red", "blue", "white", "green", "dark", "wooden", "small")
+    asked = [f"{colours[k // len(words) % 7]} {words[k % len(words)]}" for k in range(texts)]
+    looks = rng.normal(size=(objects, 2, encoder.width)).astype(np.float32)
+    looks /= np.linalg.norm(looks, axis=2, keepdims=True)
+    bank = MemoryBank(
+        np.arange(1, objects + 1, dtype=np.int32),
+        rng.random((objects, 3)).astype(np.float32),
+        looks,
+        np.ones((objects, 2), bool),
+    )
+    cells = rng.integers(0, objects + 1, (52, 72)).astype(np.int32)
+    ids = cells.repeat(8, 0).repeat(8, 1)
+    rules = Rules()
+
+    def new_view() -> object:
+        reader = BankReader(bank, encoder)
+        seen = ObjectMap(ids, bank.ids)
+        return [(hit.mask, hit.relevancy, hit.point) for hit in ask(asked, seen, reader, rules)]
+
+    seen = ObjectMap(ids, bank.ids)
+
+    def old_view() -> object:
+        reader = BankReader(bank, encoder)
+        return [(hit.mask, hit.point) for hit in ask(asked, seen, reader, rules)]
+
+    return new_view, old_view
+
+
+def _texts(size: float) -> Callable[[], object]:
+    return _asked(60, int(size))[1]
+
+
+def _objects(size: float) -> Callable[[], object]:
+    return _asked(int(size), 1)[0]
+
+
+def _gaussians(size: float) -> Callable[[], object]:
+    from slgaussian.gaussians import Gaussians
+    from slgaussian.rasterize.picture import picture
+    from slgaussian.scene import Camera
+
+    n, rng = int(size), np.random.default_rng(0)
+    camera = Camera(np.array([[500.0, 0, 288], [0, 500, 208], [0, 0, 1]]), np.eye(4), 576, 416)
+    depth = rng.uniform(2, 3, n)
+    pixels = rng.uniform(0, (576, 416), (n, 2))
+    means = np.concatenate([(pixels - (288, 208)) / 500, np.ones((n, 1))], 1) * depth[:, None]
+    # A surface a pixel deep, however many draw it.
+    wide = 0.4 * depth / 500 * np.sqrt(576 * 416 * 2 / n)
+    made = Gaussians.from_arrays(
+        {
+            "means": means.astype(np.float32),
+            "scales": np.stack([wide, wide, wide / 10], 1).astype(np.float32),
+            "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+            "opacities": np.full(n, 0.6, np.float32),
+            "sh": np.zeros((n, 1, 3), np.float32),
+            "source": np.arange(n, dtype=np.int32),
+        }
+    )
+    values = rng.random((n, 6)).astype(np.float32)
+    return lambda: picture(made, values, camera)
+
+
+def _field(views: int, megapixels: float) -> Callable[[], object]:
+    from slgaussian import build_field, datasets
+
+    height = round((megapixels * 1e6 * 3 / 4) ** 0.5 / 4) * 4
+    size = height, round(height * 4 / 3 / 4) * 4
+    scene = datasets.load("procedural", seed=3, views=views, height=size[0], width=size[1])
+    sample = scene.sample(list(scene.cameras), [], size)
+    return lambda: build_field(sample)
+
+
+def point(what: str, size: float) -> dict[str, float]:
+    """The cost of one size, in this process: ``seconds`` of the processor."""
+    job(what, RANGES[what][0])()
+    work = job(what, size)
+    spent = []
+    while not spent or (len(spent) < TIMES and spent[0] < SHORT):
+        start = time.process_time()
+        work()
+        spent.append(time.process_time() - start)
+    return {"size": size, "seconds": float(np.median(spent))}
+
+
+def grown(what: str) -> dict:
+    """All points of a range, each in a process of its own, and the exponents."""
+    rows = []
+    for size in RANGES[what]:
+        command = [sys.executable, "-m", "benches.pipeline.cost_growth", "--point", what, str(size)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(done.stderr)
+        rows.append(json.loads(done.stdout.splitlines()[-1]))
+        print(what, rows[-1], file=sys.stderr)
+    sizes, seconds = ([row[name] for row in rows] for name in ("size", "seconds"))
+    return {"what": what, "says": SAYS[what], "rows": rows, "exponent": exponent(sizes, seconds)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path)
+    parser.add_argument("--only", nargs="*", choices=RANGES, default=list(RANGES))
+    parser.add_argument("--point", nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.point:
+        print(json.dumps(point(given.point[0], float(given.point[1]))))
+        return
+    publish("pipeline/cost_growth.md.j2", given.out, ranges=[grown(what) for what in given.only])
+
+
+if __name__ == "__main__":
+    main()

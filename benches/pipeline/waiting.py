@@ -1,0 +1,187 @@
+"""What people wait for at the command line, beside an earlier commit, in turn.
+
+    python -m benches.pipeline.waiting DATA EARLIER [-o FILE] [--rounds N] [--only WORDS ...]
+
+DATA holds photographs with cameras and pairs.json, as the office set does. EARLIER is a folder with
+a checkout of another commit; it runs with the packages that are installed here. Each command runs
+once before it is measured, so that kernels are compiled and files are in memory; then the two
+commits take turns. ``first field`` is measured once, with an empty folder for kernels. With
+``--only`` what else was measured of the same commit stays.
+
+With ``-o docs/measured/waiting.md`` the rows are also appended to ``waiting.json`` beside it, the
+history that the page shows. A command is called slower where the interval of its ratio to the
+earlier commit lies above that of the last time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benches.common.pages import publish
+from benches.common.photograph_pairs import photographs
+from benches.common.process_cost import Cost, costing
+from slgaussian.storage.store import write_atomic
+
+HERE = Path(__file__).parents[2]
+DRAWS = 2000
+FIRST = "first field"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One command: medians over the rounds of this commit and the earlier one.
+
+    ``low`` and ``high`` are the ends of a 95 % bootstrap interval of ``ratio``, the median over the
+    rounds of this commit's processor seconds over the earlier one's.
+    """
+
+    command: str
+    cpu: float
+    cpu_before: float
+    wall: float
+    wall_before: float
+    peak: float
+    peak_before: float
+    ratio: float
+    low: float
+    high: float
+    rounds: int
+
+
+def program(folder: Path) -> tuple[str, ...]:
+    """What starts the command line of a checkout."""
+    told = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
+    module, function = told["project"]["scripts"]["slgaussian"].split(":")
+    return sys.executable, "-c", f"from {module} import {function}; {function}()"
+
+
+def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> Row:
+    """The row of costs of two commits, taken in turn."""
+    ratios = np.array([a.cpu / b.cpu for a, b in zip(now, before, strict=True)])
+    drawn = np.random.default_rng(0).integers(0, len(ratios), (DRAWS, len(ratios)))
+    low, high = np.quantile(np.median(ratios[drawn], 1), (0.025, 0.975)).tolist()
+    both = {
+        f"{name}{end}": float(np.median([getattr(cost, name) for cost in costs]))
+        for end, costs in (("", now), ("_before", before))
+        for name in ("cpu", "wall", "peak")
+    }
+    return Row(command, **both, ratio=float(np.median(ratios)), low=low, high=high,
+               rounds=len(ratios))  # fmt: skip
+
+
+def slower(rows: Sequence[Row], last: Sequence[Row]) -> list[str]:
+    """The commands whose ratio to the earlier commit rose beyond noise since the last time."""
+    known = {row.command: row for row in last}
+    return [r.command for r in rows if r.command in known and r.low > known[r.command].high]
+
+
+def measured(words: Sequence[str], folders: Sequence[Path], rounds: int) -> tuple[list, list]:
+    """Costs of a command here and there, in turn. ``{}`` among the words is 0 here and 1 there."""
+    costs: tuple[list[Cost], list[Cost]] = ([], [])
+    for number in range(rounds + 1):
+        for k, folder in enumerate(folders):
+            given = [word.replace("{}", str(k)) for word in words]
+            cost = costing([*program(folder), *given], cwd=folder)
+            if number:
+                costs[k].append(cost)
+    return costs
+
+
+def first_field(words: Sequence[str], folders: Sequence[Path]) -> tuple[list, list]:
+    """Costs of the first command ever: its kernels are compiled into an empty folder."""
+    costs: tuple[list[Cost], list[Cost]] = ([], [])
+    for k, folder in enumerate(folders):
+        with tempfile.TemporaryDirectory() as empty:
+            given = [word.replace("{}", str(k)) for word in words]
+            own = {**os.environ, "NUMBA_CACHE_DIR": empty}
+            costs[k].append(costing([*program(folder), *given], cwd=folder, env=own))
+    return costs
+
+
+def commit(folder: Path) -> str:
+    told = subprocess.run(
+        ["git", "rev-parse", "--short=7", "HEAD"], cwd=folder, capture_output=True, text=True
+    )
+    return told.stdout.strip() or "unknown"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=photographs)
+    parser.add_argument("earlier", type=Path)
+    parser.add_argument("-o", "--out", type=Path)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--only", nargs="*", help="commands, by their first word")
+    given = parser.parse_args()
+    folders = (HERE, given.earlier.resolve())
+    pair = next(iter(json.loads((given.data / "pairs.json").read_text()).values()))
+    photos = [str((given.data / name).resolve()) for name in pair["context"]]
+    with tempfile.TemporaryDirectory() as place:
+        cameras = str((given.data / "transforms.json").resolve())
+        field = ("field", *photos, "--cameras", cameras, "-o", f"{place}/{{}}")
+        for k, folder in enumerate(folders):  # something to ask
+            costing([*program(folder), *[word.replace("{}", str(k)) for word in field]], cwd=folder)
+        asked = ("query", f"{place}/{{}}", "chair")
+        commands = {
+            "field, a pair": field,
+            "query": asked,
+            "query --out": (*asked, "-o", f"{place}/{{}}.png"),
+            "help": ("--help",),
+            "words": ("words",),
+        }
+        rows = []
+        for name, words in commands.items():
+            if given.only and name not in given.only:
+                continue
+            few = min(3 if words[0] == "field" else given.rounds, given.rounds)
+            rows.append(row_of(name, *measured(words, folders, few)))
+            print(rows[-1], file=sys.stderr)
+        if not given.only or FIRST in given.only:
+            rows.append(row_of(FIRST, *first_field(field, folders)))
+    history = given.out.with_suffix(".json") if given.out else None
+    runs: list[dict[str, Any]] = []
+    if history is not None and history.exists():
+        runs = json.loads(history.read_text())
+    here, there = map(commit, folders)
+    day = datetime.now(UTC).date().isoformat()
+    if runs and runs[-1]["commit"] == here:
+        again = {row.command for row in rows}
+        kept = [Row(**row) for row in runs.pop()["rows"] if row["command"] not in again]
+        rows = [*kept, *rows]
+    last = [Row(**row) for row in runs[-1]["rows"]] if runs else []
+    runs.append({"commit": here, "day": day, "rows": [asdict(row) for row in rows]})
+    said = slower(rows, last)
+    publish(
+        "pipeline/waiting.md.j2", given.out,
+        rows=[asdict(row) for row in rows], earlier=there, slower=said,
+        history=[
+            {"day": run["day"], "commit": run["commit"]}
+            | {row["command"]: row["cpu"] for row in run["rows"]}
+            for run in runs
+        ],
+        columns={"day": ("day", str), "commit": ("commit", str)}
+        | {row.command: (row.command, ".2f") for row in rows},
+        call=shlex.join(["python", "-m", "benches.pipeline.waiting", "DATA", "EARLIER"]),
+    )  # fmt: skip
+    if history is not None:
+        write_atomic(history, (json.dumps(runs, indent=1) + "\n").encode())
+    if said:
+        raise SystemExit(f"slower beyond noise than the last time: {', '.join(said)}")
+
+
+if __name__ == "__main__":
+    main()
