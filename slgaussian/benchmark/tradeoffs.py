@@ -248,7 +248,7 @@ def propose(weighed: Sequence[Weighed], wanted: Wanted) -> Proposal:
 
     With a wanted error the quickest whose error is no greater. Otherwise the one of the least error
     among those that are quick and small enough; of several whose errors, all that are known, are
-    the same within :func:`noise`, the quickest.
+    the same within :func:`noise`, or as printed, the quickest.
     """
     known = [one for one in weighed if one.factor != SEED]
     fitting = [one for one in known if not list(_misses(one, wanted))]
@@ -260,7 +260,8 @@ def propose(weighed: Sequence[Weighed], wanted: Wanted) -> Proposal:
     slack, left = noise(weighed), fitting
     for name in weighed[0].errors:
         least = min(one.errors[name] for one in left)
-        left = [one for one in left if one.errors[name] <= least + slack[name]]
+        most = least + max(slack[name], 10**-DIGITS)
+        left = [one for one in left if one.errors[name] <= most]
     chosen = min(left, key=lambda one: one.whole)
     given = (wanted.seconds, "s"), (wanted.memory, "MB")
     bounds = [f"{bound:g} {unit}" for bound, unit in given if bound is not None]
