@@ -14,6 +14,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from flows.artifact_table import write_artifacts
 from flows.corpus_settings import CorpusSettings
 from flows.pipeline import check_folder
 from flows.runners.progress import Progress
@@ -53,11 +54,15 @@ FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run leaves: how many rows each table has, refs by chunk and stage, and what failed."""
+    """What a run leaves: how many rows each table has, refs by chunk and stage, and what failed.
+
+    ``outcome`` has all that was made.
+    """
 
     rows: dict[str, int]
     refs: dict[str, dict[str, ArtifactRef]]
     failures: list[Failure]
+    outcome: Outcome
 
 
 def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
@@ -167,7 +172,8 @@ def _write(
     failures = [failure for failure in failures if failure.scene not in withdrawn]
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
     write_atomic(out / "failures.parquet", failures_file(failures))
-    return Prepared(rows, refs, failures)
+    write_artifacts(out, store, [outcome])
+    return Prepared(rows, refs, failures, outcome)
 
 
 def _write_sheets(

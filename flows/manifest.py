@@ -21,6 +21,7 @@ from slgaussian.datasets.published import Found, standing
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.storage.provenance import software
+from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.stage import Stage
 
@@ -45,6 +46,7 @@ def manifest(
         for key, known in part.files.items()
     }
     return {
+        "spec": load_spec("manifest").label,
         "slgaussian": __version__,
         "seed": settings.seed,
         "settings": own,

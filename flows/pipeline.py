@@ -16,6 +16,7 @@ from typing import Any
 import pyarrow as pa
 
 from flows import kept
+from flows.artifact_table import write_artifacts
 from flows.jobs import baseline_job_name, baseline_jobs, chosen_baselines, scene_job
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
@@ -190,6 +191,7 @@ def _write(
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
     write_atomic(out / "failures.parquet", failures_file(made.failures))
+    write_artifacts(out, store, made.outcomes)
     results, times, costs = [], [], []
     for scene, ref in made.results():
         arrays = store.get(ref)
@@ -267,7 +269,8 @@ class _Made:
     ``others`` by method those of baselines, ``truths`` what they were scored against, ``lost``
     what lost ours, and ``costs`` what their fields cost. ``stages`` says what each stage took when
     its artifacts were made, which for cached ones is long ago, and ``machines`` on which
-    processors, with the number of artifacts. ``hard_cases`` are those of this machine.
+    processors, with the number of artifacts. ``hard_cases`` are those of this
+    machine, and ``outcomes`` have all that was made.
     """
 
     fields: dict[str, ArtifactRef]
@@ -281,6 +284,7 @@ class _Made:
     stages: dict[str, StageCost]
     machines: dict[str, int]
     manifest: dict[str, Any]
+    outcomes: list[Outcome]
     report: ArtifactRef | None = None
     hard_cases: ArtifactRef | None = None
 
@@ -312,6 +316,7 @@ def score(
         last = [_report_job(made), Job("this machine", check_numerics, (), "numerics")]
         with Progress(len(last), 1, progress.verbose, unit="last jobs") as course:
             page = work_through_all(last, pool, course)
+        made.outcomes.append(page)
         made.failures += page.failures
         made.report = page.refs.get("all scenes", {}).get("report")
         made.hard_cases = page.refs.get("this machine", {}).get("numerics")
@@ -357,6 +362,7 @@ def _gathered(
         costs,
         _machines(outcome, more),
         manifest(settings, scenes, stages, outcome.refs, rows),
+        [outcome, more],
     )
 
 

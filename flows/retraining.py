@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from flows import corpus
+from flows.runners.worker_pool import Outcome
 from flows.training import Parted, parted, read_lessons, train_on
 from flows.training_settings import RetrainSettings, Training
 from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
@@ -79,8 +80,8 @@ def retrain(
         prepared = corpus.supervise(settings, store, verbose)
         lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
         known = clips_of(pq.read_table(settings.out / corpus.FILES["views"]))
-        learnt = learn(lessons, settings, store, verbose, clips=known, failed=failed_in(prepared))
-        return learnt, prepared
+        more = {"clips": known, "failed": failed_in(prepared), "before": [prepared.outcome]}
+        return learn(lessons, settings, store, verbose, **more), prepared
 
 
 @contextmanager
@@ -103,13 +104,15 @@ def learn(
     by: str = "slgaussian retrain",
     clips: pa.Table | None = None,
     failed: Collection[str] = (),
+    before: Sequence[Outcome] = (),
 ) -> Learnt:
     """Train from the weights in use on lessons, and keep what is better.
 
     The candidate, the version in use, ``hard`` and ``filled`` are judged on the same held-out
     lessons. The candidate is put to use if it is better than each of the others beyond noise
     (:func:`slgaussian.benchmark.verdict.gate`), and kept in any case. Without anything new, in the
-    lessons or the settings, nothing is trained. ``by`` goes to the history of the versions.
+    lessons or the settings, nothing is trained. ``by`` goes to the history of the versions;
+    ``before`` is what the same command made before, for its table of artifacts.
 
     ``clips`` are those of the corpus, spec ``clips``, and ``failed`` the names of the clips and
     chunks that could not be read. If the version in use has learnt what is no more among them,
@@ -138,7 +141,7 @@ def learn(
             forgotten = forgotten_by(versions, incumbent, clips, failed)
     given = settings.codes, settings.seed, None if forgotten else start, store, verbose
     trained = train_on(lessons, settings, *given, rival=start)
-    trained.write(settings.out)
+    trained.write(settings.out, store, before)
     judgements = trained.judgements
     found = gate(judgements, rivals)
     facts = {**about, "scores": _scores(judgements), "forgotten": list(forgotten)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from flows.artifact_table import write_artifacts
 from flows.pipeline import check_folder
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
@@ -67,15 +68,22 @@ class Parted:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """What a training made: weights as a safetensors file, its course, how they were judged."""
+    """What a training made: weights as a safetensors file, its course, how they were judged.
+
+    ``outcome`` has all artifacts.
+    """
 
     weights: bytes
     metrics: pa.Table
     judgements: pa.Table
     report: bytes
+    outcome: Outcome
 
-    def write(self, out: Path) -> None:
-        """Write the :data:`FILES`; InputError if that fails."""
+    def write(self, out: Path, store: ArtifactStore, before: Sequence[Outcome] = ()) -> None:
+        """Write the :data:`FILES` and the table of artifacts; InputError if that fails.
+
+        ``before`` is what the same command made before.
+        """
         contents = {
             "weights": self.weights,
             "metrics": encode_table(self.metrics, load_spec("metrics")),
@@ -85,6 +93,7 @@ class Trained:
         try:
             for name, data in contents.items():
                 write_atomic(out / FILES[name], data)
+            write_artifacts(out, store, [*before, self.outcome])
         except OSError as error:
             raise InputError(
                 f"{out}: cannot write the results ({error.strerror}); they are kept in the store, "
@@ -117,7 +126,7 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
             )
     made_of = settings.codes, settings.seed, start, store, verbose
     trained = train_on(lessons, settings, *made_of, architecture=chosen)
-    trained.write(settings.out)
+    trained.write(settings.out, store)
     return trained
 
 
@@ -221,6 +230,7 @@ def train_on(
         store.get(course),
         store.get(made["judge"]),
         store.get(made["training_report"])["html"].tobytes(),
+        outcome,
     )
 
 

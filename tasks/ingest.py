@@ -15,6 +15,7 @@ from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.predict.links import usable
 from slgaussian.scene import Camera, Sample, View
+from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef, sha256_of
 from tasks.artifacts import sample_to_arrays
 from tasks.stage import Worksite, stage
@@ -103,7 +104,9 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     left_out = {**sample.found.get("left_out", {}), **useless}
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
     meta = {"cameras": told_of(cameras), "left_out": left_out}
-    return site.store.put("sample", sample_to_arrays(sample), meta)
+    source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
+    with saying(source, licence):
+        return site.store.put("sample", sample_to_arrays(sample), meta)
 
 
 def told_of(cameras: Iterable[Camera]) -> str:

@@ -104,8 +104,9 @@ class Stage:
     made, whose ``meta`` says what settings made it of which ``inputs``, how many ``seconds`` that
     took on which ``processor`` while how many ``workers`` shared it, and how many
     ``processor_seconds`` of the whole process, both without those of ``compiling`` kernels, and by
-    how many bytes at most memory had ``grown``, None where that is not known. The files that it
-    writes say the stage, its version and the settings.
+    how many bytes at most memory had ``grown``, None where that is not known. It has the
+    ``stage_version``, and is ``cached`` if it was found made. The files that the stage writes say
+    the stage, its version and the settings.
     """
 
     def __init__(
@@ -160,7 +161,8 @@ class Stage:
         records = Records(site.store)
         found = records.find(site.key)
         if found is not None:
-            site.made[self.name] = found
+            known = {**found.meta, "stage_version": self.version, "cached": True}
+            site.made[self.name] = replace(found, meta=known)
             return Completed(name="Cached", message="found in the store")
         settings, inputs = self._parted(arguments)
         of = {name: ref.spec for name, ref in inputs.items()}
@@ -188,7 +190,7 @@ class Stage:
         known = {"settings": settings, "inputs": {n: own.digest for n, own in inputs.items()}}
         ref = replace(ref, meta={**ref.meta, **known, **took})
         records.keep(site.key, ref)
-        site.made[self.name] = ref
+        site.made[self.name] = replace(ref, meta={**ref.meta, "stage_version": self.version})
         return None
 
     def _parted(

@@ -1,5 +1,6 @@
 """The commands that look after an installation. Heavy imports wait until one is given."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -79,3 +80,28 @@ def parts(
     if as_json and schema:
         raise InputError("parts: --json and --schema are two outputs; choose one")
     typer.echo(known.schema() if schema else known.as_json() if as_json else known.listed())
+
+
+@commands.command(rich_help_panel=UPKEEP)
+def inspect(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to look into.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print all as JSON.")] = False,
+) -> None:
+    """Say what a file holds, and what made it.
+
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors) or JSON that slgaussian wrote, an
+    artifact of a store, the folder of a field, or the folder of a run's results. Says its data
+    spec, each field with type, sizes, unit, range found and meaning, what made it with which
+    settings, and its digest. The exit status is 1 if it is not what its spec says.
+
+    \b
+    slgaussian inspect results/samples.parquet
+    slgaussian inspect results/fields/kitchen --json
+    slgaussian inspect results
+    """
+    from flows.cli.inspecting import told
+    from slgaussian.storage.inspection import inspect as look
+
+    found = look(path)
+    typer.echo(found.as_json() if as_json else told(found))
+    raise typer.Exit(0 if found.sound else 1)

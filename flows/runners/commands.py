@@ -8,6 +8,7 @@ from typing import Any
 from flows.runners.environment import orchestration
 from flows.runners.journal import journal
 from slgaussian import __version__
+from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.store import ArtifactStore
 
 WORK = {
@@ -50,7 +51,11 @@ def perform(command: str, settings: Any, verbose: bool = False) -> Any:
         **settings.model_dump(include={"runner", "workers"}),
     }
     module, name = WORK[command].split(".")
-    with journal(settings.out, about, verbose), orchestration(store) as ready:
+    with (
+        journal(settings.out, about, verbose),
+        orchestration(store) as ready,
+        making(Made(command)),
+    ):
         # Its imports take as long as the server needs to come up.
         work = getattr(import_module(f"flows.{module}"), name)
         ready()

@@ -20,10 +20,13 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from slgaussian.errors import SLGaussianError
+from slgaussian.storage.specs import load_spec
 
 FILE = "log.jsonl"
 BEFORE = "log.1.jsonl"
 """What the log of the run before is called."""
+
+LABEL = load_spec("log").label
 
 _all = logging.getLogger("slgaussian")
 _all.addHandler(logging.NullHandler())
@@ -133,7 +136,9 @@ class _File(logging.Handler):
         with suppress(FileNotFoundError):
             os.replace(self.path, self.path.with_name(BEFORE))
         self.stream = self.path.open("w", encoding="utf-8", errors="backslashreplace")
-        self._write({**_stamp(when, "info"), "run": self.run, "event": "run", **self.about})
+        self._write(
+            {**_stamp(when, "info"), "run": self.run, "event": "run", "spec": LABEL, **self.about}
+        )
 
     def _fields(self, record: logging.LogRecord) -> dict[str, Any]:
         facts = dict(getattr(record, "facts", {"event": "logged", "logger": record.name}))

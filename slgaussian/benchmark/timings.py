@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.paper_tables import SECONDS
+from slgaussian.storage.specs import load_spec
 
 if TYPE_CHECKING:  # what measures them takes long to load
     from slgaussian.benchmark.numerics import HardCase
@@ -80,6 +81,7 @@ class Times:
     def as_json(self) -> dict[str, Any]:
         """Plain data, for a file."""
         return {
+            "spec": load_spec("run_times").label,
             "seconds_by_stage": {name: one.seconds for name, one in self.stages.items()},
             "memory_by_stage": {name: one.grown for name, one in self.stages.items()},
             "seconds_of_compiling": self.compiling,

@@ -48,6 +48,13 @@ SETS = {name: READERS[name].replace(":read", ":scenes") for name in ("lerf_ovs",
 """What lists the scenes of a folder that holds several, by format."""
 
 
+SOURCES = {
+    "procedural": ("drawn by slgaussian.datasets.procedural", "Apache-2.0"),
+    "stereo": ("Middlebury Stereo 2014, Motorcycle (Scharstein et al.), by scikit-image", ""),
+}
+"""Where the data of a format come from and their licence, where the format alone says so."""
+
+
 def load(format: str, *args: Any, **settings: Any) -> Scene:
     """Read a scene with the reader of that format; arguments are the reader's own.
 

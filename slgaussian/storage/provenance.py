@@ -12,7 +12,7 @@ import platform
 from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -69,6 +69,17 @@ def making(made: Made) -> Iterator[None]:
         yield
     finally:
         _made.reset(token)
+
+
+@contextmanager
+def saying(source: str, licence: str) -> Iterator[None]:
+    """Have the files that are written within the block also say where their data come from."""
+    made = current()
+    if made is None:
+        yield
+        return
+    with making(replace(made, source=source, licence=licence)):
+        yield
 
 
 def current() -> Made | None:

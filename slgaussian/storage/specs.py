@@ -4,6 +4,9 @@ A spec with ``fields`` lists named arrays with dtype and shape; the letters of a
 whose sizes must agree within one artifact. A spec with ``columns`` lists those of a table. Both are
 checked when an artifact is written and again when it is read.
 
+A spec with ``keys`` lists those of a JSON file, or of each line of one
+(:mod:`slgaussian.storage.documents`).
+
 A spec has a version, and files carry its name, version and meaning with the unit, bounds and
 meaning of each field (:mod:`slgaussian.storage.provenance` adds what made them): in Parquet as
 Arrow's metadata of fields and schema, in NPZ as a member :data:`ABOUT` of JSON.
@@ -107,8 +110,29 @@ class Column:
 
 
 @dataclass(frozen=True)
+class Key:
+    """A value of a JSON file, at a place as ``data.*.context``, where ``*`` is any key.
+
+    ``[]`` stands for each entry of a list. What has a ``*`` or keys below it has these alone; other
+    objects may hold anything. ``type`` is one of :data:`slgaussian.storage.documents.TYPES`; the
+    rest is as of a :class:`Column`.
+    """
+
+    type: str
+    doc: str
+    nullable: bool = False
+    optional: bool = False
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    values: tuple[str | int, ...] = ()
+
+
+@dataclass(frozen=True)
 class Spec:
     """What one kind of artifact holds: ``fields`` of an ``.npz`` or ``columns`` of a table.
+
+    Or ``keys`` of a JSON file.
 
     Attributes
     ----------
@@ -117,6 +141,10 @@ class Spec:
         Raised by hand when files of the version before are no longer what the spec says.
     compress : bool
         Whether arrays are deflated.
+    file : str
+        What a file of it is called outside a store, if it always has one name.
+    lines : bool
+        Whether a JSON file has an object a line.
     axes : mapping
         What each letter of a shape counts.
     open : bool
@@ -128,9 +156,12 @@ class Spec:
     version: int = 1
     compress: bool = True
     open: bool = False
+    file: str = ""
+    lines: bool = False
     axes: Mapping[str, str] = field(default_factory=dict)
     fields: Mapping[str, Field] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
+    keys: Mapping[str, Key] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -140,6 +171,8 @@ class Spec:
     @property
     def suffix(self) -> str:
         """File name ending of the artifact."""
+        if self.keys:
+            return ".jsonl" if self.lines else ".json"
         return ".parquet" if self.columns else ".npz"
 
     @property
@@ -214,6 +247,9 @@ class Spec:
             raise mismatch(file, unknown[0], "an unknown column", f"only {list(self.columns)}")
 
 
+Entry = Field | Column | Key
+
+
 @cache
 def load_spec(name: str) -> Spec:
     """The spec called ``name``.
@@ -228,7 +264,8 @@ def load_spec(name: str) -> Spec:
     raw = tomllib.loads((files("data_specs") / f"{name}.toml").read_text("utf-8"))
     fields = {n: Field(**_tuples(own)) for n, own in raw.pop("fields", {}).items()}
     columns = {n: Column(**_tuples(own)) for n, own in raw.pop("columns", {}).items()}
-    return Spec(name=name, fields=fields, columns=columns, **raw)
+    keys = {n: Key(**_tuples(own)) for n, own in raw.pop("keys", {}).items()}
+    return Spec(name=name, fields=fields, columns=columns, keys=keys, **raw)
 
 
 @cache
@@ -253,7 +290,7 @@ def _tuples(table: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(own) if isinstance(own, list) else own for name, own in table.items()}
 
 
-def _said_of(entry: Field | Column, plain: bool = False) -> dict[str, Any]:
+def _said_of(entry: Entry, plain: bool = False) -> dict[str, Any]:
     """Meaning, unit, bounds and values of a field or column: text as Arrow has it, or plain."""
     said: dict[str, Any] = {"meaning": entry.doc, "unit": entry.unit}
     said |= {"low": entry.low, "high": entry.high, "values": list(entry.values)}
@@ -281,11 +318,11 @@ def _check_column(data: pa.ChunkedArray, column: Column, name: str, file: str) -
             raise mismatch(file, name, f"{value!r:.80}", f"one of {list(column.values)}")
     if column.low is not None or column.high is not None:
         found = pc.min_max(data).as_py()
-        _check_bounds(found["min"], found["max"], column, name, file, ROUNDING)
+        check_bounds(found["min"], found["max"], column, name, file, ROUNDING)
 
 
-def _check_bounds(
-    least: Any, most: Any, entry: Field | Column, name: str, file: str, slack: float = 0.0
+def check_bounds(
+    least: Any, most: Any, entry: Entry, name: str, file: str, slack: float = 0.0
 ) -> None:
     """``least`` and ``most`` are None where there is no value."""
     if entry.low is not None and least is not None and least < entry.low - slack:
@@ -318,7 +355,7 @@ def _check_array(
         # One pass for each bound that there is: arrays may be large.
         least = array.min() if field.low is not None else None
         most = array.max() if field.high is not None else None
-        _check_bounds(least, most, field, name, file)
+        check_bounds(least, most, field, name, file)
 
 
 def _resolve(

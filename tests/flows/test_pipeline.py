@@ -23,6 +23,8 @@ from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.parts.method import Method
+from slgaussian.storage.documents import read_document
+from slgaussian.storage.inspection import inspect
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore, stated
@@ -92,7 +94,11 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     folder, missing, _ = first
     before = files_below(folder / "out")
     pipeline.run(settings_for(folder, missing), ArtifactStore(folder / "store"))
-    assert files_below(folder / "out") == before
+    table = pq.read_table(folder / "out" / "artifacts.parquet")
+    assert set(table["cached"].to_pylist()) == {True}
+    del before["artifacts.parquet"]  # which says just that
+    after = files_below(folder / "out")
+    assert {name: after[name] for name in after if name != "artifacts.parquet"} == before
     told = capsys.readouterr().err
     assert "room  8 stages cached" in told
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
@@ -117,6 +123,50 @@ def test_every_artifact_says_which_stage_made_it(first):
     assert seen == {*(stage.name for stage in STAGES), "baselines", "report"}
 
 
+def test_the_table_of_artifacts_leads_from_a_file_back_to_the_photographs(first):
+    folder, _, _ = first
+    store = ArtifactStore(folder / "store")
+    rows = pq.read_table(folder / "out" / "artifacts.parquet").to_pylist()
+    by_digest = {row["digest"]: row for row in rows}
+    for row in rows:
+        assert row["bytes"] == len(store.read(row["uri"]))
+        assert row["uri"].startswith(f"{row['spec']}/") and row["digest"] in row["uri"]
+        assert (row["part_of"] is None) == (row["seconds"] is not None)
+        assert set(row["inputs"]) <= by_digest.keys()
+    own = {row["stage"]: row for row in rows if row["scene"] == "room" and not row["part_of"]}
+    assert own.keys() == {stage.name for stage in STAGES}
+    assert {stage.name: stage.version for stage in STAGES} == {
+        name: row["stage_version"] for name, row in own.items()
+    }
+    places = [row for row in rows if row["part_of"] == own["field"]["digest"]]
+    assert {row["spec"] for row in places} == {"gaussians", "bank", "objects"}
+    waiting, seen = [own["attribution"]["digest"]], set()
+    while waiting:
+        row = by_digest[waiting.pop()]
+        seen.add(row["stage"])
+        waiting += row["inputs"]
+    assert seen == own.keys() - {"benchmark"}
+    sample = stated(store.read(own["ingest"]["uri"]))
+    assert (sample["source"], sample["licence"]) == datasets.SOURCES["procedural"]
+
+
+def test_documents_are_what_their_specs_say(first):
+    folder, _, _ = first
+    out = folder / "out"
+    read_document((out / "manifest.json").read_bytes(), load_spec("manifest"), "m")
+    times = read_document((out / "times.json").read_bytes(), load_spec("run_times"), "t")
+    assert times["spec"] == "slgaussian/run_times@1"
+    field = out / "fields" / "room" / "field.json"
+    read_document(field.read_bytes(), load_spec("field_json"), "f")
+    found = inspect(out)
+    assert found.sound and {Path(one.path).name for one in found.holds} >= {
+        "artifacts.parquet",
+        "manifest.json",
+        "times.json",
+        "room",
+    }
+
+
 def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     folder, missing, _ = first
     store = ArtifactStore(tmp_path / "store")
@@ -125,7 +175,9 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
     # Times differ, in a section of the report, in marked numbers, and in their own file.
     marked = r'<span class="took">[^<]*</span>'
-    mine, theirs = (files_below(place / "out", ("times",)) for place in (tmp_path, folder))
+    mine, theirs = (
+        files_below(place / "out", ("times", "artifacts")) for place in (tmp_path, folder)
+    )
     for name in ("report.html", "report.md"):
         pages = (
             re.sub(marked, "", files.pop(name).decode()).partition("Speed against error")

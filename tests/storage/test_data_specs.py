@@ -18,7 +18,7 @@ def test_every_spec_is_complete(name):
     assert spec.doc
     assert "version" in tomllib.loads((SPECS / f"{name}.toml").read_text("utf-8"))
     assert parse_label(spec.label) == (name, spec.version)
-    assert bool(spec.fields) + bool(spec.columns) + spec.open == 1
+    assert sum(map(bool, (spec.fields, spec.columns, spec.keys, spec.open))) == 1
     for field in spec.fields.values():
         assert field.dtype == "str" or np.dtype(field.dtype).name == field.dtype
         assert bool(field.unit) == (field.dtype not in ("str", "bool"))

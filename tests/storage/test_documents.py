@@ -1,0 +1,80 @@
+import json
+
+import pytest
+
+from slgaussian.benchmark.index import Index, ScenePair, write_index
+from slgaussian.errors import SpecError
+from slgaussian.storage.documents import TYPES, check_document, read_document
+from slgaussian.storage.specs import Key, Spec, load_spec, spec_names
+
+SPEC = Spec(
+    "own",
+    "Own.",
+    keys={
+        "name": Key("text", "A name."),
+        "count": Key("integer", "How many.", unit="count", low=0, nullable=True),
+        "kind": Key("text", "A kind.", optional=True, values=("a", "b")),
+        "parts": Key("object", "Parts."),
+        "parts.*": Key("list", "Sizes."),
+        "parts.*[]": Key("number", "A size.", unit="pixel"),
+        "free": Key("object", "Anything.", optional=True),
+    },
+)
+GOOD = {"name": "x", "count": 3, "parts": {"p": [1, 2.5]}, "free": {"any": ["thing"]}}
+
+
+def test_what_fits_passes():
+    check_document(GOOD, SPEC, "f")
+    check_document({**GOOD, "count": None, "kind": "b", "parts": {}}, SPEC, "f")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"name": 3}, "f: name: found 3, expected a text"),
+        ({"count": True}, "f: count: found True, expected an integer"),
+        ({"count": -1}, "f: count: found -1, expected values of at least 0"),
+        ({"count": 1.5}, "f: count: found 1.5, expected an integer"),
+        ({"kind": "c"}, "f: kind: found 'c', expected one of ['a', 'b']"),
+        ({"kind": None}, "f: kind: found None, expected a text"),
+        ({"parts": {"p": [1, "2"]}}, "f: parts.p[1]: found '2', expected a number"),
+        ({"parts": {"p": 1}}, "f: parts.p: found 1, expected a list"),
+        ({"more": 1}, "f: more: found an unknown key, expected only name, count, kind, parts"),
+    ],
+)
+def test_what_does_not_is_named(changed, message):
+    with pytest.raises(SpecError) as error:
+        check_document({**GOOD, **changed}, SPEC, "f")
+    assert message in str(error.value)
+
+
+def test_what_is_missing_is_named():
+    with pytest.raises(SpecError, match="f: parts: found nothing, expected an object"):
+        check_document({"name": "x", "count": 1}, SPEC, "f")
+
+
+def test_each_line_of_a_log_is_checked_and_a_last_one_cut_short_is_none():
+    spec = load_spec("log")
+    line = {"time": "t", "level": "info", "run": "r", "event": "note", "message": "m", "own": [1]}
+    whole = json.dumps(line) + "\n"
+    assert read_document((whole + whole[:20]).encode(), spec, "f") == [line]
+    bad = json.dumps({**line, "level": "loud"}) + "\n"
+    with pytest.raises(SpecError, match="f: line 2: level: found 'loud', expected one of"):
+        read_document((whole + bad).encode(), spec, "f")
+    with pytest.raises(SpecError, match=r"f: file: found no JSON \(.*expected a log of"):
+        read_document(b"{\n{}\n", spec, "f")
+
+
+def test_an_index_is_what_its_spec_says(tmp_path):
+    pair = ScenePair("a", ("1", "2"), ("3",), ("cup",), "a", {"scene": "a"}, {"overlap": 0.5})
+    write_index(tmp_path / "i.json", Index((pair,), "lerf_ovs", {"name": "around"}, {"b": "why"}))
+    read_document((tmp_path / "i.json").read_bytes(), load_spec("index"), "i.json")
+
+
+@pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])
+def test_keys_of_documents_are_complete(name):
+    spec = load_spec(name)
+    for place, key in spec.keys.items():
+        assert key.type in TYPES and key.doc
+        above = place.rpartition(".")[0] if not place.endswith("[]") else place[:-2]
+        assert not above or above in spec.keys, f"{place} stands below nothing"
