@@ -39,9 +39,9 @@ def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
                 "stage": stage,
                 "stage_version": ref.meta["stage_version"],
                 "cached": ref.meta.get("cached", False),
-                "inputs": sorted(_digests(ref.meta)),
             }
             yield of_stage | {
+                "inputs": sorted(_digests(ref.meta)),
                 "spec": ref.spec,
                 "uri": ref.uri,
                 "digest": ref.digest,
@@ -55,6 +55,7 @@ def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
                     "uri": uri,
                     "digest": Path(uri).stem,
                     "part_of": ref.digest,
+                    "inputs": [],
                     "bytes": _size(store, uri),
                 }
 

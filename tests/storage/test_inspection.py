@@ -73,7 +73,7 @@ def test_an_artifact_is_told_from_its_file_alone(artifact):
 def test_a_table_is_told_with_ranges_and_empty_cells(tmp_path):
     spec = load_spec("judgements")
     rows = [
-        {"sample": "a", "clip": "c", "labels": "found", "lifting": "hard", "iou": iou}
+        {"sample": "a", "clip": "c", "labels": "as found", "lifting": "hard", "iou": iou}
         for iou in (0.25, None, 0.75)
     ]
     table = pa.Table.from_pylist(rows, schema=spec.schema)
