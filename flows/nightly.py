@@ -122,7 +122,8 @@ def _work(
     record["drift"] = [asdict(one) for one in drift(before, _came(clips, found))]
 
     lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
-    learnt = learn(lessons, settings, store, verbose, BY, clips, failed)
+    done = [prepared.outcome]
+    learnt = learn(lessons, settings, store, verbose, BY, clips, failed, done)
     versions = Versions(settings.models)
     used = versions.current()
     record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}

@@ -53,10 +53,14 @@ def table(folder: Path, name: str) -> list[dict]:
     return pq.read_table(folder / "out" / f"{name}.parquet").to_pylist()
 
 
+TIMED = "artifacts.parquet"
+"""What says how long things took, and so is another in every store."""
+
+
 def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     named = {str(p.relative_to(folder)): p.read_bytes() for p in files}
-    return {name: data for name, data in named.items() if not name.startswith(hidden)}
+    return {name: data for name, data in named.items() if not name.startswith((*hidden, TIMED))}
 
 
 @pytest.fixture

@@ -120,7 +120,7 @@ def test_every_artifact_says_which_stage_made_it(first):
             assert said["made"]["of"].keys() == record.ref.meta["inputs"].keys()
             assert record.ref.meta["bytes"] == len(store.read(record.ref.uri))
             seen.add(record.stage)
-    assert seen == {*(stage.name for stage in STAGES), "baselines", "report"}
+    assert seen == {*(stage.name for stage in STAGES), "baselines", "numerics", "report"}
 
 
 def test_the_table_of_artifacts_leads_from_a_file_back_to_the_photographs(first):
