@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,26 +12,32 @@ import numpy as np
 import pyarrow as pa
 
 from flows.artifact_table import write_artifacts
+from flows.data_card import CARD
 from flows.pipeline import check_folder
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
 from flows.runners.shard import Job
 from flows.runners.worker_pool import Outcome, WorkerPool, job_flow, work_through_all
+from flows.set_lessons import read_set
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
+from slgaussian.datasets.training_set import INDEX, SPLITS
 from slgaussian.errors import InputError, SpecError
-from slgaussian.semantic.branch import Architecture, find_weights, load_branch
+from slgaussian.semantic.branch import Architecture, find_weights, load_branch, save_branch
 from slgaussian.semantic.split import held_out
-from slgaussian.semantic.training import TrainingSettings
+from slgaussian.semantic.training import found_device
+from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import (
     ArtifactRef,
     ArtifactStore,
     decode_table,
     encode_table,
+    sha256_of,
     write_atomic,
 )
 from tasks.judge import judge
+from tasks.learning import branch_from_arrays
 from tasks.train import train as train_stage
 from tasks.training_report import training_report
 
@@ -42,6 +48,9 @@ FILES = {
     "report": "report.html",
 }
 """What a training leaves in the output folder."""
+
+LAST = 20
+"""The loss that weights tell is the mean over so small a part of the last steps: one in this."""
 
 EVERY = 20
 """Steps between checkpoints: seconds of work, of which one takes hundredths."""
@@ -112,7 +121,7 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
         If there are too few lessons, they are not in the store, the weights to begin from cannot
         be used, the training fails, or something cannot be written.
     """
-    lessons = parted(read_lessons(settings.lessons / "lessons.parquet", store), settings.held_out)
+    lessons, card = lessons_in(settings, store)
     start = None if settings.start is None else find_weights(settings.start)
     store.check_writable()
     check_folder(settings.out)
@@ -125,9 +134,32 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
                 f"{settings.architecture!r}; leave out --architecture, or --from"
             )
     made_of = settings.codes, settings.seed, start, store, verbose
-    trained = train_on(lessons, settings, *made_of, architecture=chosen)
+    trained = train_on(
+        lessons, settings, *made_of, architecture=chosen, readers=settings.readers, card=card
+    )
     trained.write(settings.out, store)
     return trained
+
+
+def lessons_in(settings: TrainSettings, store: ArtifactStore) -> tuple[Parted, str]:
+    """The lessons of a folder, and the SHA-256 of its data card if it is a training set.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_lessons` and :func:`parted`; of a training set as
+        :func:`flows.set_lessons.read_set`, or if a share is to be held out, which it says itself.
+    """
+    if not (settings.lessons / INDEX).is_file():
+        table = read_lessons(settings.lessons / "lessons.parquet", store)
+        return parted(table, settings.held_out), ""
+    if "held_out" in settings.model_fields_set:
+        raise InputError(
+            f"held_out: found {settings.held_out:g}, but {settings.lessons} is a training set, "
+            "which is split already; leave it out, or make the set with another --held-out"
+        )
+    tables = (read_set(settings.lessons, split, store) for split in SPLITS)
+    return Parted(*tables), sha256_of(settings.lessons / CARD)
 
 
 def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
@@ -188,24 +220,33 @@ def train_on(
     verbose: bool,
     architecture: Architecture | None = None,
     rival: Path | None = None,
+    readers: int = 0,
+    card: str = "",
 ) -> Trained:
     """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
 
     Judged beside it, as ``before``, are the weights ``rival``, by default ``start``. What was done
-    before comes from the store; what was interrupted goes on.
+    before comes from the store; what was interrupted goes on. The weights say what they were
+    trained on and how they were judged; ``card`` is the digest of the data's card.
     """
+    found_device(options.device)
     architecture = architecture or Architecture()
     if start is not None:
         architecture = load_branch(start).architecture
+    chosen = options.model_dump(include={"widths", "hidden"}, exclude_none=True)
+    architecture = replace(architecture, **chosen)
     began, before = (_kept(file, store) for file in (start, rival or start))
     settings = TrainingSettings(
         architecture=architecture,
         steps=options.steps,
+        batch=options.batch,
         rate=options.rate,
         corrupted=options.corrupted,
         codes=codes,
         seed=seed,
         every=EVERY,
+        device=options.device,
+        threads=options.threads,
     )
     manifest = {
         **lessons.counts(),
@@ -215,7 +256,7 @@ def train_on(
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
-    asked = learnt, held_out, began, before, settings, manifest, checkpoints
+    asked = learnt, held_out, began, before, settings, manifest, checkpoints, readers
     job = Job("branch", train_branch, asked)
     progress = _Course(1, len(STAGES), verbose=verbose)
     with progress:
@@ -225,10 +266,16 @@ def train_on(
         raise InputError(failure.reason)
     made = outcome.refs["branch"]
     course = ArtifactRef("metrics", **made["train"].meta["metrics"])
+    metrics, judgements = store.get(course), store.get(made["judge"])
+    about = {
+        "data": {"lessons": learnt.digest, "held_out": held_out.digest, "card": card},
+        **manifest,
+        "metrics": _metrics(metrics, judgements),
+    }
     return Trained(
-        store.get(made["train"])["safetensors"].tobytes(),
-        store.get(course),
-        store.get(made["judge"]),
+        save_branch(branch_from_arrays(store.get(made["train"])), about),
+        metrics,
+        judgements,
         store.get(made["training_report"])["html"].tobytes(),
         outcome,
     )
@@ -238,6 +285,16 @@ def _kept(weights: Path | None, store: ArtifactStore) -> ArtifactRef | None:
     if weights is None:
         return None
     return store.put("weights", {"safetensors": np.fromfile(weights, np.uint8)})
+
+
+def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
+    """The loss of the last steps, and the IoU of each lifting by the kind of labels."""
+    last = course["loss"].to_numpy()[-max(1, course.num_rows // LAST) :]
+    means = judgements.group_by(["labels", "lifting"]).aggregate([("iou", "mean")])
+    iou: dict[str, dict[str, float]] = {}
+    for row in means.sort_by([("labels", "ascending"), ("lifting", "ascending")]).to_pylist():
+        iou.setdefault(row["labels"], {})[row["lifting"]] = row["iou_mean"]
+    return {"loss": float(last.mean()), "held out iou": iou}
 
 
 STAGES = (train_stage, judge, training_report)
@@ -251,10 +308,11 @@ def train_branch(
     settings: TrainingSettings,
     manifest: Mapping[str, Any],
     checkpoints: Path,
+    readers: int,
 ) -> None:
     """The road of a training: learn, be judged on what was held out, and report."""
     asked = settings.codes, settings.seed
-    branch = train_stage(learnt, start, settings, checkpoints)
+    branch = train_stage(learnt, start, settings, checkpoints, readers)
     judgements = judge(held_out, branch, before, *asked)
     training_report(judgements, held_out, branch, *asked, manifest)
 

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from flows.corpus_settings import CorpusSettings, check_bounds
 from flows.settings import Method, anchored, checked, read_values, refuse_idle
+
+
+def _parse_widths(value: Any) -> tuple[int, ...]:
+    """Channels of a list, or of text with commas between."""
+    try:
+        found = tuple(map(int, value.split(",") if isinstance(value, str) else value))
+    except (TypeError, ValueError):
+        found = ()
+    if not found or min(found) < 1:
+        raise PydanticCustomError("widths", "expected numbers from 1, as 8,16,24,32")
+    return found
+
+
+Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
 
 
 class Training(BaseModel):
@@ -18,7 +33,8 @@ class Training(BaseModel):
         title="The training", extra="forbid", frozen=True, allow_inf_nan=False
     )
 
-    steps: int = Field(1500, ge=1, description="Steps of training, one lesson each.")
+    steps: int = Field(1500, ge=1, description="Steps of training.")
+    batch: int = Field(1, ge=1, description="Lessons of a step.")
     rate: float = Field(3e-3, gt=0, description="Highest learning rate.")
     corrupted: float = Field(
         0.75, ge=0, le=1, description="Share of the steps with corrupted labels."
@@ -26,6 +42,30 @@ class Training(BaseModel):
     held_out: float = Field(
         0.2, gt=0, lt=1, description="Share of the clips, about, that are kept to judge by."
     )
+    widths: Widths | None = Field(
+        None,
+        description="Channels of the branch at full size, half, a quarter ...; if left out, those "
+        "of the weights to begin from, else 8,16,24,32.",
+    )
+    hidden: int | None = Field(
+        None, ge=1, description="Numbers of the hidden layer for each pixel; likewise, else 32."
+    )
+    device: str = Field(
+        "cpu",
+        description="Where the network computes, as PyTorch calls it: cpu; cuda and others go the "
+        "same way and have not been tried.",
+    )
+    threads: int = Field(
+        1, ge=1, description="Threads of PyTorch; on their number depend the last bits."
+    )
+
+
+class Reading(BaseModel):
+    """How lessons are read, on which no result depends."""
+
+    model_config = ConfigDict(title="The training")
+
+    readers: int = Field(0, ge=0, description="Processes that read lessons ahead.")
 
 
 # Settings that are those of other commands, declared there.
@@ -33,7 +73,7 @@ _METHOD: dict[str, Any] = dict(Method.model_fields)
 _CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
 
 
-class TrainSettings(Training):
+class TrainSettings(Training, Reading):
     """A training on lessons that are there already."""
 
     model_config = ConfigDict(title="The training")
@@ -51,14 +91,16 @@ class TrainSettings(Training):
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]
-    lessons: Path = Field(description="Folder that `supervise` wrote.")
+    lessons: Path = Field(
+        description="Folder that `supervise` wrote, or `dataset` with --gaussians."
+    )
     start: Path | None = Field(
         None, description="Weights to begin from: a file, or a folder of versions."
     )
     out: Path = Field(description="Folder for the weights and the report.")
 
 
-class RetrainSettings(Training, CorpusSettings):
+class RetrainSettings(Training, Reading, CorpusSettings):
     """A corpus that grows, and the weights that are kept of it."""
 
     model_config = ConfigDict(title="The training")

@@ -76,7 +76,7 @@ def lessons(
         lesson = _lesson(sample, gaussians, found.labels)
         with watch("write"):
             ref = store.put("lesson", lesson.to_arrays())
-        rows.append({**_row(lesson, ref), "clip": row["clip"]})
+        rows.append({**row_of(lesson, ref), "clip": row["clip"]})
         if len(rows) <= SHEET_ROWS:
             tiles += _tiles(sample, lesson)
     parts, sheet = [row["uri"] for row in rows], None
@@ -100,7 +100,8 @@ def _lesson(sample: Sample, gaussians: Gaussians, found: np.ndarray) -> Lesson:
     return Lesson(sample.scene, gaussians, labels, cameras, targets)
 
 
-def _row(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
+def row_of(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
+    """A stored lesson as a row of spec ``lessons``, without its clip and chunk."""
     ids, seen = np.unique(lesson.labels), np.unique(lesson.targets)
     return {
         "sample": lesson.sample,

@@ -5,25 +5,28 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from slgaussian.semantic.training import Progress, TrainingSettings
+from slgaussian.semantic.training import Progress
 from slgaussian.semantic.training import train as train_branch
+from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.store import ArtifactRef
 from tasks.learning import StoredLessons, branch_from_arrays, branch_to_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("train", version=2, unkeyed=("checkpoints",))
+@stage("train", version=2, unkeyed=("checkpoints", "readers"))
 def train(
     site: Worksite,
     lessons: ArtifactRef,
     start: ArtifactRef | None,
     settings: TrainingSettings,
     checkpoints: Path,
+    readers: int = 0,
 ) -> ArtifactRef:
     """Weights of the semantic branch: spec ``weights``.
 
     ``start`` are weights to begin from. ``checkpoints`` is a local folder in which an interrupted
-    training of this very key goes on. ``meta["metrics"]`` is the place of the metrics in the store.
+    training of this very key goes on. ``readers`` are processes that read lessons ahead.
+    ``meta["metrics"]`` is the place of the metrics in the store.
     """
 
     def tell(progress: Progress) -> None:
@@ -40,6 +43,7 @@ def train(
         folder,
         None if start is None else branch_from_arrays(store.get(start)),
         tell,
+        readers,
     )
     metrics = store.put("metrics", trained.metrics)
     meta = {"metrics": {"uri": metrics.uri, "digest": metrics.digest}, "parts": [metrics.uri]}

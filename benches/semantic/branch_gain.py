@@ -40,7 +40,8 @@ from slgaussian.semantic.hard import HardIndex
 from slgaussian.semantic.judge import label_iou
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.others import find_others
-from slgaussian.semantic.training import TrainingSettings, train
+from slgaussian.semantic.training import train
+from slgaussian.semantic.training_settings import TrainingSettings
 
 WIDTHS = Architecture().widths
 TRAINED = {

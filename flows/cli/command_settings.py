@@ -62,7 +62,10 @@ DATASET: Names = (
     "seed", _tables(*LABEL, "encoder", "codes"), *(name for name in INGEST if name != "most"),
 )  # fmt: skip
 WEIGH = ("seconds", "memory", "error", "seeds")
-TRAIN = ("steps", "rate", "corrupted", "held_out", "codes", "seed")
+TRAIN = (
+    "steps", "batch", "rate", "corrupted", "held_out", "widths", "hidden", "device", "threads",
+    "readers", "codes", "seed",
+)  # fmt: skip
 
 PARTS = (*LABEL, "encoder")
 ENGINE = ("store", "runner", "workers")
@@ -94,7 +97,7 @@ COMMON = {
     "ingest": ("min_overlap", "max_overlap", "most", *ENGINE),
     "supervise": ("size", *PARTS[:3], "most", *ENGINE),
     "dataset": ("size", "targets", "min_confirmed", "held_out", "gaussians", "store"),
-    "train": ("steps", "rate", "codes", "architecture", "seed", "store"),
+    "train": ("steps", "batch", "rate", "architecture", "device", "seed", "store"),
     "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
     "nightly": ("notify", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),

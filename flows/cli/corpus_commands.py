@@ -132,7 +132,7 @@ def dataset(
 )  # fmt: skip
 def train(
     settings: dict,
-    lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote.")],
+    lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote, or `dataset`.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
     start: Annotated[
         Path | None,
@@ -142,7 +142,8 @@ def train(
 ) -> None:
     """Train the semantic branch on lessons, and judge it.
 
-    It is judged on clips that it has not seen. Leaves branch.safetensors, report.html,
+    It is judged on clips that it has not seen; of a training set made with --gaussians, on its
+    split test. Leaves branch.safetensors, report.html,
     metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting).
     A training that was interrupted goes on where it was.
 

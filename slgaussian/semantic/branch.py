@@ -220,14 +220,30 @@ def input_images(
 
 
 def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
-    """The feature of each Gaussian, float32 [N, 4]: that of its source pixel, int [N]."""
-    return branch(images).flatten(0, 2).index_select(0, source)
+    """The feature of each Gaussian, float32 [N, 4]: that of its source pixel, int [N].
+
+    The network computes where its weights are; what comes out is on the processor.
+    """
+    images = images.to(next(branch.parameters()).device)
+    return branch(images).cpu().flatten(0, 2).index_select(0, source)
 
 
-def save_branch(branch: Branch) -> bytes:
-    """The weights and the architecture as a safetensors file; the same branch, the same bytes."""
+def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> bytes:
+    """The weights and the architecture as a safetensors file; the same branch, the same bytes.
+
+    ``trained`` is plain data that says where the weights come from; :func:`provenance` reads it.
+    """
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
-    return encode_tensors(tensors, {"architecture": asdict(branch.architecture)})
+    told = {} if trained is None else {"trained": dict(trained)}
+    return encode_tensors(tensors, {"architecture": asdict(branch.architecture), **told})
+
+
+def provenance(path: str | Path) -> dict[str, Any]:
+    """What a file of weights says of its training: data, settings, metrics, software.
+
+    Empty if it says nothing; InputError if it cannot be read.
+    """
+    return dict(read_tensors(path)[1].get("trained", {}))
 
 
 def load_branch(path: str | Path, expected: Architecture | None = None) -> Branch:

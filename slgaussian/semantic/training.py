@@ -15,9 +15,13 @@ Everything is float32: in bfloat16 the network takes half the time on a processo
 such matrices, which is a tenth of a step, and longer than now on others.
 
 Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
-a training stands is its number of steps. PyTorch computes on one thread here. Its sums of weight
-gradients depend on how many share the work; the splat's do not. So the bytes depend on neither the
-machine's cores nor interruptions, on one kind of processor.
+a training stands is its number of steps. PyTorch computes on a given number of threads here, one
+unless said. Its sums of weight gradients depend on how many share the work; the splat's do not. So
+the bytes depend on neither the machine's cores nor interruptions, nor on how many processes read
+lessons ahead, on one kind of processor.
+
+On another device than the processor the network is there, and the splat is not. None has been
+tried.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +39,7 @@ import pyarrow as pa
 import torch
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.seeding import rng_for, seed_for
+from slgaussian.kernels.seeding import seed_for
 from slgaussian.kernels.threads import fixed
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
@@ -49,81 +53,13 @@ from slgaussian.semantic.branch import (
 )
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
 from slgaussian.semantic.code_images import code_images
-from slgaussian.semantic.corruption import corrupt
+from slgaussian.semantic.draws import Draw, read_ahead
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.others import find_others
-
-HARMED = 0.5
-"""Fraction of the objects that are harmed where context labels are corrupted."""
-
-LEARNT = ("missing", "eroded")
-"""How they are harmed. Not by wrong or merged ids: where two views disagree little tells which is
-right, and the mean of both codes, which is best in the square, reads as a third object. With merged
-ids learnt too, IoU where ids are merged was lower by 0.02 after 450 steps, by 0.03 after 1000."""
+from slgaussian.semantic.others import Others, find_others
+from slgaussian.semantic.training_settings import TrainingSettings
 
 WARM_UP = 0.05
 """Fraction of the steps in which the learning rate rises; it then falls to zero as a cosine."""
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """What a training is, besides its lessons.
-
-    Attributes
-    ----------
-    architecture : Architecture
-    steps : int
-        One lesson each.
-    seed : int
-    rate : float
-        Highest learning rate, of AdamW.
-    decay : float
-        Its weight decay.
-    clip : float
-        Longest gradient; longer ones are shortened to it.
-    targets : int
-        Target views a step, chosen at random where a lesson has more.
-    corrupted : float
-        Fraction of the steps in which context labels are corrupted.
-    codes : str
-        Code strategy by name, as fields will have.
-    every : int
-        Steps between checkpoints.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range.
-    """
-
-    architecture: Architecture = field(default_factory=Architecture)
-    steps: int = 1500
-    seed: int = 0
-    rate: float = 3e-3
-    decay: float = 1e-4
-    clip: float = 1.0
-    targets: int = 2
-    corrupted: float = 0.75
-    codes: str = "separated"
-    every: int = 100
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "targets", "every"):
-            if getattr(self, name) < 1:
-                raise InputError(
-                    f"training {name}: found {getattr(self, name)}, expected 1 or more"
-                )
-        for name in ("rate", "clip"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(
-                    f"training {name}: found {getattr(self, name)}, expected a positive number"
-                )
-        if not 0 <= self.decay < math.inf:
-            raise InputError(f"training decay: found {self.decay}, expected 0 or more")
-        if not 0 <= self.corrupted <= 1:
-            raise InputError(
-                f"training corrupted: found {self.corrupted}, expected a share from 0 to 1"
-            )
 
 
 @dataclass(frozen=True)
@@ -155,6 +91,7 @@ def train(
     folder: Path,
     start: Branch | None = None,
     progress: Callable[[Progress], None] | None = None,
+    readers: int = 0,
 ) -> Trained:
     """Train a branch, or go on where a training in ``folder`` was interrupted.
 
@@ -170,15 +107,20 @@ def train(
         Trained weights to begin from, otherwise seeded ones.
     progress : callable, optional
         Told of every step.
+    readers : int
+        Processes that read lessons ahead and look for what other views say; without any it is done
+        in between. ``lessons`` then goes to them, and so must be picklable.
 
     Raises
     ------
     InputError
-        If there are no lessons, a loss is not finite (the message names the sample), ``start`` is
-        of another architecture, the folder holds another training, or cannot be written.
+        If there is no such device, there are no lessons, a loss is not finite (the message names
+        the sample), ``start`` is of another architecture, the folder holds another training, or
+        cannot be written.
     """
     if len(lessons) == 0:
         raise InputError("training: found no lessons, expected at least one")
+    device = found_device(settings.device)
     branch = Branch(settings.architecture, seed_for(settings.seed, "", "branch") % 2**63)
     if start is not None:
         if start.architecture != settings.architecture:
@@ -198,25 +140,47 @@ def train(
         raise InputError(
             f"training folder {folder}: cannot be made ({error.strerror}); choose another"
         ) from error
+    branch.to(device)
     # The foreach and fused ones do the same sums; this is 1 ms.
     optimiser = torch.optim.AdamW(
         branch.parameters(), lr=settings.rate, weight_decay=settings.decay, foreach=False
     )
     place = load_checkpoint(folder, branch, optimiser, run)
     rows, begun = place.rows, time.perf_counter()
-    with fixed(1):
-        for step in range(place.step, settings.steps):
-            rows.append(_step(branch.train(), optimiser, lessons, settings, step))
+    draws = read_ahead(lessons, settings, place.step, readers)
+    with fixed(settings.threads):
+        for step, drawn in enumerate(draws, place.step):
+            rows.append(_step(branch.train(), optimiser, drawn, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
                 save_checkpoint(folder, branch, optimiser, run, rows)
             if progress is not None:
                 rate = (step + 1 - place.step) / (time.perf_counter() - begun)
                 progress(Progress(step + 1, settings.steps, rows[-1]["loss"], rate))
-    return Trained(branch.eval(), table_of(rows))
+    return Trained(branch.cpu().eval(), table_of(rows))
+
+
+def found_device(name: str) -> torch.device:
+    """The device of that name; InputError if PyTorch has none here."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except Exception as error:  # each kind of device has its own
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(
+            f"training device: found {name!r}, which PyTorch does not find here ({reason}); "
+            "expected cpu, or another that this installation of PyTorch knows, as cuda"
+        ) from None
+    return device
 
 
 def loss_of(
-    branch: Branch, lesson: Lesson, labels: np.ndarray, views: Sequence[int], codes: str, rng: Any
+    branch: Branch,
+    lesson: Lesson,
+    labels: np.ndarray,
+    views: Sequence[int],
+    codes: str,
+    rng: Any,
+    others: Others | None = None,
 ) -> torch.Tensor:
     """Mean squared error of some of the target views of a lesson.
 
@@ -232,6 +196,8 @@ def loss_of(
         Code strategy by name.
     rng : numpy Generator
         Decides the codes.
+    others : Others, optional
+        Of this lesson, if they were looked for already.
 
     Returns
     -------
@@ -242,7 +208,8 @@ def loss_of(
     if len(maps.ids) == 0:
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
-    others = find_others(lesson.gaussians, labels.shape) if branch.architecture.others else None
+    if others is None and branch.architecture.others:
+        others = find_others(lesson.gaussians, labels.shape)
     images = input_images(labels, maps.ids, drawn, others)
     features = features_of(branch, images, lesson.gaussians.source)
     total, counted = torch.zeros(()), 0
@@ -259,27 +226,24 @@ def loss_of(
 def _step(
     branch: Branch,
     optimiser: torch.optim.Optimizer,
-    lessons: Sequence[Lesson],
+    drawn: Sequence[Draw],
     settings: TrainingSettings,
     step: int,
 ) -> dict[str, Any]:
-    epoch, place = divmod(step, len(lessons))
-    order = rng_for(settings.seed, "", f"order {epoch}").permutation(len(lessons))
-    lesson = lessons[int(order[place])]
-    rng = rng_for(settings.seed, lesson.content, f"step {epoch}")
-    corrupted = bool(rng.random() < settings.corrupted)
-    labels = corrupt(lesson.labels, rng, HARMED, LEARNT) if corrupted else lesson.labels
-    count = len(lesson.cameras)
-    views = sorted(rng.permutation(count)[: settings.targets].tolist())
-    loss = loss_of(branch, lesson, labels, views, settings.codes, rng)
     optimiser.zero_grad()
-    if loss.requires_grad:
-        loss.backward()
+    losses = []
+    for draw in drawn:
+        asked = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng, draw.others
+        loss = loss_of(branch, *asked) / len(drawn)
+        if loss.requires_grad:
+            loss.backward()
+        losses.append(float(loss.detach()))
     norm = torch.nn.utils.clip_grad_norm_(branch.parameters(), settings.clip)
-    value, length = float(loss.detach()), float(norm)
+    value, length = sum(losses), float(norm)
+    names = ", ".join(draw.lesson.sample for draw in drawn)
     if not math.isfinite(value + length):
         raise InputError(
-            f"training step {step + 1}: sample {lesson.sample!r} gives a loss of {value:g} with a "
+            f"training step {step + 1}: sample {names!r} gives a loss of {value:g} with a "
             f"gradient of length {length:g}; leave it out or lower the rate, and run again: it "
             "goes on from the last checkpoint"
         )
@@ -289,9 +253,9 @@ def _step(
     optimiser.step()
     return {
         "step": step + 1,
-        "epoch": epoch,
-        "sample": lesson.sample,
-        "corrupted": corrupted,
+        "epoch": drawn[0].epoch,
+        "sample": names,
+        "corrupted": any(draw.corrupted for draw in drawn),
         "loss": value,
         "norm": length,
         "rate": rate,

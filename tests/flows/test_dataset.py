@@ -18,12 +18,15 @@ import pytest
 import torch
 from PIL import Image
 
-from flows import dataset
+from flows import dataset, training
 from flows.cli.app import main
 from flows.dataset_settings import make_dataset_settings
+from flows.settings import checked
+from flows.training_settings import TrainSettings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
+from slgaussian.semantic.branch import provenance
 from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -253,6 +256,29 @@ def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made
     for row, opacities in zip(rows, batch["gaussians"]["opacities"], strict=True):
         assert not opacities[row["gaussians"] :].any() and opacities[: row["gaussians"]].any()
     assert {"context_0.png", "gaussians.npz"} <= set(samples.members(0))
+
+
+def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(made, tmp_path):
+    _, store, settings, _ = made
+    made_of = {"gaussians": True, "held_out": 0.1}  # which holds out both chunks
+    dataset.dataset(settings_for(tmp_path, *settings.sources, **made_of), store)
+    given = {"lessons": tmp_path / "set", "out": tmp_path / "out", "steps": 2, "batch": 2}
+    given |= {"store": store.root, "widths": "4,8", "hidden": 8}
+    trained = training.train(checked(TrainSettings, given, "test"), store)
+    told = provenance(tmp_path / "out/branch.safetensors")
+    card = hashlib.sha256((tmp_path / "set/README.md").read_bytes()).hexdigest()
+    assert told["data"]["card"] == card
+    assert (told["learnt clips"], told["held_out clips"]) == (1, 2)
+    asked = told["settings"]
+    assert (asked["batch"], asked["architecture"]["widths"]) == (2, [4, 8])
+    found = told["metrics"]["held out iou"]["as found"]
+    assert set(found) == {"hard", "filled", "identity", "branch"}
+    rows = trained.judgements.to_pylist()
+    assert {row["clip"] for row in rows} == {"https://video/0", "https://video/1"}
+    ious = [r["iou"] for r in rows if (r["labels"], r["lifting"]) == ("as found", "filled")]
+    assert found["filled"] == pytest.approx(np.mean(ious))
+    with pytest.raises(InputError, match="which is split already"):
+        training.train(checked(TrainSettings, {**given, "held_out": 0.3}, "test"), store)
 
 
 def test_what_is_damaged_or_not_there_is_one_sentence(made, tmp_path):

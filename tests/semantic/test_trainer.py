@@ -16,9 +16,11 @@ from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.semantic.branch import Architecture, Branch, save_branch
+from slgaussian.semantic.branch import Architecture, Branch, load_branch, provenance, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
-from slgaussian.semantic.training import TrainingSettings, loss_of, train
+from slgaussian.semantic.draws import drawn_for
+from slgaussian.semantic.training import loss_of, train
+from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.specs import load_spec
 
 ROOT = Path(__file__).parents[2]
@@ -106,6 +108,58 @@ def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
     finally:
         torch.set_num_threads(before[0])
         numba.set_num_threads(before[1])
+
+
+def test_readers_ahead_change_no_byte(tmp_path, uninterrupted):
+    train(LESSONS, SETTINGS, tmp_path, readers=1)
+    assert bytes_in(tmp_path) == bytes_in(uninterrupted)
+
+
+class Failing(list):
+    """Lessons that cannot be read."""
+
+    def __getitem__(self, index):
+        raise SpecError("lesson 3: is gone")
+
+
+def test_what_a_reader_fails_with_is_raised(tmp_path):
+    with pytest.raises(SpecError, match="lesson 3: is gone"):
+        train(Failing(LESSONS), SETTINGS, tmp_path, readers=1)
+
+
+def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
+    """One step of a batch of all lessons is one along the mean of the gradients of each."""
+    settings = replace(SETTINGS, steps=1, batch=len(LESSONS), every=1)
+    branch = Branch(settings.architecture, 4)
+    losses = []
+    for drawn in drawn_for(LESSONS, settings, 0):
+        asked = drawn.lesson, drawn.labels, drawn.views, settings.codes, drawn.rng
+        losses.append(loss_of(branch, *asked))
+    gradients = torch.autograd.grad(sum(losses) / len(losses), list(branch.parameters()))
+    length = torch.cat([gradient.ravel() for gradient in gradients]).norm()
+    trained = train(LESSONS, settings, tmp_path, branch)
+    (row,) = trained.metrics.to_pylist()
+    assert row["loss"] == pytest.approx(float(sum(losses).detach()) / len(losses), rel=1e-6)
+    assert row["norm"] == pytest.approx(float(length), rel=1e-5)
+    assert sorted(row["sample"].split(", ")) == [f"wall {k}" for k in range(3)]
+
+
+@pytest.mark.parametrize("device", ["gpu0", "cuda:99", ""])
+def test_a_device_that_is_not_there_is_one_sentence(tmp_path, device):
+    with pytest.raises(InputError, match="which PyTorch does not find here") as refused:
+        train(LESSONS, replace(SETTINGS, device=device), tmp_path / "none")
+    assert str(refused.value).startswith(f"training device: found {device!r}")
+    assert not (tmp_path / "none").exists()
+
+
+def test_weights_say_what_they_were_trained_on_and_lift_as_without(tmp_path):
+    branch = Branch(SETTINGS.architecture, 2)
+    told = {"data": {"card": "0" * 64}, "metrics": {"loss": 0.25}}
+    (tmp_path / "told").write_bytes(save_branch(branch, told))
+    (tmp_path / "mute").write_bytes(save_branch(branch))
+    assert provenance(tmp_path / "told") == told and provenance(tmp_path / "mute") == {}
+    one, other = (load_branch(tmp_path / name).state_dict() for name in ("told", "mute"))
+    assert all(torch.equal(one[name], other[name]) for name in one)
 
 
 def test_a_finished_training_is_not_done_again(uninterrupted):
