@@ -13,6 +13,8 @@ from process_family import PROC, below
 from tiny_program import HERE, lines_of, start, wait_until, with_database
 from tiny_run import run_tiny, three_scenes
 
+from benches.common.bad_weather import BadWeather
+from slgaussian.storage import remote
 from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -46,6 +48,33 @@ def test_two_runs_on_one_store_at_once(tmp_path, home, server, whole):
     done = log.read_text().splitlines()
     assert len(set(done)) == 9 and len(done) <= 18
     check_nothing_is_left_to_do(store, log, whole)
+
+
+def test_a_bucket_whose_server_has_a_bad_day(
+    tmp_path, server, whole, bucket, s3_server, monkeypatch
+):
+    """`benches/pipeline/storm.py` has it in full, with kills, damage and a full disk."""
+    s3fs = pytest.importorskip("s3fs")
+    calm, log = ArtifactStore(tmp_path / "calm"), tmp_path / "log"
+    run_tiny(calm, three_scenes(log))
+    weather = BadWeather(s3_server, 0.2, hang=1.5)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", weather.url)
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
+    monkeypatch.setattr(remote, "ANSWER", 1)
+    monkeypatch.setattr(remote, "FIRST", 0.01)
+    s3fs.S3FileSystem.clear_instance_cache()
+    try:
+        store = ArtifactStore(f"{bucket}/slg")
+        outcome = run_tiny(store, three_scenes(tmp_path / "other log"))
+        assert outcome.failures == [] and outcome.refs == whole
+        weather.share = 0.0
+        found = {file.uri for files in store.walk(["labels"]) for file in files}
+        assert found == {file.uri for files in calm.walk(["labels"]) for file in files}
+        assert all(store.read(uri) == calm.read(uri) for uri in found)
+        assert weather.met.total() - weather.met[""] >= 5
+    finally:
+        weather.close()
+        s3fs.S3FileSystem.clear_instance_cache()
 
 
 def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, whole):
