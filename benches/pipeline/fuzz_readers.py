@@ -594,7 +594,7 @@ def make_tables(folder: Path) -> None:
     table = pa.Table.from_pylist(rows, schema=spec.schema)
     (folder / "failures.parquet").write_bytes(encode_table(table, spec))
     spec = load_spec("objects")
-    numbers = [dict.fromkeys(spec.columns, i) for i in range(40)]
+    numbers = [{name: column.low or 0 for name, column in spec.columns.items()}] * 40
     table = pa.Table.from_pylist(numbers, schema=spec.schema)
     (folder / "objects.parquet").write_bytes(encode_table(table, spec))
 

@@ -346,6 +346,8 @@ def test_other_loaders_read_the_same(made):
 
 def test_the_hub_of_hugging_face_reads_the_same(made, tmp_path):
     hub = pytest.importorskip("datasets", reason="its loader is not installed")
+    if not hasattr(hub, "load_dataset"):
+        pytest.skip("its loader is not installed: tests/datasets was found in its place")
     folder, *_ = made
     samples = TrainingSet(folder / "set")
     by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
