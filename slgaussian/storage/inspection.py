@@ -32,6 +32,9 @@ RUN = (
 )
 """Files of which the folder of a run's results has one at least."""
 
+GIVEN = "pairs.json"
+"""In a run's results: the index that it was given, as it was, in whichever form."""
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -391,9 +394,19 @@ def _check_parts(path: Path, parts: Mapping[str, Inspected]) -> None:
 
 def _run(path: Path) -> Inspected:
     files = sorted(path.glob("*.parquet")) + sorted(path.glob("*.json*"))
-    holds = [_folded(file) for file in [*files, *sorted(path.glob("*.safetensors"))]]
+    holds = [_given(file) if file.name == GIVEN else _folded(file) for file in files]
+    holds += [_folded(file) for file in sorted(path.glob("*.safetensors"))]
     fields = sorted(path.glob(f"fields/*/{field_folder.ABOUT}"))
     holds += [_folded(file.parent) for file in fields]
     size = sum(one.bytes for one in holds)
     meaning = "The results of a run: its tables, what it was made of, and the fields of its scenes."
     return Inspected(str(path), "run", size, meaning=meaning, holds=tuple(holds))
+
+
+def _given(path: Path) -> Inspected:
+    """An index; that of another program is in a form of its own, and fails no spec by it."""
+    found = _folded(path)
+    if not found.problem:
+        return found
+    meaning = "The index of scenes that the run was given, as it was."
+    return Inspected(str(path), "JSON", found.bytes, meaning=meaning)

@@ -191,6 +191,17 @@ def test_nothing_and_any_folder_are_refused(tmp_path):
         inspect(tmp_path)
 
 
+def test_the_index_that_a_run_was_given_may_be_anybodys(tmp_path):
+    table = pa.Table.from_pylist([], schema=load_spec("failures").schema)
+    (tmp_path / "failures.parquet").write_bytes(encode_table(table, load_spec("failures")))
+    (tmp_path / "pairs.json").write_text('{"hall": {"context": ["a", "b"], "target": ["c"]}}')
+    found = inspect(tmp_path)
+    assert found.sound
+    assert [Path(one.path).name for one in found.holds] == ["failures.parquet", "pairs.json"]
+    (tmp_path / "other.json").write_text("{}")
+    assert not inspect(tmp_path).sound
+
+
 def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, capsys):
     """The examples of the guide, on a real field."""
     guide = (ROOT / "docs/guides/storage.md").read_text("utf-8")
