@@ -90,6 +90,7 @@ def read_ahead(
     loader = DataLoader(
         _Steps(lessons, settings),
         batch_size=None,
+        collate_fn=_as_it_is,  # otherwise arrays come back as tensors
         sampler=steps,
         num_workers=readers,
         multiprocessing_context="spawn",
@@ -98,6 +99,10 @@ def read_ahead(
         if isinstance(drawn, Exception):
             raise drawn
         yield [_unpacked(*one) for one in drawn]
+
+
+def _as_it_is(drawn: list[tuple] | Exception) -> list[tuple] | Exception:
+    return drawn
 
 
 class _Steps(Dataset):
