@@ -70,7 +70,7 @@ SETS: Mapping[str, Set] = {
         "demo: rooms 0 to 2",
         "slgaussian demo --seed K",
         True,
-        3,
+        10,
         lambda _: [room_scene(seed) for seed in ROOMS],
     ),
     "motorcycle": Set(
