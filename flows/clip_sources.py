@@ -95,10 +95,27 @@ def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:
     return list(found.values())
 
 
-def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
+def check_there(given: Sequence[str]) -> None:
+    """InputError if a source that would be a file or folder here is not there."""
     for words in given:
-        placed = None if Path(words).exists() else _PLACED.fullmatch(words)
-        place, source = (placed[1], placed[2]) if placed else ("", words)
+        source = _parted(words)[1]
+        if not (_is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
+            raise InputError(
+                f"{source}: is not there; expected a folder of photographs, with cameras or "
+                f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
+            )
+
+
+def _parted(words: str) -> tuple[str, str]:
+    """The place that was said, or nothing, and the source."""
+    placed = None if Path(words).exists() else _PLACED.fullmatch(words)
+    return (placed[1], placed[2]) if placed else ("", words)
+
+
+def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
+    check_there(given)
+    for words in given:
+        place, source = _parted(words)
         if _is_chunks(source):
             folder = source.rstrip("/")
             if folder.endswith(CHUNK):
@@ -112,11 +129,6 @@ def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
             for chunk in chunks:
                 yield Source(source, f"{folder}/{chunk}", place)
             continue
-        if not source.startswith(ROOMS) and not Path(source).exists():
-            raise InputError(
-                f"{source}: is not there; expected a folder of photographs, with cameras or "
-                f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
-            )
         for scene in scenes_of(source, settings):
             yield Source(source, scene, place)
 

@@ -141,10 +141,17 @@ class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
 
 
 def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
-    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits."""
+    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits.
+
+    The folder of chunks must be there: this is said before a store or a server is begun for it.
+    """
     settings = checked(CorpusSettings, values, source)
     refuse_idle(values, settings, source)
     check_bounds(settings, source)
+    if "://" not in settings.chunks and not Path(settings.chunks).is_dir():
+        raise InputError(
+            f"{source}: {settings.chunks}: is no folder; expected one of chunks, or its fsspec URL"
+        )
     return settings
 
 

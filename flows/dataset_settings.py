@@ -53,8 +53,14 @@ class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
 
 
 def make_dataset_settings(values: dict[str, Any]) -> DatasetSettings:
-    """Check ``values``; InputError in one sentence, naming the key and what fits."""
+    """Check ``values``; InputError in one sentence, naming the key and what fits.
+
+    Sources in a folder must be there: this is said before a store or a server is begun for them.
+    """
+    from flows.clip_sources import check_there  # reads formats, which `--help` need not
+
     settings = checked(DatasetSettings, values, "dataset")
+    check_there(settings.sources)
     refuse_idle(values, settings, "dataset")
     check_bounds(settings, "dataset")
     return settled(settings)

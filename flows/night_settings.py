@@ -8,6 +8,8 @@ from typing import Any
 from pydantic import ConfigDict, Field
 
 from flows.corpus_settings import check_bounds
+from flows.dataset_settings import DatasetSettings, SetSettings
+from flows.encoder_choice import settled
 from flows.settings import checked, read_values, refuse_idle
 from flows.training_settings import RetrainSettings
 
@@ -23,6 +25,14 @@ STATUS = {
 """Exit status of the command by what came of the night."""
 
 
+class NightSet(SetSettings):
+    """A training set that each night brings up to date with the corpus."""
+
+    model_config = ConfigDict(title="The training set")
+
+    out: Path = Field(description="Folder of the training set.")
+
+
 class NightSettings(RetrainSettings):
     """A retraining that nobody watches."""
 
@@ -32,6 +42,15 @@ class NightSettings(RetrainSettings):
         None,
         description="Command or HTTP address that is told what came of it, as JSON.",
     )
+    training_set: NightSet | None = Field(
+        None, description="Table with `out` and settings of `dataset`: a set of the same clips."
+    )
+
+    def set_settings(self, asked: NightSet) -> DatasetSettings:
+        """What `dataset` is asked for: the corpus and method of the night, into a folder apart."""
+        own = DatasetSettings.model_fields.keys() & self.model_fields_set
+        common = {name: getattr(self, name) for name in own}
+        return settled(DatasetSettings(**{**common, **dict(asked), "sources": [self.chunks]}))
 
 
 def read_night(config: Path, given: dict[str, Any]) -> NightSettings:

@@ -22,14 +22,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from flows import corpus, hooks
-from flows.night_settings import NightSettings
+from flows.dataset import dataset
+from flows.night_settings import NightSet, NightSettings
 from flows.pipeline import check_folder
 from flows.retraining import Learnt, alone, failed_in, few, forgotten_by, learn
 from flows.runners.journal import log
 from flows.training import read_lessons
 from slgaussian.benchmark.night_page import render_night
 from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
-from slgaussian.errors import SLGaussianError, SpecError
+from slgaussian.errors import InputError, SLGaussianError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.semantic.versions import Versions, called
 from slgaussian.storage.specs import load_spec
@@ -121,13 +122,16 @@ def _work(
     record["newly left out"] = {name: left_out[name] for name in new[:NAMES]}
     record["drift"] = [asdict(one) for one in drift(before, _came(clips, found))]
 
+    said = []
+    if settings.training_set is not None:
+        said.append(_build_set(settings, settings.training_set, store, verbose, record))
     lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
     done = [prepared.outcome]
     learnt = learn(lessons, settings, store, verbose, BY, clips, failed, done)
     versions = Versions(settings.models)
     used = versions.current()
     record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}
-    said = [learnt.said]
+    said.insert(0, learnt.said)
     if learnt.version is not None:
         record |= {
             "version": learnt.version.number,
@@ -149,6 +153,25 @@ def _work(
         said.append(f"what came is different from what there was in {', '.join(drifted)}")
     record |= {"outcome": _outcome(learnt, bool(new)), "said": said}
     return clips
+
+
+def _build_set(
+    settings: NightSettings,
+    asked: NightSet,
+    store: ArtifactStore,
+    verbose: bool,
+    record: dict[str, Any],
+) -> str:
+    """Bring the training set up to date; what is said of it. Without it, the night goes on."""
+    try:
+        made = dataset(settings.set_settings(asked), store, verbose)
+    except InputError as error:
+        record["training set"] = {"failed": str(error)}
+        return f"the training set was not built: {error}"
+    counts = {name: getattr(made, name) for name in ("samples", "places", "shards", "new_shards")}
+    record["training set"] = {**counts, "left out": len(made.failures), "out": str(asked.out)}
+    said = f"training set: {made.samples} samples of {made.places} places"
+    return f"{said}, {made.new_shards} of {made.shards} shards new" if made.new_shards else said
 
 
 def _outcome(learnt: Learnt, left_out: bool) -> str:

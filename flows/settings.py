@@ -527,6 +527,8 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
             values[name] = str(folder / values[name])
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
+    if "training_set" in values:
+        values["training_set"] = _anchored(values["training_set"], ["out"], folder)
     for name in TABLES.keys() & values.keys():
         own = _settings_in(name)
         table = _anchored(values[name], [key for key in own if own[key].is_path], folder)

@@ -316,10 +316,13 @@ def test_the_command_says_what_it_made_and_what_it_left_out(
 
 
 def test_what_is_asked_of_a_pair_is_the_same_from_everywhere(tmp_path):
+    (tmp_path / "chunks").mkdir()
     assert Bounds(**settings_for(tmp_path).bounds()) == Bounds()
 
 
 def test_what_cannot_be_asked_is_one_sentence(tmp_path):
+    with pytest.raises(InputError, match="chunks: is no folder"):
+        settings_for(tmp_path)
     (tmp_path / "chunks").mkdir()
     with pytest.raises(InputError, match="chunks: holds no chunk"):
         corpus.ingest(settings_for(tmp_path), ArtifactStore(tmp_path / "store"))

@@ -10,7 +10,7 @@ from command import run, said
 from flows.night_settings import STATUS
 from flows.retraining import LOCK
 from slgaussian import datasets
-from slgaussian.datasets import re10k
+from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.locks import held
@@ -29,6 +29,13 @@ size = "72x96"
 replicas = 1
 held_out = {SHARE}
 steps = 2
+
+[training_set]
+out = "set"
+size = "72x96"
+targets = 1
+most = 1
+held_out = 0.0
 """
 
 
@@ -65,6 +72,10 @@ def named(folder: Path, table: str) -> set[str]:
     return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
 
 
+def clips_of_set(folder: Path) -> set[str]:
+    return {about["clip"] for about in TrainingSet(folder / "set").rows.to_pylist()}
+
+
 def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
     first, second, judged = clips
     config = tmp_path / "night.toml"
@@ -88,6 +99,8 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     (heard,) = told(tmp_path)
     assert heard["event"] == "refused" and heard["night"] == heard["version"] == 1
     assert Path(heard["page"]).is_file()
+    assert clips_of_set(tmp_path) == {first.key, judged.key}
+    assert f"{made['training set']['samples']} samples of 2 places in 1 shards" in page
 
     # Nothing happens; then another night is on; then one is killed while something damaged came.
     assert "nothing new since version 1; no version is in use" in night("nothing new")
@@ -125,16 +138,20 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
         assert named(tmp_path, table) == {second.key, judged.key}
     sheets = {file.stem for file in (tmp_path / "corpus" / "sheets").iterdir()}
     assert first.key.replace(" ", "_") not in sheets and len(sheets) == 2
+    assert clips_of_set(tmp_path) == {second.key, judged.key}
 
     # What cannot be done is a failure, told to people and hook, and the next night is as good.
+    # A training set that cannot be built is told, and does not keep a night from learning.
+    config.write_text(CONFIG.replace("targets = 1", "targets = 9"))
+    assert "the training set was not built: " in night("nothing new")
     config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
     assert "held_out 0.01: found" in night("failed")
-    assert told(tmp_path)[-1]["event"] == record(tmp_path, 7)["outcome"] == "failed"
+    assert told(tmp_path)[-1]["event"] == record(tmp_path, 8)["outcome"] == "failed"
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in night("nothing new")
-    assert record(tmp_path, 8)["changes"]["arrived"]["count"] == 0
+    assert record(tmp_path, 9)["changes"]["arrived"]["count"] == 0
     files = sorted(file.name for file in (tmp_path / "corpus" / "nights").glob("*.parquet"))
-    assert files == ["000008.clips.parquet"]
+    assert files == ["000009.clips.parquet"]
 
 
 def test_settings_of_a_night_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):
