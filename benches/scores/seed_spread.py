@@ -160,7 +160,8 @@ def main() -> None:
         parser.error(str(error))
     names = [name for name in given.only if over_seeds(rows, name, "psnr")]
     file = given.out and given.out / "seeds.md"
-    publish("scores/seeds.md.j2", file, kernels=kernels, **results(rows, names))
+    only = "" if given.only == list(SETS) else f" --only {' '.join(given.only)}"
+    publish("scores/seeds.md.j2", file, only=only, kernels=kernels, **results(rows, names))
 
 
 if __name__ == "__main__":
