@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flows.corpus_settings import PackSettings
 from flows.room_scenes import seeds
-from slgaussian.datasets import nerfstudio, re10k, re10k_text
+from slgaussian.datasets import colmap, re10k, re10k_text
 from slgaussian.errors import InputError
 from tasks.packed import PosedFolder, Room
 
@@ -69,8 +69,16 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
             return [PosedFolder(file.stem, file) for file in texts]
     if re10k_text.is_camera_file(path):
         return [PosedFolder(path.stem, path)]
-    folder = path.parent if path.name == nerfstudio.FILE else path
-    return [PosedFolder(folder.resolve().name, path)]
+    return [PosedFolder(_scene_folder(path).name, path)]
+
+
+def _scene_folder(path: Path) -> Path:
+    """The folder by which a scene is called: that above a file of cameras or a COLMAP model."""
+    folder = (path.parent if path.is_file() else path).resolve()
+    for place in sorted(colmap.PLACES, key=len, reverse=True):
+        if place != "." and folder.match(place):
+            return folder.parents[len(Path(place).parts) - 1]
+    return folder
 
 
 def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:

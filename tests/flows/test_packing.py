@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from flows.cli.app import main
+from flows.clip_sources import scenes_of
 from flows.corpus_settings import PackSettings
 from flows.packing import pack
 from slgaussian.cameras.found import FoundCameras
@@ -42,6 +43,19 @@ def test_folders_and_rooms_become_clips(photos, tmp_path):
     assert clips[2].view(1).camera.center == pytest.approx([1, 0, 0])
     assert pack(["procedural:7"], out, SMALL).chunks == ["000001.torch"]
     assert list(re10k.read_index(out))[-1] == "procedural_7"
+
+
+@pytest.mark.parametrize(
+    "named", ["garden", "garden/sparse/0", "garden/colmap/sparse/0", "garden/transforms.json"]
+)
+def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path, named):
+    place = tmp_path / named
+    if place.suffix:
+        place.parent.mkdir()
+        place.touch()
+    else:
+        place.mkdir(parents=True)
+    assert [scene.name for scene in scenes_of(str(place), SMALL)] == ["garden"]
 
 
 def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypatch):
