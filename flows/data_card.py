@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from flows.clip_sources import Source
 from flows.dataset_settings import DatasetSettings, SetSettings
 from flows.runners.shard import Failure
-from slgaussian import __version__
+from slgaussian import __version__, datasets
 from slgaussian.benchmark.pictures import (
     contact_sheet,
     depth_range,
@@ -33,10 +33,11 @@ from slgaussian.benchmark.pictures import (
     paint_labels,
 )
 from slgaussian.benchmark.plots import STYLE
+from slgaussian.datasets import licences
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import write_atomic
-from tasks.packed import PosedFolder
+from tasks.packed import Room
 
 CARD, SHEET, HISTOGRAMS = "README.md", "sheet.jpg", "quality.png"
 
@@ -54,9 +55,6 @@ QUALITY = (
 
 SHOWN = 3
 """Reasons of each kind of refusal that the card quotes."""
-
-LICENCES = ("LICENSE*", "LICENCE*", "COPYING*", "COPYRIGHT*")
-"""Names of files that say what may be done with a source."""
 
 
 def write_card(
@@ -152,43 +150,30 @@ def _members(samples: TrainingSet) -> list[tuple[str, str, str]]:
 
 def _sources(rows: pa.Table, sources: Mapping[str, Source]) -> list[tuple[str, int, int, str, str]]:
     by_source: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    licences: dict[str, str] = {}
+    stated: dict[str, str] = {}
     for row in rows.to_pylist():
         source = sources[row["sample"]]
         # Not where it is on this machine.
         name = Path(source.given).name if "://" not in source.given else source.given
         by_source[name].append(row)
-        licences[name] = _licence(source)
+        stated[name] = _licence(source)
     return [
         (
             name,
             len({row["clip"] for row in own}),
             len(own),
             "; ".join(sorted({row["cameras"] for row in own})),
-            licences[name],
+            stated[name],
         )
         for name, own in sorted(by_source.items())
     ]
 
 
 def _licence(source: Source) -> str:
-    """The files beside the data that state one, each with its first line."""
-    if isinstance(source.holds, PosedFolder):
-        folder = source.holds.path if source.holds.path.is_dir() else source.holds.path.parent
-    elif isinstance(source.holds, str):
-        folder = Path(source.holds).parent
-    else:
-        return "made up by slgaussian, Apache-2.0"
-    found = sorted({file for pattern in LICENCES for file in folder.glob(pattern)})
-    told = []
-    for file in found:
-        try:
-            lines = file.read_text("utf-8", "replace").split("\n")
-        except OSError:
-            continue
-        first = next((line.strip() for line in lines if line.strip()), "")
-        told.append(f"{file.name}: {first[:80]}")
-    return "; ".join(told) or "none found beside the data: ask who made them"
+    if isinstance(source.holds, Room):
+        return ", ".join(datasets.SOURCES["procedural"])
+    path = source.holds if isinstance(source.holds, str) else source.holds.path
+    return licences.stated(Path(path)) or "none found beside the data: ask who made them"
 
 
 def _refused(failures: Sequence[Failure]) -> list[tuple[str, str, int, list[str]]]:

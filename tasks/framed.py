@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+from slgaussian.datasets import licences
 from slgaussian.datasets.re10k import Clip
 from slgaussian.parts.identity import KnownFile
 from slgaussian.scene import Sample, View
+from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_to_arrays
 from tasks.chunks import Framing, read_chunk
@@ -33,7 +36,9 @@ def framed(
     context = framed_views(clip, frames.context, framing)
     targets = framed_views(clip, frames.targets, framing)
     sample = Sample(frames.sample, context, targets)
-    return site.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
+    licence = "" if isinstance(chunk, ArtifactRef) else licences.stated(Path(chunk.place))
+    with saying(clip.url, licence):
+        return site.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 
 def framed_views(clip: Clip, frames: Sequence[int], framing: Framing) -> tuple[View, ...]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian import datasets
+from slgaussian.datasets import licences
 from slgaussian.errors import InputError
 from slgaussian.predict.links import usable
 from slgaussian.scene import Camera, Sample, View
@@ -105,6 +106,8 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
     meta = {"cameras": told_of(cameras), "left_out": left_out}
     source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
+    if photographs.path is not None:
+        licence = licence or licences.stated(photographs.path)
     with saying(source, licence):
         return site.store.put("sample", sample_to_arrays(sample), meta)
 

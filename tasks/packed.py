@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from slgaussian import datasets
-from slgaussian.datasets import re10k, unposed
+from slgaussian.datasets import licences, re10k, unposed
 from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
+from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
 from tasks.ingest import digests_of, told_of
@@ -53,6 +54,10 @@ class PosedFolder:
         format, place = recognise(self.path)
         return re10k.read_cameras(place)[0] if format == "re10k_text" else ""
 
+    def origin(self) -> tuple[str, str]:
+        """Where it is from, and its licence, as far as they are known."""
+        return self.url(), licences.stated(self.path)
+
 
 @dataclass(frozen=True)
 class Room:
@@ -68,6 +73,10 @@ class Room:
     def url(self) -> str:
         """None: it is of no video."""
         return ""
+
+    def origin(self) -> tuple[str, str]:
+        """Where it is from, and its licence."""
+        return datasets.SOURCES["procedural"]
 
 
 @stage("packed", version=1)  # to be raised too when other cameras are found in photographs
@@ -88,4 +97,5 @@ def packed(site: Worksite, source: PosedFolder | Room) -> ArtifactRef:
     bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": told_of(scene.cameras.values()), "left_out": bad}
-    return site.store.put("packed", {"torch": data}, meta)
+    with saying(*source.origin()):
+        return site.store.put("packed", {"torch": data}, meta)

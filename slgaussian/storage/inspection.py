@@ -400,6 +400,8 @@ def _run(path: Path) -> Inspected:
     holds += [_folded(file.parent) for file in fields]
     size = sum(one.bytes for one in holds)
     meaning = "The results of a run: its tables, what it was made of, and the fields of its scenes."
+    if any(path.glob("*.tar")):
+        meaning = "A training set: its tables; README.md says what is in its shards."
     return Inspected(str(path), "run", size, meaning=meaning, holds=tuple(holds))
 
 

@@ -27,7 +27,7 @@ from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import provenance
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore, stated
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -80,6 +80,16 @@ def made(tmp_path_factory, server):
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, folder / "chunks", f"here={kitchen}")
     return folder, store, settings, dataset.dataset(settings, store)
+
+
+def test_files_say_where_photographs_are_from_and_their_licence(made):
+    folder, *_ = made
+    for spec, expected in {
+        "packed": {("", "LICENSE.txt: Take it as you like")},
+        "sample": {("https://video/0", ""), ("https://video/1", ""), ("", "")},
+    }.items():
+        said = [stated(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")]
+        assert {(one.get("source", ""), one.get("licence", "")) for one in said} == expected
 
 
 def test_every_sample_is_in_the_index_and_in_a_shard(made):
