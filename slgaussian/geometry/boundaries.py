@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from slgaussian.kernels.seeding import content_of
 from slgaussian.storage.derived import once
@@ -96,7 +96,38 @@ def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.nd
     ordered : bool
         Whether neighbouring bins are alike, so that histograms are blurred before comparison.
     """
-    return _half_disc(np.ascontiguousarray(codes), bins, radius, ordered)
+    padded = codes[_mirrored(codes.shape[0], radius)[:, None], _mirrored(codes.shape[1], radius)]
+    offsets, starts = _disc(radius, padded.shape[1])
+    unit = 4 if ordered else 1  # blurred counts are whole quarters
+    half = len(offsets) // 2
+    share = np.arange(unit * half + 1, dtype=np.float32) / np.float32(unit) / np.float32(half)
+    p, q = share[:, None], share
+    with np.errstate(invalid="ignore"):
+        terms = (p - q) * (p - q) / (p + q)
+    terms[0, 0] = 0
+    return _half_disc(padded, bins, radius, ordered, offsets, starts, terms.ravel(), len(share))
+
+
+def _mirrored(size: int, reach: int) -> np.ndarray:
+    """Indices -reach .. size + reach - 1 reflected at the frame, so that it is no border itself."""
+    index = np.abs(np.arange(-reach, size + reach))
+    return np.where(index < size, index, 2 * size - 2 - index).clip(0, size - 1)
+
+
+def _disc(radius: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of a disc without its middle, as offsets in a flat image of that width, by sector.
+
+    The 16 sectors are equal turns; sector s has ``offsets[starts[s] : starts[s + 1]]``, and as many
+    pixels as the one across.
+    """
+    dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    inside = (dx * dx + dy * dy <= radius * radius + 1) & ((dx != 0) | (dy != 0))
+    dy, dx = dy[inside], dx[inside]
+    turn = (np.arctan2(dy, dx) / (2 * np.pi) + 1 + 1e-9) % 1
+    sector = (turn * 2 * ORIENTATIONS).astype(np.int64)
+    order = np.argsort(sector, kind="stable")
+    starts = np.searchsorted(sector[order], np.arange(2 * ORIENTATIONS + 1))
+    return (dy * width + dx)[order], starts
 
 
 def depth_boundary(depth: np.ndarray) -> np.ndarray:
@@ -124,60 +155,48 @@ def depth_boundary(depth: np.ndarray) -> np.ndarray:
     return np.clip(cv2.GaussianBlur(strength, (0, 0), 1.0), 0, 0.5)
 
 
-@njit(cache=True, parallel=True)
-def _half_disc(codes, bins, radius, ordered):
-    H, W = codes.shape
-    size = 2 * radius + 1
-    sector = np.full((size, size), -1, np.int64)
-    for dy in range(-radius, radius + 1):
-        for dx in range(-radius, radius + 1):
-            if (dx != 0 or dy != 0) and dx * dx + dy * dy <= radius * radius + 1:
-                turn = (np.arctan2(dy, dx) / (2 * np.pi) + 1.0 + 1e-9) % 1.0
-                sector[dy + radius, dx + radius] = int(turn * 2 * ORIENTATIONS)
-    out = np.empty((ORIENTATIONS, H, W), np.float32)
-    for y in prange(H):
-        hist = np.empty((2 * ORIENTATIONS, bins), np.float32)
-        half = np.empty((2, bins), np.float32)
+@njit(cache=True, error_model="numpy")
+def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
+    """The contrast from ``codes`` with ``radius`` pixels more on each side.
+
+    A place of ``counts`` is ``side`` times the number of pixels in a bin in the first half, plus
+    that in the second: the row of ``terms``, a flat table of what a bin adds to chi-squared. Only
+    bins that the disc has are looked at, and nothing where it has one.
+    """
+    flat, width = codes.ravel(), codes.shape[1]
+    H, W = codes.shape[0] - 2 * radius, width - 2 * radius
+    out = np.zeros((ORIENTATIONS, H, W), np.float32)
+    size = len(offsets)
+    counts = np.zeros(bins + 3, np.int32)  # of bin b at b + 1
+    disc = np.empty(size, np.uintp)  # unsigned: no index is taken for one from the end
+    one, side = np.uintp(1), np.int32(side)
+    for y in range(H):
         for x in range(W):
-            hist[:] = 0
-            for dy in range(-radius, radius + 1):
-                yy = _mirror(y + dy, H)
-                for dx in range(-radius, radius + 1):
-                    s = sector[dy + radius, dx + radius]
-                    if s >= 0:
-                        hist[s, codes[yy, _mirror(x + dx, W)]] += 1
-            if ordered:
-                for s in range(2 * ORIENTATIONS):
-                    last = hist[s, 0]
-                    for b in range(bins):
-                        here = hist[s, b]
-                        following = hist[s, b + 1] if b + 1 < bins else here
-                        hist[s, b] = 0.25 * last + 0.5 * here + 0.25 * following
-                        last = here
-            half[:] = 0
-            for s in range(2 * ORIENTATIONS):
-                for b in range(bins):
-                    half[s // ORIENTATIONS, b] += hist[s, b]
+            low, high = np.uintp(bins), np.uintp(0)
+            for k in range(size):
+                place = np.uintp(flat[np.uintp((y + radius) * width + x + radius + offsets[k])]) + one
+                low, high, disc[k] = min(low, place), max(high, place), place
+            if low == high:
+                continue
+            counts[max(np.int64(low) - 2, 0) : high + np.uintp(3)] = 0
+            for k in range(size // 2):
+                counts[disc[k]] += side
+            for k in range(size // 2, size):
+                counts[disc[k]] += np.int32(1)
             for o in range(ORIENTATIONS):
-                n0 = half[0].sum()
-                n1 = half[1].sum()
                 chi = np.float32(0)
-                for b in range(bins):
-                    p, q = half[0, b] / n0, half[1, b] / n1
-                    if p + q > 1e-6:
-                        chi += (p - q) * (p - q) / (p + q)
-                out[o, y, x] = 0.5 * chi
+                if ordered:
+                    counts[0], counts[bins + 1] = counts[1], counts[bins]
+                    for b in range(max(low - one, one), min(high + one, np.uintp(bins)) + one):
+                        blurred = counts[b - one] + 2 * counts[b] + counts[b + one]
+                        chi += terms[np.uintp(blurred)]
+                else:
+                    for b in range(low, high + one):
+                        chi += terms[np.uintp(counts[b])]
+                out[o, y, x] = np.float32(0.5) * chi
                 # Turn the diameter by one sector: one sector changes sides, its opposite returns.
-                for b in range(bins):
-                    move = hist[o + ORIENTATIONS, b] - hist[o, b]
-                    half[0, b] += move
-                    half[1, b] -= move
+                for k in range(starts[o], starts[o + 1]):
+                    counts[disc[k]] -= side - np.int32(1)
+                for k in range(starts[o + ORIENTATIONS], starts[o + ORIENTATIONS + 1]):
+                    counts[disc[k]] += side - np.int32(1)
     return out
-
-
-@njit(cache=True)
-def _mirror(index, size):
-    """Reflect an index at the frame, so that the frame itself is no border."""
-    index = abs(index)
-    index = index if index < size else 2 * size - 2 - index
-    return min(max(index, 0), size - 1)

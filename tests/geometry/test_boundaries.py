@@ -37,7 +37,7 @@ def plain_half_disc(codes, bins, radius, ordered):
 
 
 @pytest.mark.parametrize("ordered", [False, True])
-@pytest.mark.parametrize("radius", [3, 4])
+@pytest.mark.parametrize("radius", [3, 4, 6])
 def test_half_disc_equals_its_plain_reference(radius, ordered):
     rng = np.random.default_rng(radius)
     codes = rng.integers(0, 5, (11, 13)).astype(np.uint8)
