@@ -173,8 +173,9 @@ def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
     for y in range(H):
         for x in range(W):
             low, high = np.uintp(bins), np.uintp(0)
+            middle = (y + radius) * width + x + radius
             for k in range(size):
-                place = np.uintp(flat[np.uintp((y + radius) * width + x + radius + offsets[k])]) + one
+                place = np.uintp(flat[np.uintp(middle + offsets[k])]) + one
                 low, high, disc[k] = min(low, place), max(high, place), place
             if low == high:
                 continue

@@ -95,4 +95,9 @@ def _weighted_lab(rgb: np.ndarray) -> np.ndarray:
 
 def _distance2(points: np.ndarray, swatches: np.ndarray) -> np.ndarray:
     """Squared distance from each point [P, 3] to the nearest swatch, [P]."""
-    return np.min([((points - swatch) ** 2).sum(1) for swatch in swatches], 0)
+    planes = np.ascontiguousarray(points.T)
+    nearest = np.full(len(points), np.inf, points.dtype)
+    for swatch in swatches:
+        light, red, yellow = ((plane - x) ** 2 for plane, x in zip(planes, swatch, strict=True))
+        np.minimum(nearest, light + red + yellow, out=nearest)
+    return nearest
