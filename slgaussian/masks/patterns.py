@@ -9,7 +9,6 @@ same; a chain of such borders, in which both colours return, is a pattern.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -55,7 +54,7 @@ def join_patterns(
     size = np.bincount(index, minlength=count)
     # Medians: half of a small element's pixels can be blurred with what surrounds it.
     shown = lab[inside]
-    color = np.stack([ndimage.median(channel, index, range(count)) for channel in shown.T], 1)
+    color = np.stack([_medians(channel, index, size) for channel in shown.T], 1)
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
     alike = contrast < ALIKE
 
@@ -63,7 +62,7 @@ def join_patterns(
     planes = plane_sums(regions, depth, count)
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < LARGEST * regions.size) & ~alike[a, b]
-    usable &= np.array([plane_gap(planes[u], planes[v]) < FLAT for u, v in edges], bool)
+    usable[usable] = [plane_gap(planes[u], planes[v]) < FLAT for u, v in edges[usable]]
     even = np.maximum(size[a], size[b]) < SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & even
@@ -71,6 +70,21 @@ def join_patterns(
     _take_ends(group, edges[usable], alike, size)
     joined = np.unique(group, return_inverse=True)[1].astype(np.int32)
     return np.where(inside, joined[regions], -1)
+
+
+def _medians(values: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Median of float32 ``values`` [P] in each region ``index`` [P]; there are ``size`` [N] of it.
+
+    Region and value are one whole number, because those are sorted fast: read as one, a float grows
+    with its value, and falls where it is negative unless its other bits are turned over.
+    """
+    bits = values.view(np.int32)
+    keys = (index.astype(np.int64) << 32) + (bits ^ ((bits >> 31) & 0x7FFFFFFF))
+    keys.sort()
+    bits = keys.astype(np.int32)  # the lower half
+    values = (bits ^ ((bits >> 31) & 0x7FFFFFFF)).view(np.float32)
+    first = np.cumsum(size) - size
+    return (values[first + (size - 1) // 2] + values[first + size // 2]) / 2
 
 
 def _chains(edges: np.ndarray, weight: np.ndarray, alike: np.ndarray) -> np.ndarray:
