@@ -7,7 +7,6 @@ the image and to the region, so that the resolution of a photograph matters litt
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, overload
 
 import cv2
 import numpy as np
@@ -78,13 +77,14 @@ class Descriptors:
         return np.hstack([table[:, :split], shape, table[:, split:], np.array(room)])
 
 
-@overload
-def _ramp(value: float, low: float, high: float) -> float: ...
-@overload
-def _ramp(value: np.ndarray, low: float, high: float) -> np.ndarray: ...
-def _ramp(value: Any, low: float, high: float) -> Any:
+def _ramp(value: float, low: float, high: float) -> float:
     """-1 up to ``low``, 1 from ``high`` on, straight between."""
-    return np.clip((2 * value - low - high) / (high - low), -1, 1)
+    return min(max((2 * value - low - high) / (high - low), -1.0), 1.0)
+
+
+def _ramps(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """:func:`_ramp` of many, which costs a single number ten times as much."""
+    return np.clip((2 * values - low - high) / (high - low), -1, 1)
 
 
 def _share_evidence(shares: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ def _share_evidence(shares: np.ndarray) -> np.ndarray:
 def _solid_evidence(match: np.ndarray) -> np.ndarray:
     """A solid is seen where its outline matches well, and better than that of any other."""
     others = np.stack([np.delete(match, k, axis=1).max(1) for k in range(match.shape[1])], 1)
-    return 0.4 * _ramp(match, 0.7, 0.95) + 0.6 * _ramp(match - others, -0.04, 0.04)
+    return 0.4 * _ramps(match, 0.7, 0.95) + 0.6 * _ramps(match - others, -0.04, 0.04)
 
 
 def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[float]:
@@ -109,7 +109,7 @@ def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[fl
             inside, lab = small > 0.5, cv2.resize(lab, size, interpolation=cv2.INTER_AREA)
     p = patterns.measure(lab, inside)
     lightness = lab[..., 0][inside].astype(np.float64)
-    median, bright = np.percentile(lightness, [50, 99])
+    median, bright = _percentiles(lightness, (50, 99))
     kinds = np.exp(-(shares * np.log(np.maximum(shares, 1e-9))).sum())
     two_toned = min(_ramp(p.contrast, 18, 40), _ramp(p.two_tone, 0.6, 0.8))
     parallel, crossed = _ramp(p.along, 0.4, 0.7), _ramp(p.crossed, 0.12, 0.35)
@@ -147,7 +147,7 @@ def _outline(inside: np.ndarray) -> list[float]:
     # A pixel counts as its whole square: outlines run through pixel centres, half a pixel inside.
     hull = cv2.convexHull(np.concatenate(contours))[:, 0]
     hull = cv2.convexHull(np.concatenate([hull + d for d in ((0, 0), (0, 1), (1, 0), (1, 1))]))
-    area = float(inside.sum())
+    area = float(np.count_nonzero(inside))
     moments = cv2.moments(inside.view(np.uint8), binaryImage=True)
     xx, xy, yy = (moments[name] / area for name in ("mu20", "mu11", "mu02"))
     # A pixel is a unit square, which adds 1/12 to a variance.
@@ -167,12 +167,14 @@ def _outline(inside: np.ndarray) -> list[float]:
 def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
     height, width = mask.shape
     x, y, w, h = box
-    share = mask[y : y + h, x : x + w].sum() / mask.size
-    rows = mask[y : y + h, x : x + w].sum(1)
-    centre = (rows @ (np.arange(y, y + h) + 0.5)) / rows.sum() / height
-    columns = mask[y : y + h, x : x + w].sum(0)
-    column = (columns @ (np.arange(x, x + w) + 0.5)) / columns.sum() / width
-    edges = [mask[-1].mean(), mask[0].mean(), mask[:, 0].mean(), mask[:, -1].mean()]
+    inside = mask[y : y + h, x : x + w]
+    rows, columns = np.count_nonzero(inside, axis=1), np.count_nonzero(inside, axis=0)
+    area = int(rows.sum())
+    share = area / mask.size
+    centre = (rows @ (np.arange(y, y + h) + 0.5)) / area / height
+    column = (columns @ (np.arange(x, x + w) + 0.5)) / area / width
+    ends = mask[-1], mask[0], mask[:, 0], mask[:, -1]
+    edges = [np.count_nonzero(end) / len(end) for end in ends]
     return [
         float(_ramp(np.log(share), np.log(0.003), np.log(0.12))),
         float(_ramp(centre, 0.35, 0.75)),
@@ -197,9 +199,9 @@ def _room(
     )
     points = around.points[window][inside]
     points = points[np.isfinite(points[:, 0])]
-    if len(level) >= _KNOWN * inside.sum():
-        out["level"] = _ramp((level > 0.85).mean(), 0.2, 0.7)
-        out["sheer"] = _ramp((np.abs(level) < 0.35).mean(), 0.3, 0.8)
+    if len(level) >= _KNOWN * np.count_nonzero(inside):
+        out["level"] = _ramp(np.count_nonzero(level > 0.85) / len(level), 0.2, 0.7)
+        out["sheer"] = _ramp(np.count_nonzero(np.abs(level) < 0.35) / len(level), 0.3, 0.8)
     if len(points) >= _FEW:
         thin, middle, wide = np.sqrt(np.linalg.eigvalsh(np.cov(points.T)).clip(0))
         out["flush"] = -_ramp(thin / max(middle, 1e-9), 0.08, 0.35)
@@ -207,9 +209,21 @@ def _room(
         length = max(wide * np.sqrt(12), 1e-9)
         out["extent"] = _ramp(np.log(length), np.log(0.12), np.log(1.5))
     if len(height) >= _FEW:
-        low, median, high = np.percentile(height, [5, 50, 95])
+        low, median, high = _percentiles(height, (5, 50, 95))
         out["height"] = _ramp(median, 0.0, 1.0)
         out["waist"] = -_ramp(abs(median - 0.45), 0.1, 0.4)
         out["grounded"] = -_ramp(low, 0.06, 0.3)
         out["rise"] = _ramp(np.log(max(high - low, 1e-3)), np.log(0.12), np.log(1.0))
     return np.array(list(out.values()))
+
+
+def _percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
+    """As ``np.percentile``, which takes ten times as long where values are few."""
+    ordered, found = np.sort(values), []
+    for percent in percents:
+        place = (len(ordered) - 1) * (percent / 100)
+        low, over = int(place), place - int(place)
+        a, b = ordered[low], ordered[min(low + 1, len(ordered) - 1)]
+        step = float(b - a)
+        found.append(float(a) + step * over if over < 0.5 else float(b) - step * (1 - over))
+    return found

@@ -54,11 +54,11 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     """Measure the surface of ``mask`` bool [h, w] in CIELAB float32 [h, w, 3]."""
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _EDGE + 1, 2 * _EDGE + 1))
     inside = cv2.erode(np.pad(mask, 1).view(np.uint8), kernel)[1:-1, 1:-1].view(bool)
-    if inside.sum() < 16:
+    if np.count_nonzero(inside) < 16:
         inside = mask
     along, crossed, upright, roughness = _directions(lab, inside, _around(mask))
     two_tone, contrast, second = _two_tones(lab, inside)
-    minor = second.sum() / inside.sum()
+    minor = np.count_nonzero(second) / np.count_nonzero(inside)
     spots, fill = _spots(second)
     return Pattern(roughness, two_tone, contrast, minor, along, crossed, upright, spots, fill)
 
@@ -68,9 +68,14 @@ def _around(mask: np.ndarray) -> np.ndarray | None:
 
     For rings, whose pattern runs around the hole; None if the middle is not an enclosed hole.
     """
-    y, x = (axis - axis[mask].mean() for axis in np.mgrid[: mask.shape[0], : mask.shape[1]])
+    y, x = (
+        np.arange(len(count)) - (count @ np.arange(len(count))) / count.sum()
+        for count in (np.count_nonzero(mask, axis=1), np.count_nonzero(mask, axis=0))
+    )
+    y = y[:, None]
     spread = np.hypot(x, y)
-    if spread[mask].min() < _HOLE * np.sqrt((spread[mask] ** 2).mean()):
+    away = spread[mask]
+    if away.min() < _HOLE * np.sqrt((away**2).mean()):
         return None
     empty = np.pad(~mask, 1, constant_values=True).view(np.uint8)
     _, holes = cv2.connectedComponents(empty, connectivity=4)
@@ -86,7 +91,7 @@ def _directions(
     smooth = cv2.GaussianBlur(lab, (0, 0), 0.8)
     gx = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)[inside]
     gy = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)[inside]
-    xx, yy, xy = (gx * gx).sum(-1), (gy * gy).sum(-1), (gx * gy).sum(-1)
+    xx, yy, xy = _dot(gx, gx), _dot(gy, gy), _dot(gx, gy)
     energy = xx + yy
     total = float(energy.sum()) + 1e-6
     double = (xx - yy) + 2j * xy
@@ -104,7 +109,7 @@ def _two_tones(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, np.nd
     colours = lab[inside].astype(np.float64)
     centred = colours - colours.mean(0)
     spread = np.einsum("nc,nd->cd", centred, centred)
-    axis = (centred * np.linalg.eigh(spread)[1][:, -1]).sum(1)
+    axis = _dot(centred, np.linalg.eigh(spread)[1][:, -1])
     low, high = axis.min(), axis.max()
     bins = np.minimum((axis - low) / max(high - low, 1e-9) * 128, 127).astype(int)
     weight = np.bincount(bins, minlength=128).cumsum() / len(axis)
@@ -114,7 +119,7 @@ def _two_tones(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, np.nd
     if upper.all() or not upper.any():
         return 0.0, 0.0, np.zeros_like(inside)
     difference = centred[upper].mean(0) - centred[~upper].mean(0)
-    share = upper.mean()
+    share = np.count_nonzero(upper) / len(upper)
     explained = share * (1 - share) * (difference @ difference) * len(axis) / np.trace(spread)
     second = np.zeros_like(inside)
     second[inside] = upper if share <= 0.5 else ~upper
@@ -138,3 +143,9 @@ def _spots(second: np.ndarray) -> tuple[float, float]:
     fill = area / (4 * np.pi * np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9)))
     share = area / area.sum()
     return float((share > 0.01).sum()), float(share @ fill)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of vectors along the last axis, [..., 3]."""
+    product: np.ndarray = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return product
