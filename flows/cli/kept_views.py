@@ -7,9 +7,7 @@ anew. The cache is that of :class:`slgaussian.storage.local_copies.LocalCache`, 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
 from slgaussian.scene import Camera
 from slgaussian.storage.field_folder import read_about
-from slgaussian.storage.local_copies import LocalCache
+from slgaussian.storage.local_copies import kept_arrays
 
 SEEN = ("rgb", "ids", "confidence", "alpha", "depth")
 """What is kept of a view."""
@@ -30,22 +28,13 @@ def seen(folder: Path, field: SemanticField, camera: Camera) -> FieldView:
     ``field`` is that of ``folder``, maybe taught, named or removed in; nothing else of it may
     differ.
     """
-    cache = LocalCache.from_environment()
-    if cache is None:
-        return field.render(camera)
-    uri = f"views/{_known_by(folder, field, camera)}.npz"
-    data = cache.get(uri)
-    if data is not None:
-        try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as kept:
-                return FieldView(**{name: kept[name] for name in SEEN}, field=field, camera=camera)
-        except (ValueError, KeyError, OSError, zipfile.BadZipFile):
-            cache.drop(uri)
-    view = field.render(camera)
-    packed = io.BytesIO()
-    np.savez(packed, **{name: getattr(view, name) for name in SEEN})
-    cache.put(uri, packed.getvalue())
-    return view
+
+    def drawn() -> dict[str, np.ndarray]:
+        view = field.render(camera)
+        return {name: getattr(view, name) for name in SEEN}
+
+    arrays = kept_arrays(f"views/{_known_by(folder, field, camera)}.npz", drawn)
+    return FieldView(**arrays, field=field, camera=camera)
 
 
 def _known_by(folder: Path, field: SemanticField, camera: Camera) -> str:

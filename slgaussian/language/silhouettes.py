@@ -8,12 +8,17 @@ ratios that each solid can show.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import cv2
 import numpy as np
+
+from slgaussian.kernels.threads import processor
+from slgaussian.storage.local_copies import kept_arrays
 
 SOLIDS = ("ball", "box", "cylinder", "cone", "ring")
 
@@ -54,7 +59,18 @@ def _stretch(mask: np.ndarray) -> np.ndarray:
 
 @cache
 def _outlines() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All outlines: squares [T, SIDE^2], squared lengths, log aspects, indices into SOLIDS."""
+    """All outlines: squares [T, SIDE^2], squared lengths, log aspects, indices into SOLIDS.
+
+    To draw thousands takes as long as some regions in a photograph: they are kept for good, known
+    by what draws them.
+    """
+    drawn_by = Path(__file__).read_bytes() + f"{cv2.__version__} {processor()}".encode()
+    kept = kept_arrays(f"outlines/{hashlib.sha256(drawn_by).hexdigest()}.npz", _drawn)
+    squares = kept["squares"].astype(np.float32)
+    return squares, (squares**2).sum(1), kept["aspects"], kept["kinds"]
+
+
+def _drawn() -> dict[str, np.ndarray]:
     squares, aspects, kinds = [], [], []
     for kind, points, tube in _solids():
         low, high = points.min(0) - tube, points.max(0) + tube
@@ -69,8 +85,11 @@ def _outlines() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         squares.append(_stretch(canvas))
         aspects.append(np.log(w / h))
         kinds.append(SOLIDS.index(kind))
-    stack = np.stack(squares)
-    return stack, (stack**2).sum(1), np.array(aspects), np.array(kinds)
+    return {
+        "squares": np.stack(squares).astype(np.uint8),  # whole steps up to _FULL
+        "aspects": np.array(aspects),
+        "kinds": np.array(kinds),
+    }
 
 
 def _solids() -> Iterator[tuple[str, np.ndarray, float]]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import time
 import uuid
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from slgaussian.errors import InputError
 
@@ -92,6 +96,28 @@ class LocalCache:
                     os.unlink(path)
                 total -= length
         self._written = 0
+
+
+def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
+    """Arrays by name as ``make`` makes them, or as it did before: kept in the user's cache.
+
+    ``uri`` names all that they depend on. What is kept in a damaged file is made anew.
+    """
+    cache = LocalCache.from_environment()
+    if cache is None:
+        return make()
+    data = cache.get(uri)
+    if data is not None:
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as kept:
+                return dict(kept)
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile):
+            cache.drop(uri)
+    arrays = make()
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **arrays)
+    cache.put(uri, packed.getvalue())
+    return arrays
 
 
 def user_cache() -> Path:

@@ -31,8 +31,9 @@ from scipy import ndimage
 from slgaussian.datasets.procedural.names import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
 from slgaussian.geometry.room import Surroundings
+from slgaussian.language import colours, silhouettes
 from slgaussian.language.colours import ColourNames
-from slgaussian.language.descriptors import Descriptors
+from slgaussian.language.descriptors import Descriptors, _percentiles
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
 
 VOCABULARY = load_vocabulary()
@@ -41,6 +42,23 @@ VOCABULARY = load_vocabulary()
 def scores(lexicon, text: str, image: np.ndarray, masks: list[np.ndarray]) -> np.ndarray:
     """Cosine of a text with each region."""
     return lexicon.encode_regions(image, np.array(masks)) @ lexicon.encode_text([text])[0]
+
+
+@given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=60), st.sampled_from("fd"))
+def test_percentiles_are_those_of_numpy(values, kind):
+    values = np.array(values, kind)
+    percents = (0, 5, 50, 95, 99, 100)
+    assert _percentiles(values, percents) == np.percentile(values, percents).tolist()
+
+
+def test_outlines_are_drawn_once_for_all_processes(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path))
+    draw = silhouettes._outlines.__wrapped__  # as a process that starts
+    drawn = draw()
+    monkeypatch.setattr(silhouettes, "_solids", lambda: pytest.fail("drawn again"))
+    for again, before in zip(draw(), drawn, strict=True):
+        np.testing.assert_array_equal(again, before)
+        assert again.dtype == before.dtype
 
 
 # --- Texts ---------------------------------------------------------------------------------------
@@ -317,6 +335,20 @@ def test_nearly_no_light_is_black_whatever_the_surface(names):
     for rgb in FOCAL.values():
         memberships = names(under_light(rgb, 0.002))
         assert names.names[memberships.argmax()] == "black"
+
+
+def test_memberships_are_those_of_plain_distances(names):
+    rgb = np.random.default_rng(1).integers(0, 256, (40, 3)).astype(np.uint8)
+    # Cells of four steps are named by their middles.
+    lab = colours.to_lab(((rgb[None] // 4 + 0.5) / 64).astype(np.float64))[0].astype(np.float64)
+    lab[:, 0] *= colours.LIGHTNESS_WEIGHT
+    nearest = np.stack(
+        [((lab[:, None] - points) ** 2).sum(-1).min(1) for points in names._points], 1
+    )
+    closeness = np.exp((nearest.min(1, keepdims=True) - nearest) / (2 * colours.SOFTNESS**2))
+    plain = closeness / closeness.sum(1, keepdims=True)
+    # Distances of up to 1e5 in float32 over 50: noise up to about 1e-4.
+    np.testing.assert_allclose(names(rgb), plain, atol=3e-4)
 
 
 def test_memberships_share_out_every_colour(names):

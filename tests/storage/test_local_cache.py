@@ -4,10 +4,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.storage.local_copies import ABANDONED, LocalCache, parse_size
+from slgaussian.storage.local_copies import ABANDONED, LocalCache, kept_arrays, parse_size
 
 ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
@@ -103,3 +104,23 @@ def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
 )
 def test_sizes_are_read_as_people_write_them(text, size):
     assert parse_size(text) == size
+
+
+def test_arrays_are_made_once_and_anew_where_the_file_is_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path))
+    made = []
+
+    def make():
+        made.append(1)
+        return {"squares": np.arange(6, dtype=np.uint8).reshape(2, 3)}
+
+    for times, damage in ((1, None), (1, None), (2, b"PK no archive"), (2, None), (3, b"")):
+        if damage is not None:
+            (tmp_path / "outlines" / "a.npz").write_bytes(damage)
+        found = kept_arrays("outlines/a.npz", make)
+        assert len(made) == times
+        np.testing.assert_array_equal(found["squares"], [[0, 1, 2], [3, 4, 5]])
+        assert found["squares"].dtype == np.uint8
+    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
+    kept_arrays("outlines/a.npz", make)
+    assert len(made) == 4
