@@ -35,6 +35,9 @@ MOST_COMPARISONS = 6e7
 HEAT = (1e-3, 1e-6)
 """Temperature at the start and the end of the search, as a share of the crowding at the start."""
 
+ROUNDING = 1e-4
+"""Relative error of sums of crowding, at most: they are float32."""
+
 SHARES = 16
 """Mixtures of two neighbours that are looked at to say how many read as a third object."""
 
@@ -141,25 +144,30 @@ def _anneal(points, taken, pairs, weights, starts, touching, movers, targets, lu
     start = np.float32(0)
     for e in range(count):
         start += weights[e] * _crowd(e, codes, balls)
+    kept = np.full(n + count, np.float32(np.nan))
     for step in range(len(movers)):
         i, target = movers[step], targets[step]
         j, source = owners[target], taken[i]
         if j == i:
             continue
-        before = _part(i, j, pairs, starts, touching, codes, balls)
+        heat = start * hot * (cold / hot) ** (step / len(movers))
+        before = _part(i, j, pairs, starts, touching, codes, balls, kept, True, np.inf)
+        # What is added is never below zero, but for rounding: beyond this no luck is enough.
+        most = before - heat * np.log(luck[step]) + ROUNDING * before
         _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls)
         if j >= 0:
             _move(j, source, points, taken, owners, pairs, starts, touching, codes, balls)
         else:
             owners[source] = -1
-        worse = _part(i, j, pairs, starts, touching, codes, balls) - before
-        heat = start * hot * (cold / hot) ** (step / len(movers))
+        worse = _part(i, j, pairs, starts, touching, codes, balls, kept, False, most) - before
         if worse > 0 and luck[step] >= np.exp(-worse / heat):
             _move(i, source, points, taken, owners, pairs, starts, touching, codes, balls)
             if j >= 0:
                 _move(j, target, points, taken, owners, pairs, starts, touching, codes, balls)
             else:
                 owners[target] = -1
+        else:
+            kept[:] = np.nan
 
 
 @numba.njit(cache=True)
@@ -205,11 +213,21 @@ def _deep(e, i, codes, balls):
 
 
 @numba.njit(cache=True)
-def _part(i, j, pairs, starts, touching, codes, balls):
-    """The part of the weighted crowding that depends on the codes of i and j; j may be -1."""
-    total = _everywhere(i, codes, balls)
-    if j >= 0:
-        total += _everywhere(j, codes, balls)
+def _part(i, j, pairs, starts, touching, codes, balls, kept, keep, most):
+    """The part of the weighted crowding that depends on the codes of i and j; j may be -1.
+
+    It stops where the sum is above ``most``. Nearly all moves are taken back, so that what objects
+    and pairs add, with ``keep``, is found in ``kept`` or left there; NaN is not known.
+    """
+    total = np.float32(0)
+    for k in (i, j):
+        if k >= 0:
+            alone = kept[k] if keep else np.float32(np.nan)
+            if np.isnan(alone):
+                alone = _everywhere(k, codes, balls)
+                if keep:
+                    kept[k] = alone
+            total += alone
     for which, k in enumerate((i, j)):
         if k < 0:
             continue
@@ -217,11 +235,19 @@ def _part(i, j, pairs, starts, touching, codes, balls):
             e = touching[at]
             if which == 1 and (pairs[e, 0] == i or pairs[e, 1] == i):
                 continue
+            place = len(starts) - 1 + e
+            crowd = kept[place] if keep else np.float32(np.nan)
+            if np.isnan(crowd):
+                crowd = _crowd(e, codes, balls)
+                if keep:
+                    kept[place] = crowd
             # All codes in this ball, but those that were counted above.
-            crowd = _crowd(e, codes, balls) - _deep(e, i, codes, balls)
+            crowd -= _deep(e, i, codes, balls)
             if j >= 0:
                 crowd -= _deep(e, j, codes, balls)
             total += balls[4, e] * crowd
+            if total > most:
+                return total
     return total
 
 

@@ -10,7 +10,9 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.codes import Separated, grid_codes
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.separated import (
+    HEAT,
     Pairs,
+    _anneal,
     _points,
     misread,
     neighbours,
@@ -107,6 +109,55 @@ def test_the_points_are_farther_apart_than_those_of_the_whole_grid(n):
     far = np.abs(points[:, None] - points).sum(-1) + 9 * np.eye(len(points))
     side = np.ceil(np.cbrt(n) - 1e-9)
     assert far.min() >= 1.2 / max(side - 1, 1) or n <= 8
+
+
+def plain_annealing(points, taken, pairs, weights, moves):
+    """Float64, all codes against all balls for every move."""
+    taken = taken.copy()
+    weights = weights / weights.sum()
+
+    def crowding():
+        a, b = points[taken[pairs[:, 0]]], points[taken[pairs[:, 1]]]
+        reach = 1.2 * np.abs(a - b).sum(1) / 2
+        far = np.abs((a + b)[:, None] / 2 - points[taken]).sum(-1)
+        return (weights * np.maximum(1 - far / reach[:, None], 0).sum(1)).sum()
+
+    now = start = crowding()
+    for step, (i, target, luck) in enumerate(moves):
+        moved = taken.copy()
+        moved[taken == target] = taken[i]
+        moved[i] = target
+        taken, before = moved, taken
+        heat = start * 1e-3 * 1e-3 ** (step / len(moves))
+        worse = crowding() - now
+        if worse > 0 and luck >= np.exp(-worse / heat):
+            taken = before
+        else:
+            now += worse
+    return taken
+
+
+@pytest.mark.parametrize("n", [7, 12])
+def test_annealing_takes_the_moves_of_a_plain_one(n):
+    rng = np.random.default_rng(n)
+    points, moves = _points(n, 3), 1500
+    pairs = np.argwhere(np.triu(rng.random((n, n)) < 0.5, 1))
+    weights = rng.random(len(pairs))
+    weights /= weights.sum()
+    first = np.argsort(pairs.ravel(), kind="stable")
+    starts = np.searchsorted(pairs.ravel()[first], np.arange(n + 1))
+    taken = rng.permutation(len(points))[:n]
+    movers, targets = rng.integers(n, size=moves), rng.integers(len(points), size=moves)
+    luck = rng.random(moves)
+    plain = plain_annealing(
+        points, taken, pairs, weights, list(zip(movers, targets, luck, strict=True))
+    )
+    assert (plain != taken).any()
+    _anneal(
+        points.astype(np.float32), taken, pairs, weights.astype(np.float32), starts, first // 2,
+        movers, targets, luck, *HEAT,
+    )  # fmt: skip
+    np.testing.assert_array_equal(taken, plain)
 
 
 def test_objects_that_nothing_touches_get_codes_too():
