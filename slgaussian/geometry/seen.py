@@ -11,7 +11,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.geometry.boundaries import boundary_map
+from slgaussian.geometry.boundaries import boundary_map, texture_codes
 from slgaussian.geometry.room import Room, Surroundings, find_room
 from slgaussian.scene import Camera, View
 
@@ -66,6 +66,11 @@ class SeenView:
     def image(self) -> np.ndarray:
         """The photograph, uint8 [H, W, 3]."""
         return self.view.image
+
+    @cached_property
+    def texture(self) -> np.ndarray:
+        """Texture code of every pixel; see :func:`texture_codes`."""
+        return texture_codes(self.view.lab[..., 0])
 
     @cached_property
     def boundary(self) -> np.ndarray:

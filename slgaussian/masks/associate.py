@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import find_objects
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
@@ -141,6 +142,7 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
     table = np.bincount((detected.astype(np.int64) * objects + carried).ravel())
     table = np.pad(table, (0, regions * objects - len(table))).reshape(regions, objects)
     object_area = table.sum(0)
+    windows = find_objects(detected)
     for region in range(1, regions):
         shared = table[region].copy()
         area = shared.sum()
@@ -150,16 +152,18 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
         covered = shared.sum()
         best = int(shared.argmax())
         iou = shared[best] / (area + object_area[best] - shared[best])
-        inside = detected == region
+        window = windows[region - 1]
+        inside, new = detected[window] == region, out[window]
         if covered > 0 and (
             iou > SAME_IOU or (covered >= KNOWN * area and shared[best] >= DOMINANT * covered)
         ):
-            out[inside] = best
+            new[inside] = best
         elif covered < KNOWN * area:
-            out[inside] = next_id
+            new[inside] = next_id
             next_id += 1
         else:
-            out[inside] = carried[nearest_pixel(inside & (carried > 0))][inside]
+            old = carried[window]
+            new[inside] = old[nearest_pixel(inside & (old > 0))][inside]
     return out
 
 

@@ -43,7 +43,8 @@ def group_objects(seen: Sequence[SeenView], label_maps: LabelMaps) -> np.ndarray
     sums = []
     for here, labels in zip(seen, label_maps.labels, strict=True):
         leaves = np.where(labels > 0, np.searchsorted(ids, labels), -1).astype(np.int32)
-        sums.append(leaf_sums(here.view.lab, leaves, here.boundary, here.depth, len(ids)))
+        seen_as = here.view.lab, leaves, here.boundary, here.depth
+        sums.append(leaf_sums(*seen_as, count=len(ids), texture=here.texture))
     joint = joint_sums(sums)
     levels = []
     for cues, height in CUTS:

@@ -129,7 +129,8 @@ class MemoryTracker(ABC):
                 gap = new.lab - frame.lab.reshape(-1, 3)[place]
                 # Another exposure or white balance is no other object.
                 gap -= np.median(gap[matched], 0)
-                matched = matched & (np.linalg.norm(gap, axis=-1) < LOOK)
+                light, red, yellow = (gap[..., k] ** 2 for k in range(3))
+                matched = matched & (np.sqrt(light + red + yellow) < LOOK)
             carried = frame.labels.ravel()[place[matched]]
             keys = leaves[matched].astype(np.int64) * top + carried
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
@@ -199,7 +200,8 @@ def _gradient(lab: np.ndarray) -> np.ndarray:
     import cv2
 
     dx, dy = cv2.Sobel(lab, cv2.CV_32F, 1, 0), cv2.Sobel(lab, cv2.CV_32F, 0, 1)
-    return np.sqrt((dx**2 + dy**2).sum(-1))
+    squares = dx**2 + dy**2
+    return np.sqrt(squares[..., 0] + squares[..., 1] + squares[..., 2])
 
 
 def _color_bins(lab: np.ndarray) -> np.ndarray:
@@ -226,12 +228,20 @@ def both_ways(
         The way there and back may miss by ``least`` pixels, or by this share of the motion.
     """
     rows, columns = back.shape[:2]
-    inside = np.all(there > -0.5, axis=-1) & np.all(there < (columns - 0.5, rows - 0.5), axis=-1)
-    column, row = np.rint(np.where(inside[..., None], there, 0)).astype(np.int64).transpose(2, 0, 1)
-    grid = pixel_grid(there.shape[:2])
-    error = np.linalg.norm(back[row, column] - grid, axis=-1)
-    motion = np.linalg.norm(there - grid, axis=-1)
-    return row * columns + column, inside & (error <= np.maximum(least, share * motion))
+    x, y = there[..., 0], there[..., 1]
+    inside = (x > -0.5) & (y > -0.5) & (x < columns - 0.5) & (y < rows - 0.5)
+    column, row = (np.rint(np.where(inside, axis, 0)).astype(np.int64) for axis in (x, y))
+    place = row * columns + column
+    start = [axis.astype(np.float32) for axis in np.ogrid[: there.shape[0], : there.shape[1]]]
+    error = _length(*(axis[place] for axis in back.reshape(-1, 2).T), *start)
+    motion = _length(x, y, *start)
+    return place, inside & (error <= np.maximum(least, share * motion))
+
+
+def _length(x: np.ndarray, y: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """How far ``x`` and ``y`` are from a column and row."""
+    length: np.ndarray = np.sqrt((x - column) ** 2 + (y - row) ** 2)
+    return length
 
 
 def pixel_grid(size: tuple[int, int]) -> np.ndarray:

@@ -150,6 +150,7 @@ def leaf_sums(
     boundary: np.ndarray,
     depth: np.ndarray | None = None,
     count: int | None = None,
+    texture: np.ndarray | None = None,
 ) -> LeafSums:
     """Sum up the pixels of every leaf.
 
@@ -165,14 +166,16 @@ def leaf_sums(
         Predicted depth, 0 where unknown.
     count : int, optional
         The number N of leaves, if some of them are shown in other views only.
+    texture : uint8 [H, W], optional
+        The texture codes of ``lab``, where they are known.
     """
     n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0
     index = leaves[inside]
     size = np.bincount(index, minlength=n).astype(np.float64)
     color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
-    texture = texture_codes(lab[..., 0])[inside]
-    histogram = np.bincount(index * TEXTURE_CODES + texture, minlength=n * TEXTURE_CODES)
+    codes = (texture_codes(lab[..., 0]) if texture is None else texture)[inside]
+    histogram = np.bincount(index * TEXTURE_CODES + codes, minlength=n * TEXTURE_CODES)
     edges, length, strength = adjacency(leaves, boundary)
     return LeafSums(
         leaves,

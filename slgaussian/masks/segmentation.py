@@ -43,9 +43,10 @@ def grow_trees(
         leaves = np.where(where, leaves, -1)
         packed = np.unique(leaves[where], return_inverse=True)[1]
         leaves[where] = packed.astype(np.int32)
-    fine = build_tree(leaf_sums(lab, leaves, boundary, depth))
+    fine = build_tree(leaf_sums(lab, leaves, boundary, depth, texture=seen.texture))
     elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
-    sums = leaf_sums(lab, join_patterns(lab, elements, depth), boundary, depth)
+    joined = join_patterns(lab, elements, depth)
+    sums = leaf_sums(lab, joined, boundary, depth, texture=seen.texture)
     return [build_tree(sums, each) for each in cues]
 
 
