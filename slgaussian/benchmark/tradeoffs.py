@@ -23,6 +23,7 @@ from slgaussian.benchmark.report import Report
 from slgaussian.benchmark.scores import place_of
 from slgaussian.benchmark.speed_error import front
 from slgaussian.benchmark.statistics import LEAST, LEVEL, compare
+from slgaussian.benchmark.summary import METRICS
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -50,6 +51,9 @@ ERRORS = {
 """The errors, the one that counts first."""
 
 SCORES = ("iou", "miou", "hit_mask", "psnr", "target_abs_rel", "agreement")
+
+TITLES = {metric.key: metric.title for metric in METRICS} | {"agreement": "Agreement"}
+"""What a score is called on the page."""
 
 
 @dataclass(frozen=True)
@@ -330,6 +334,7 @@ def render_tradeoffs(
         "host": host,
         "failures": failures,
         "stages": STAGES,
+        "titles": TITLES,
         "level": LEVEL,
         "least": LEAST,
         "stars": any(one.low is not None for one in weighed),
