@@ -5,8 +5,9 @@
 DATA holds photographs with cameras and pairs.json, as the office set does. EARLIER is a folder with
 a checkout of another commit; it runs with the packages that are installed here. Each command runs
 once before it is measured, so that kernels are compiled and files are in memory; then the two
-commits take turns. ``first field`` is measured once, with an empty folder for kernels. With
-``--only`` what else was measured of the same commit stays.
+commits take turns. What is asked in Python is timed within a process, after the first two times.
+``first field`` is measured once, with an empty folder for kernels. With ``--only`` what else was
+measured of the same commit stays.
 
 With ``-o docs/measured/waiting.md`` the rows are also appended to ``waiting.json`` beside it, the
 history that the page shows. A command is called slower where the interval of its ratio to the
@@ -39,6 +40,39 @@ from slgaussian.storage.store import write_atomic
 HERE = Path(__file__).parents[2]
 DRAWS = 2000
 FIRST = "first field"
+
+ASKED = ("first query, new view", "first query, rendered view", "100 texts")
+"""What is timed within one process, by :data:`ASK`."""
+
+ASK = """
+import json, resource, sys, time
+from slgaussian.field import SemanticField
+
+field = SemanticField.load(sys.argv[1])
+a, b = list(field.cameras.values())[:2]
+words = "chair table floor wall door window lamp plant sofa box".split()
+texts = [f"{colour} {word}" for colour in (
+    "red", "green", "blue", "white", "black", "brown", "grey", "yellow", "orange", "beige"
+) for word in words]
+costs = {}
+
+def timed(name, work):
+    start, spent = time.perf_counter(), time.process_time()
+    made = work()
+    cost = time.perf_counter() - start, time.process_time() - spent
+    costs.setdefault(name, []).append(cost)
+    return made
+
+for turn in range(8):
+    between = (a, b)[turn % 2]  # of another view than the last time
+    timed("first query, new view", lambda: field.render(between).query(texts[turn]))
+    view = field.render(between)
+    timed("first query, rendered view", lambda: view.query(texts[turn + 10]))
+    timed("100 texts", lambda: [(r.mask, r.relevancy, r.point) for r in view.query_all(texts)])
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps({name: [min(w for w, _ in own[2:]), min(c for _, c in own[2:]), peak]
+                  for name, own in costs.items()}))
+"""
 
 
 @dataclass(frozen=True)
@@ -112,6 +146,21 @@ def first_field(words: Sequence[str], folders: Sequence[Path]) -> tuple[list, li
     return costs
 
 
+def told(words: Sequence[str], folders: Sequence[Path], rounds: int) -> dict[str, tuple]:
+    """Costs of :data:`ASKED` here and there, in turn: the least of some asked of a field each time.
+
+    ``words`` is the folder of the field, with ``{}`` as in :func:`measured`.
+    """
+    costs: dict[str, tuple[list[Cost], list[Cost]]] = {name: ([], []) for name in ASKED}
+    for _ in range(rounds):
+        for k, folder in enumerate(folders):
+            given = [word.replace("{}", str(k)) for word in words]
+            said = costing([sys.executable, "-c", ASK, *given], cwd=folder).output[-1]
+            for name, (wall, cpu, peak) in json.loads(said).items():
+                costs[name][k].append(Cost(wall=wall, cpu=cpu, peak=peak))
+    return costs
+
+
 def commit(folder: Path) -> str:
     told = subprocess.run(
         ["git", "rev-parse", "--short=7", "HEAD"], cwd=folder, capture_output=True, text=True
@@ -150,6 +199,9 @@ def main() -> None:
             few = min(3 if words[0] == "field" else given.rounds, given.rounds)
             rows.append(row_of(name, *measured(words, folders, few)))
             print(rows[-1], file=sys.stderr)
+        if not given.only or set(ASKED) & set(given.only):
+            costs = told((f"{place}/{{}}",), folders, given.rounds)
+            rows += [row_of(name, *costs[name]) for name in ASKED]
         if not given.only or FIRST in given.only:
             rows.append(row_of(FIRST, *first_field(field, folders)))
     history = given.out.with_suffix(".json") if given.out else None
