@@ -8,7 +8,9 @@ the floor") or a thing of several words that the lexicon knows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from slgaussian.language.vocabulary import Vocabulary, load_vocabulary, spellings
 
@@ -153,19 +155,28 @@ def _divide(spelled: list[str], known: Vocabulary) -> tuple[list[str], str, list
     return None
 
 
-def _relation(spelled: list[str], at: int) -> tuple[str, int]:
-    """The relation whose words begin there, the longest, and how many they are."""
-    best = "", 0
+@cache
+def _ways() -> Mapping[str, Sequence[tuple[str, list[str]]]]:
+    """Relations, and the words that say them, by the first of these."""
+    found: dict[str, list[tuple[str, list[str]]]] = {}
     for relation, ways in RELATIONS.items():
         side = relation in ("left of", "right of")
         for way in ways:
             for lead in _LEADS if side else ((),):
                 words = [*lead, *way.split()]
-                then = spelled[at + len(words) : at + len(words) + 1]
-                if way == "by" and not _ARTICLES.intersection(then):
-                    continue  # "a painting by Rembrandt"
-                if spelled[at : at + len(words)] == words and len(words) > best[1]:
-                    best = relation, len(words)
+                found.setdefault(words[0], []).append((relation, words))
+    return found
+
+
+def _relation(spelled: list[str], at: int) -> tuple[str, int]:
+    """The relation whose words begin there, the longest, and how many they are."""
+    best = "", 0
+    for relation, words in _ways().get(spelled[at], ()):
+        then = spelled[at + len(words) : at + len(words) + 1]
+        if words == ["by"] and not _ARTICLES.intersection(then):
+            continue  # "a painting by Rembrandt"
+        if spelled[at : at + len(words)] == words and len(words) > best[1]:
+            best = relation, len(words)
     if not best[1] and at and spelled[at + 1 : at + 2] and spelled[at + 1] in _ARTICLES:
         # "the chair nearest the door"
         for relation in ("nearest to", "farthest from"):

@@ -24,6 +24,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -111,15 +112,19 @@ class TaughtWords:
 
     def __iter__(self) -> Iterator[str]:
         """The words that have at least one example, in order of the alphabet."""
-        return iter(np.unique(self.words[self.positive]).tolist())
+        return iter(self._known)
 
     def __len__(self) -> int:
         """How many those are."""
-        return sum(1 for _ in self)
+        return len(self._known)
+
+    @cached_property
+    def _known(self) -> list[str]:
+        return np.unique(self.words[self.positive]).tolist()
 
     def __contains__(self, text: object) -> bool:
         """Whether a text is a taught word, whatever its case and spaces."""
-        return isinstance(text, str) and spelled(text) in list(self)
+        return isinstance(text, str) and spelled(text) in self._known
 
     def examples(self, word: str) -> tuple[int, int]:
         """How many examples and counter-examples a word has."""
