@@ -141,8 +141,12 @@ class _Asker:
             things = [things[rank] for rank in np.argsort(best, kind="stable")[: sentence.count]]
         kept = np.zeros(len(gaps), bool)
         kept[np.concatenate(things)] = True
-        hit = self._result(sentence, gaps, kept, left)
-        count, said = self._counted(sentence, things, hit)
+        hit = one = self._result(sentence, gaps, kept, left)
+        if sentence.count == 0:
+            # That there are several speaks against an answer, but not against one of them.
+            best = max(things, key=lambda rows: gaps[rows].max())
+            one = self._result(sentence, gaps, np.isin(np.arange(len(gaps)), best), left)
+        count, said = self._counted(sentence, things, one)
         return replace(hit, count=count, notes=(*notes, *said))
 
     def _holding(
@@ -222,13 +226,16 @@ class _Asker:
         )
 
     def _counted(
-        self, sentence: Sentence, things: list[np.ndarray], hit: QueryResult
+        self, sentence: Sentence, things: list[np.ndarray], best: QueryResult
     ) -> tuple[int | None, list[str]]:
-        """How many things were found, if that is asked, and what there is to say of an answer."""
+        """How many things were found, if that is asked, and what there is to say of an answer.
+
+        ``best`` is the answer that takes the best of them alone.
+        """
         count, notes = None, []
         if sentence.count is not None:
             count = len(things)
-            if sentence.count == 0 and hit.verdict == "not here":
+            if sentence.count == 0 and best.verdict == "not here":
                 count = 0
                 notes.append("what was found is probably something else")
             if count < sentence.count:

@@ -1,5 +1,7 @@
 """Answers about where things are, in a drawn room where every thing and its place is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
+from slgaussian.language.confidence import Calibration
 from slgaussian.language.query import Rules, ask
 from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Sample, View
@@ -140,6 +143,14 @@ def test_pieces_of_one_thing_count_once(view):
     five = view.query("five reds")
     assert five.count == 3 and "3 found, not 5" in five.notes
     assert view.query("how many yellows").count == 0
+
+
+def test_that_there_are_several_does_not_speak_against_their_count(view, monkeypatch):
+    known = view.reader.encoder.calibration
+    harsh = Calibration(replace(known.mask, parts=-50.0), replace(known.point, parts=-50.0))
+    monkeypatch.setattr(type(view.reader.encoder), "calibration", harsh)
+    assert view.query("red").verdict == "not here"
+    assert view.query("how many reds").count == 3
 
 
 def test_a_mirrored_room_mirrors_left_and_right(view):
