@@ -112,18 +112,22 @@ def _packages() -> Findings:
 
 
 def _extras() -> Findings:
-    """Look at the packages for more than the main job; none of them must be there."""
+    """Look at the packages for more than the main job; none of them must be there.
+
+    They are imported only by the checks of what needs them: a runner, a model.
+    """
     for extra in metadata(PACKAGE).get_all("Provides-Extra") or []:
         if extra in DEVELOPMENT:
             continue
         own = requirements(extra)
-        there = [f"{needs.name} {version(needs.name)}" for needs in own if _wrong(needs) is None]
-        wrong = [said for needs in own if (said := _wrong(needs)) is not None]
+        told = {needs: _wrong(needs, importing=False) for needs in own}
+        there = [f"{needs.name} {version(needs.name)}" for needs, said in told.items() if not said]
+        wrong = [said for said in told.values() if said]
         advice = f"; {install_line(extra)}" if wrong else ""
         yield Finding(f"[{extra}]", ", ".join([*there, *wrong]) + advice, None)
 
 
-def _wrong(needs: Requirement) -> str | None:
+def _wrong(needs: Requirement, importing: bool = True) -> str | None:
     """What is wrong with a package, if anything: that it is not there, too old, broken ..."""
     try:
         found = version(needs.name)
@@ -131,6 +135,8 @@ def _wrong(needs: Requirement) -> str | None:
         return f"{needs.name} is not installed"
     if not needs.specifier.contains(found, prereleases=True):
         return f"{needs.name}: found {found}, expected {needs.specifier}"
+    if not importing:
+        return None
     try:
         import_module(MODULES.get(needs.name, needs.name.replace("-", "_")))
     except Exception as error:  # a broken package raises anything

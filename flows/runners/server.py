@@ -7,22 +7,30 @@ holds the reading end of a pipe whose writing end only the parent has: however t
 
 from __future__ import annotations
 
+import hashlib
 import os
 import socket
+import sqlite3
 import subprocess
 import sys
+import tempfile
 import threading
 import urllib.error
 import urllib.request
+from contextlib import closing, suppress
+from importlib.metadata import version
 from pathlib import Path
 
 from flows.runners import child
 from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.storage.local_copies import LocalCache
 
 LOOPBACK = "127.0.0.1"
 
 START_TIMEOUT = 120.0
-"""Seconds to wait for the server; its first start in a store also makes the database."""
+"""Seconds to wait for the server; its first start on a machine also makes a database."""
+
+DATABASE = "prefect.db"
 
 
 class LocalServer:
@@ -38,12 +46,14 @@ class LocalServer:
         self.socket = socket.create_server((LOOPBACK, 0), backlog=128)
         self.url = f"http://{LOOPBACK}:{self.socket.getsockname()[1]}/api"
         self.process: subprocess.Popen | None = None
+        self.makes_database = False
 
     def start(self) -> None:
         """Start the server process; InputError if its folder cannot be written."""
         inherited = self.socket.fileno()
         try:
             self.home.mkdir(parents=True, exist_ok=True)
+            self.makes_database = not _lay_database(self.home)
             # Its own output file: a pipe of ours that it inherited would keep our readers waiting.
             log = self.log.open("wb")
         except OSError as error:
@@ -81,6 +91,8 @@ class LocalServer:
                 f"sure that the disk has room, or, if its database is damaged, delete {self.home}, "
                 "which holds only the history of runs"
             ) from error
+        if self.makes_database:
+            _keep_database(self.home)
 
     def stop(self) -> None:
         """Close the pipe and wait for the server to leave."""
@@ -89,6 +101,45 @@ class LocalServer:
                 self.process.stdin.close()
             self.process.wait(timeout=10)
             self.process = None
+
+
+def _lay_database(home: Path) -> bool:
+    """Whether a database is in ``home`` or, new and empty, was laid there from the user's cache.
+
+    Prefect makes one in hundreds of steps, which take longer than its server does to come up.
+    """
+    place = home / DATABASE
+    if place.exists():
+        return True
+    cache = LocalCache.from_environment()
+    kept = cache and cache.get(_kept_at())
+    if not kept or hashlib.sha256(kept[32:]).digest() != kept[:32]:
+        return False
+    with (
+        suppress(OSError),
+        tempfile.NamedTemporaryFile(dir=home, prefix=".database-") as unfinished,
+    ):
+        unfinished.write(kept[32:])
+        unfinished.flush()
+        os.link(unfinished.name, place)  # never over that of a server which began meanwhile
+    return place.exists()
+
+
+def _keep_database(home: Path) -> None:
+    """Keep the new database in ``home`` in the user's cache, for others to begin with."""
+    cache, place = LocalCache.from_environment(), home / DATABASE
+    if cache is None or not place.exists():  # the user has Prefect keep its records elsewhere
+        return
+    with suppress(OSError, sqlite3.Error), tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / DATABASE
+        with closing(sqlite3.connect(place)) as live, closing(sqlite3.connect(copy)) as still:
+            live.backup(still)
+        data = copy.read_bytes()
+        cache.put(_kept_at(), hashlib.sha256(data).digest() + data)
+
+
+def _kept_at() -> str:
+    return f"prefect/{version('prefect')}.db"
 
 
 def serve(inherited: int) -> None:
