@@ -20,6 +20,17 @@ hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
 
 
+WHOLE = {"server", "browser", "s3_server"}
+"""What tests ask for that run whole commands: a Prefect server, a browser, a server of buckets."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark those as ``whole``, which `pytest` leaves out and `pytest -m whole` runs."""
+    for item in items:
+        if WHOLE.intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.whole)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def own_copies(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Views and files of stores are kept apart from those of the user."""

@@ -11,6 +11,8 @@ import pytest
 
 from benches.scores import score_floors
 
+pytestmark = pytest.mark.whole
+
 
 @pytest.fixture(scope="module")
 def rooms():

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.whole
+
 nbformat = pytest.importorskip("nbformat", reason="needs nbclient and ipykernel: the extra `test`")
 nbclient = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel: the extra `test`")
 

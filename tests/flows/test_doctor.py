@@ -37,6 +37,7 @@ def test_a_healthy_installation(server, tmp_path, monkeypatch, capsys):
     assert {"[models]", "[s3]", "[cuda]"} <= {line.split()[0] for line in told["--"]}
 
 
+@pytest.mark.whole
 def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, capsys):
     """With a server of its own, whose database is not left either."""
     monkeypatch.delenv("PREFECT_API_URL")

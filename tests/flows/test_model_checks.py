@@ -61,6 +61,7 @@ def wrong(request: Request) -> str:
     return last.said
 
 
+@pytest.mark.whole
 def test_models_are_told_and_fail_for_a_stated_reason(folders, monkeypatch, capfd):
     """In programs of their own, as users have it."""
     assert run(monkeypatch, "doctor", "--models", *folders.values()) == 1

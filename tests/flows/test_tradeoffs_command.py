@@ -177,6 +177,7 @@ def test_two_photographs_are_judged_by_how_far_settings_agree(
         make_tradeoff_settings({"scenes": [ROOM, ROOM]})
 
 
+@pytest.mark.usefixtures("server")
 def test_if_no_scene_goes_through_its_reason_is_said(monkeypatch, capsys, tmp_path, photographs):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sweep, "_changes", lambda: iter(()))

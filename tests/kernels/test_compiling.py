@@ -73,6 +73,7 @@ def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatc
     assert said.levelno == logging.WARNING and "takes a minute or two" in said.message
 
 
+@pytest.mark.whole
 def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
     """A command with few kernels: it packs a made-up room."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}

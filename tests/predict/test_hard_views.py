@@ -22,6 +22,8 @@ from slgaussian.predict.links import link_views, usable
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample
 
+pytestmark = pytest.mark.whole
+
 ROOMS = (0, 1)
 SIZE, VIEWS, ODD = (120, 160), 5, 2
 """The odd view is in the middle, unless a test says otherwise."""

@@ -390,6 +390,7 @@ def test_the_command_says_in_a_sentence_what_is_wrong(folder, tmp_path, monkeypa
     assert "field.json" in command_said(capsys)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_ends_when_it_is_told_to(folder, sign):
     command = [sys.executable, "-m", "slgaussian", "view", str(folder)]
