@@ -216,7 +216,14 @@ def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
     """Merge greedily until no two regions touch; without ``cues`` by the default ones."""
     cues = cues or Cues()
-    parent, height = _merge(
+    n = len(sums.size)
+    parent, height = np.full(2 * n, -1, np.int32), np.zeros(2 * n)
+    count = _merge(
+        parent,
+        height,
+        np.arange(n),
+        np.full(n, -1, np.int64),
+        np.empty(len(sums.edges)),
         sums.edges.copy(),
         sums.length.copy(),
         sums.strength.copy(),
@@ -229,7 +236,7 @@ def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
         np.array([1.0, cues.color, cues.texture, cues.plane, cues.fill]),
         cues.size_power,
     )
-    return MergeTree(sums.leaves, parent, height)
+    return MergeTree(sums.leaves, parent[:count], height[:count])
 
 
 def adjacency(leaves, boundary):
@@ -276,22 +283,26 @@ def _boxes(leaves, n):
     return corners / unit
 
 
-@njit(cache=True)
-def _plane_error(s):
-    """Sum of squared residuals of the best plane, from the sums of :func:`plane_sums`."""
-    if s[0] < 3:
+@njit(cache=True, error_model="numpy")
+def _plane_error(a, b, share):
+    """Sum of squared residuals of the best plane, from sums of :func:`plane_sums`: a + share b."""
+    count = a[0] + share * b[0]
+    if count < 3:
         return 0.0
-    a, b = s[1] / s[0], s[2] / s[0]
-    ridge = 1e-6 * s[0]
-    uu, uv, vv = s[3] - a * s[1] + ridge, s[4] - a * s[2], s[5] - b * s[2] + ridge
-    du, dv = s[7] - a * s[6], s[8] - b * s[6]
-    dd = s[9] - s[6] * s[6] / s[0]
+    x, y, d = a[1] + share * b[1], a[2] + share * b[2], a[6] + share * b[6]
+    u, v = x / count, y / count
+    ridge = 1e-6 * count
+    uu = a[3] + share * b[3] - u * x + ridge
+    uv = a[4] + share * b[4] - u * y
+    vv = a[5] + share * b[5] - v * y + ridge
+    du, dv = a[7] + share * b[7] - u * d, a[8] + share * b[8] - v * d
+    dd = a[9] + share * b[9] - d * d / count
     det = uu * vv - uv * uv
     explained = (du * du * vv - 2 * du * dv * uv + dv * dv * uu) / det
     return max(dd - explained, 0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def plane_gap(a, b):
     """By how much, relative to inverse depth, one plane explains two regions worse than two do.
 
@@ -299,12 +310,11 @@ def plane_gap(a, b):
     """
     if a[0] == 0 or b[0] == 0:
         return 0.0
-    joint = a + b
-    worse = _plane_error(joint) - _plane_error(a) - _plane_error(b)
-    return np.sqrt(max(worse, 0.0) / min(a[0], b[0])) * joint[0] / joint[6]
+    worse = _plane_error(a, b, 1.0) - _plane_error(a, b, 0.0) - _plane_error(b, a, 0.0)
+    return np.sqrt(max(worse, 0.0) / min(a[0], b[0])) * (a[0] + b[0]) / (a[6] + b[6])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power):
     """Cost of uniting regions a and b; weights are those of border, color, texture, plane, fill."""
     cost = weights[0] * border
@@ -334,33 +344,39 @@ def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, p
     return cost * (size[a] * size[b] / (size[a] + size[b])) ** power
 
 
-@njit(cache=True)
-def _merge(edges, length, strength, size, color, histogram, sizes, planes, boxes, weights, power):
-    n = size.shape[0]
-    parent = np.full(2 * n, -1, np.int32)
-    height = np.zeros(2 * n)
-    node = np.arange(n)
-    live = edges.shape[0]
-    cost = np.empty(live)
+@njit(cache=True, error_model="numpy")
+def _merge(
+    parent, height, node, edge_to, cost, edges, length, strength, size, color, histogram, sizes,
+    planes, boxes, weights, power,
+):  # fmt: skip
+    """Fill ``parent`` and ``height``, and say how many nodes there are; all else is used up.
+
+    ``node`` [N] is the node that a region has become, ``edge_to`` [N] is -1, and ``cost`` [E] room.
+    """
+    live, count = edges.shape[0], size.shape[0]
     for e in range(live):
-        a, b = edges[e]
+        a, b = edges[e, 0], edges[e, 1]
         border = strength[e] / length[e]
         cost[e] = _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power)
-    edge_to = np.full(n, -1, np.int64)
-    count = n
     while live > 0:
         best = 0
         for e in range(1, live):
             if cost[e] < cost[best]:
                 best = e
-        keep, gone = edges[best]
+        keep, gone = edges[best, 0], edges[best, 1]
+        # Loops over numbers: those over rows would take Numba seconds to compile.
         size[keep] += size[gone]
-        color[keep] += color[gone]
-        histogram[keep] += histogram[gone]
-        sizes[keep] += sizes[gone]
-        planes[keep] += planes[gone]
-        boxes[keep, :, :2] = np.minimum(boxes[keep, :, :2], boxes[gone, :, :2])
-        boxes[keep, :, 2:] = np.maximum(boxes[keep, :, 2:], boxes[gone, :, 2:])
+        for c in range(color.shape[1]):
+            color[keep, c] += color[gone, c]
+        for k in range(histogram.shape[1]):
+            histogram[keep, k] += histogram[gone, k]
+        for v in range(sizes.shape[1]):
+            sizes[keep, v] += sizes[gone, v]
+            for k in range(planes.shape[2]):
+                planes[keep, v, k] += planes[gone, v, k]
+            for k in range(2):
+                boxes[keep, v, k] = min(boxes[keep, v, k], boxes[gone, v, k])
+                boxes[keep, v, k + 2] = max(boxes[keep, v, k + 2], boxes[gone, v, k + 2])
         height[count] = max(cost[best], height[node[keep]], height[node[gone]])
         parent[node[keep]] = count
         parent[node[gone]] = count
@@ -369,7 +385,7 @@ def _merge(edges, length, strength, size, color, histogram, sizes, planes, boxes
         # Rewrite the edges in place: those of `gone` go to `keep`, and doubled ones are joined.
         kept = 0
         for e in range(live):
-            a, b = edges[e]
+            a, b = edges[e, 0], edges[e, 1]
             if e == best:
                 continue
             starts, ends = a in (keep, gone), b in (keep, gone)
@@ -387,11 +403,11 @@ def _merge(edges, length, strength, size, color, histogram, sizes, planes, boxes
             kept += 1
         live = kept
         for e in range(live):
-            a, b = edges[e]
+            a, b = edges[e, 0], edges[e, 1]
             if a == keep or b == keep:
                 edge_to[b if a == keep else a] = -1
                 border = strength[e] / length[e]
                 cost[e] = _cost(
                     a, b, border, size, color, histogram, sizes, planes, boxes, weights, power
                 )
-    return parent[:count], height[:count]
+    return count

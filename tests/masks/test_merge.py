@@ -209,12 +209,16 @@ def test_plane_error_equals_least_squares():
     leaves = rng.integers(0, 3, (20, 30)).astype(np.int32)
     depth = rng.uniform(1, 3, leaves.shape).astype(np.float32)
     sums = plane_sums(leaves, depth, 3)
-    for leaf in range(3):
-        v, u = np.nonzero(leaves == leaf)
-        d = np.median(depth) / depth[leaves == leaf].astype(np.float64)
+
+    def residual(inside):
+        v, u = np.nonzero(inside)
+        d = np.median(depth) / depth[inside].astype(np.float64)
         A = np.stack([np.ones(len(u)), u / 30, v / 30], 1)
-        residual = np.linalg.lstsq(A, d, rcond=None)[1][0]
-        assert _plane_error(sums[leaf]) == pytest.approx(residual, rel=1e-4)  # a ridge of 1e-6
+        return pytest.approx(np.linalg.lstsq(A, d, rcond=None)[1][0], rel=1e-4)  # a ridge of 1e-6
+
+    for leaf in range(3):
+        assert _plane_error(sums[leaf], sums[0], 0.0) == residual(leaves == leaf)
+    assert _plane_error(sums[1], sums[2], 1.0) == residual(leaves > 0)
 
 
 def test_tree_heights_rise_and_every_cut_is_a_partition(noise):
