@@ -71,11 +71,11 @@ def cross_check(
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _cross_check(inverse_depth, other, A, e, least_tolerance):
     H, W = inverse_depth.shape
     out = np.empty((H, W), np.uint8)
-    for y in prange(H):
+    for y in range(H):
         for x in range(W):
             out[y, x] = _verdict(x, y, float(inverse_depth[y, x]), other, A, e, least_tolerance)
     return out
@@ -207,11 +207,11 @@ def _through(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray
     return np.array([a, b, level - a * middle[0] - b * middle[1]])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _support(planes, points, w, tolerance):
     """Number of points near each plane, int64 [P]."""
     out = np.zeros(len(planes), np.int64)
-    for k in prange(len(planes)):
+    for k in range(len(planes)):
         a, b, c = planes[k]
         for i in range(len(points)):
             off = abs(a * points[i, 0] + b * points[i, 1] + c - w[i])
@@ -269,11 +269,11 @@ def fill(
     return np.where(keep, inverse_depth, chosen)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
     """Inverse depth of each plane at each pixel, and votes of answered pixels against planes."""
     H, W, P = votes.shape
-    for y in prange(H):
+    for y in range(H):
         for x in range(W):
             for k in range(P):
                 a, b, c = planes[k]
@@ -284,11 +284,11 @@ def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
                     votes[y, x, k] = np.uint8(100 * min(off, 1.0))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _vote_unseen(levels, keep, other, A, e, least_tolerance, votes):
     """Votes of unanswered pixels against planes that the other view sees through."""
     H, W, P = votes.shape
-    for y in prange(H):
+    for y in range(H):
         for x in range(W):
             if not keep[y, x]:
                 for k in range(P):

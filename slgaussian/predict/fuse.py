@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.fill import AGREES, IN_FRONT, cross_check
@@ -118,12 +118,12 @@ def _say(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.minimum(inwards / FEATHER, 1).astype(np.float32)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _add(total, weight, agrees, inverse_depth, image, A, e, feather, near):
     """Add what the other view shows, bilinear and by its weight, where it agrees."""
     H, W = inverse_depth.shape
     rows, columns, _ = image.shape
-    for y in prange(H):
+    for y in range(H):
         for x in range(W):
             if not agrees[y, x]:
                 continue

@@ -103,7 +103,7 @@ def _follow(last, least, jump, p1, here, this, sums):
     return lowest
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def winners(halves):
     """Candidate of least cost with a sub-pixel offset, and how clearly it won.
 
@@ -127,7 +127,7 @@ def winners(halves):
     best = np.empty((H, W), np.int16)
     offset = np.zeros((H, W), np.float32)
     margin = np.empty((H, W), np.float32)
-    for y in prange(H):
+    for y in range(H):
         costs = np.empty(D, np.int32)
         for x in range(W):
             first, other = halves[0, y, x], halves[1, y, x]

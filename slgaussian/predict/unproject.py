@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.scene import Camera
@@ -85,12 +85,12 @@ def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
     return _normals(inverse_depth, np.ascontiguousarray(K), SLOPE_RADIUS, SAME_SURFACE)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _normals(values, K, radius, same):
     """From least-squares slopes over the window pixels within a share ``same`` of each."""
     H, W = values.shape
     out = np.empty((H, W, 3))
-    for y in prange(H):
+    for y in range(H):
         for x in range(W):
             centre = values[y, x]
             n = sx = sy = sw = sxx = sxy = syy = sxw = syw = 0.0
@@ -130,14 +130,14 @@ def _normals(values, K, radius, same):
 # wrong with their shapes.
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
     """Local axes are (across the line of sight, uphill along the surface, normal)."""
     H, W = inverse_depth.shape
     means = np.empty((H * W, 3), np.float32)
     scales = np.empty((H * W, 3), np.float32)
     quats = np.empty((H * W, 4), np.float32)
-    for y in prange(H):
+    for y in range(H):
         turned = np.empty((3, 3))
         q = np.empty(4)
         for x in range(W):
