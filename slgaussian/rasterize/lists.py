@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.kernels.simd import LANES, vexp2, vload, vstore, vwhere, vzero
+from slgaussian.kernels.simd import LANES, vabs, vany, vexp2, vload, vstore, vsum, vwhere, vzero
 from slgaussian.kernels.work_sharing import WORKERS, take
-from slgaussian.rasterize.blend import STRIP, weigh_block
-from slgaussian.rasterize.project import POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
+from slgaussian.rasterize.blend import STRIP, alpha_of
+from slgaussian.rasterize.project import CUT, POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
 from slgaussian.rasterize.tiles import (
     ACROSS,
     BLOCK,
@@ -32,6 +32,9 @@ SPARE = 4
 """How many more entries a block has room for than it starts with."""
 
 NOBODY = -1
+
+PATIENCE = 4
+"""Gaussians composited in a row before looking whether any of the pixels lets light through."""
 
 
 class Lists(NamedTuple):
@@ -85,36 +88,31 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
     alpha_max : float
     """
     n = len(geometry[0])
-    seen, own_counts, first = [], [], 0
-    view, left, top, sizes, z = [], [], [], [], []
+    nothing = np.empty((n, 0), np.float32)
+    seen = [project(*geometry, nothing, eye)[:2] for eye in eyes]
+    view: list[np.ndarray] = []
+    left, top, sizes, first = [], [], [], 0
     for number, eye in enumerate(eyes):
-        splats, boxes, _ = project(*geometry, np.empty((n, 0), np.float32), eye)
-        scene = splats, boxes, bin_splats(boxes, eye.width, eye.height)
         across, down = -(-eye.width // BLOCK), -(-eye.height // BLOCK)
-        count = np.zeros(across * down, np.int64)
-        _walk(*scene, eye.width, eye.height, np.float32(alpha_max), count, False,
-              np.empty(0, np.int32), np.empty(0, np.float32))  # fmt: skip
         y, x = np.indices((down, across)).reshape(2, -1) * BLOCK
-        seen.append(scene)
-        own_counts.append(count)
+        sizes.append((eye.width, eye.height, across, first))
+        first += across * down
         view.append(np.full(across * down, number))
         left.append(x)
         top.append(y)
-        sizes.append((eye.width, eye.height, across, first))
-        z.append(splats[:, Z])
-        first += across * down
-    counts = np.concatenate(own_counts)
+    boxes = np.stack([own for _, own in seen])
+    counts, begins, places = _touch(boxes, np.array(sizes), first)
     rooms = counts + SPARE
     starts = np.cumsum(rooms) - rooms
     members = np.empty(rooms.sum(), np.int32)
     alphas = np.empty(rooms.sum() * LANES, np.float32)
-    for (width, height, _, first), scene in zip(sizes, seen, strict=True):
-        _walk(*scene, width, height, np.float32(alpha_max), starts[first:].copy(), True,
-              members, alphas)  # fmt: skip
-    begins, places = _turn(starts, counts, members, n)
+    for (width, height, _, first), (splats, own) in zip(sizes, seen, strict=True):
+        _write(splats, own, bin_splats(own, width, height), width, height, np.float32(alpha_max),
+               starts[first:], members, alphas)  # fmt: skip
     return Lists(
         starts, counts, rooms, members, alphas, _joined(view), _joined(left), _joined(top),
-        np.array(sizes), np.array(z, np.float32), begins[:-1].copy(), begins[1:].copy(),
+        np.array(sizes), np.array([splats[:, Z] for splats, _ in seen], np.float32),
+        begins[:-1].copy(), begins[1:].copy(),
         # Room for everybody to move three times.
         np.concatenate([places, np.empty(3 * len(places) + 64, np.int32)]),
         np.array([len(places)]),
@@ -125,12 +123,36 @@ def _joined(columns: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(columns).astype(np.int32)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members, alphas):
-    """Move the cursor of every block on by its entries, and ``write`` them where it passes.
+@numba.njit(cache=True)
+def _touch(boxes, sizes, blocks):
+    """How many each block lists, where the blocks of each Gaussian begin, and these."""
+    views, n, _ = boxes.shape
+    counts, begins = np.zeros(blocks, np.int64), np.zeros(n + 1, np.int64)
+    for i in range(n):
+        begins[i + 1] = begins[i]
+        for view in range(views):
+            x0, x1, y0, y1 = boxes[view, i]
+            if x1 > x0 and y1 > y0:
+                wide = (x1 - 1) // BLOCK + 1 - x0 // BLOCK
+                begins[i + 1] += wide * ((y1 - 1) // BLOCK + 1 - y0 // BLOCK)
+    places = np.empty(begins[n], np.int32)
+    cursor = 0
+    for i in range(n):
+        for view in range(views):
+            x0, x1, y0, y1 = boxes[view, i]
+            if x1 > x0 and y1 > y0:
+                for y in range(y0 // BLOCK, (y1 - 1) // BLOCK + 1):
+                    for x in range(x0 // BLOCK, (x1 - 1) // BLOCK + 1):
+                        block = sizes[view, 3] + y * sizes[view, 2] + x
+                        counts[block] += 1
+                        places[cursor] = block
+                        cursor += 1
+    return counts, begins, places
 
-    A block has an entry for all that the rasteriser looks at there.
-    """
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _write(splats, boxes, bins, width, height, alpha_max, starts, members, alphas):
+    """Write the entries of every block of a view: all that the rasteriser looks at there."""
     across = -(-width // BLOCK)
     nothing = np.empty((len(splats), 0), np.float32)
     most = fullest(bins)
@@ -143,52 +165,26 @@ def _walk(splats, boxes, bins, width, height, alpha_max, cursors, write, members
         while strip * STRIP < tiles:
             for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
                 left, top = load_tile(tile, bins, splats, boxes, nothing, work)
+                entries = bins.entries[bins.starts[tile] :]
                 for block in range(TILE_BLOCKS):
                     x0, y0 = corner_of(block, left, top)
-                    if x0 >= width or y0 >= height:
-                        continue
-                    place = y0 // BLOCK * across + x0 // BLOCK
-                    count = work.counts[block]
-                    if write:
-                        entries = bins.entries[bins.starts[tile] :]
-                        _write(block, count, work, alpha_max, width - x0, height - y0,
-                               cursors[place], entries, members, alphas)  # fmt: skip
-                    cursors[place] += count
+                    if x0 < width and y0 < height:
+                        place = starts[y0 // BLOCK * across + x0 // BLOCK]
+                        _write_block(block, work, alpha_max, width - x0, height - y0, place,
+                                     entries, members, alphas)  # fmt: skip
             strip = take(counter)
 
 
-# A function of its own: from inside a prange, Numba would leave out the call of weigh_block, whose
-# result is not used.
 @numba.njit(cache=True)
-def _write(block, count, work, alpha_max, wide, tall, entry, splats, members, alphas):
+def _write_block(block, work, alpha_max, wide, tall, entry, splats, members, alphas):
     """Write the entries of a block, of which ``wide`` by ``tall`` pixels are in the image."""
     first = block * len(work.keys)
-    listed = work.lists[first : first + count].copy()
-    # Alone in its list, a splat has its alpha for a weight.
-    work.counts[block] = 1
-    for k in listed:
-        work.lists[first] = k
-        weigh_block(block, work, alpha_max, np.float32(0))
-        members[entry] = splats[k]
-        vstore(alphas, entry * LANES, inside(vload(work.weights, 0), wide, tall))
+    for k in range(first, first + work.counts[block]):
+        member = np.uint32(work.lists[k])
+        alpha = alpha_of(block, work.local[member], alpha_max)
+        members[entry] = splats[member]
+        vstore(alphas, entry * LANES, inside(alpha, wide, tall))
         entry += 1
-
-
-@numba.njit(cache=True)
-def _turn(starts, counts, members, n):
-    begins = np.zeros(n + 1, np.int64)
-    for block in range(len(starts)):
-        for entry in range(starts[block], starts[block] + counts[block]):
-            begins[members[entry] + 1] += 1
-    begins = np.cumsum(begins)
-    cursors = begins[:-1].copy()
-    places = np.empty(begins[-1], np.int32)
-    for block in range(len(starts)):
-        for entry in range(starts[block], starts[block] + counts[block]):
-            member = members[entry]
-            places[cursors[member]] = block
-            cursors[member] += 1
-    return begins, places
 
 
 @numba.njit(cache=True)
@@ -209,81 +205,137 @@ def falloff(block, splat, lists):
     e = vload(ACROSS, 0) * np.float32(root) - np.float32(root * x)
     e = e - vload(DOWN, 0) * np.float32(root * splat[SLOPE])
     d = vload(DOWN, 0) * np.float32(row_root) - np.float32(row_root * y)
-    return inside(vexp2(np.float32(splat[POWER]) - e * e - d * d), width - left, height - top)
+    power = np.float32(splat[POWER]) - e * e - d * d
+    alpha = vwhere(power >= np.float32(splat[CUT]), vexp2(power), vzero())
+    return inside(alpha, width - left, height - top)
 
 
 @numba.njit(cache=True)
-def light_without(block, i, j, lists):
-    """The light that passes all of a block's Gaussians but two."""
-    light = vzero() + np.float32(1)
-    for entry in range(lists.starts[block], lists.starts[block] + lists.counts[block]):
-        if lists.members[entry] != i and lists.members[entry] != j:
-            light = light - light * vload(lists.alphas, entry * LANES)
-    return light
+def without(block, i, j, z, lists, values, finished, drawn, weights, sums, at):
+    """Composite a block without Gaussians i and j, in two parts: before and past a place in depth.
 
-
-@numba.njit(cache=True)
-def composite(block, i, j, alpha, z, lists, values, finished, drawn, weights, sums, at):
-    """Composite a block without Gaussians i and j, with one in place of j.
+    One in their place, with alpha a, then makes of it ``before + a light value + (1 - a) past``.
 
     Parameters
     ----------
-    alpha : vector
-        Of the one in place of j; of none if zero.
     z : float32
-        Its depth.
+        The depth of that place; of what has the same, all below ``j`` is before it.
     values : float32 [N, C]
-        Of the block's view.
+        Of the block's view; C is at least 3.
     finished : float32
         The light below which a pixel takes no more.
     drawn, weights : int32 [room], float32 [room * LANES]
         To work in.
     sums : float32
-        To it are written, from ``at``, the light that is left and the C sums of values, without
-        those of the one in place of j, whose values need not be known.
-
-    Returns
-    -------
-    vector
-        The weight of the one in place of j.
+        To it are written, from ``at``, the light at that place, the light that is left, the alpha
+        of i and j together; and for each channel what is before and what is past.
     """
     channels = values.shape[1]
-    light, weight = vzero() + np.float32(1), vzero()
+    flat = values.reshape(values.size)
     depths = lists.z[lists.views[block]]
-    waits, count = True, 0
-    for entry in range(lists.starts[block], lists.starts[block] + lists.counts[block]):
+    one = vzero() + np.float32(1)
+    light, apart = one, one
+    p, q, r = vzero(), vzero(), vzero()
+    waits, count, split = True, 0, 0
+    start = lists.starts[block]
+    for entry in range(start, start + lists.counts[block]):
+        # Whatever takes the place of i and j lets about as little pass.
+        open_ = light * apart >= finished
+        if (entry - start) % PATIENCE == 0 and not vany(open_):
+            break
         member = lists.members[entry]
+        alpha = vload(lists.alphas, entry * LANES)
         if member in (i, j):
+            apart = apart - apart * alpha
             continue
         if waits and (depths[member] > z or (depths[member] == z and member > j)):
-            weight = vwhere(light >= finished, alpha * light, vzero())
-            light = light - weight
-            waits = False
-        own = vwhere(light >= finished, vload(lists.alphas, entry * LANES) * light, vzero())
+            waits, split = False, count
+            vstore(sums, at, light)
+            _keep(p, q, r, sums, at + 3 * LANES)
+            p, q, r = vzero(), vzero(), vzero()
+        own = vwhere(open_, alpha * light, vzero())
         light = light - own
+        value = np.int64(np.uint32(member)) * channels
+        p = p + own * flat[value]
+        q = q + own * flat[value + 1]
+        r = r + own * flat[value + 2]
         drawn[count] = member
         vstore(weights, count * LANES, own)
         count += 1
     if waits:
-        weight = vwhere(light >= finished, alpha * light, vzero())
-        light = light - weight
-    vstore(sums, at, light)
-    # Three at a time, as colours are; sums past the last channel are not stored.
-    flat = values.reshape(values.size)
-    for c in range(0, channels, 3):
+        split = count
+        vstore(sums, at, light)
+        _keep(p, q, r, sums, at + 3 * LANES)
         p, q, r = vzero(), vzero(), vzero()
-        second, third = min(1, channels - 1 - c), min(2, channels - 1 - c)
+    _keep(p, q, r, sums, at + 4 * LANES)
+    vstore(sums, at + LANES, light)
+    vstore(sums, at + 2 * LANES, one - apart)
+    for c in range(3, channels):
+        for half in range(2):
+            total = vzero()
+            for k in range(split * half, count if half else split):
+                value = flat[np.int64(np.uint32(drawn[k])) * channels + c]
+                total = total + vload(weights, k * LANES) * value
+            vstore(sums, at + (3 + 2 * c + half) * LANES, total)
+
+
+@numba.njit(cache=True)
+def _keep(p, q, r, sums, at):
+    vstore(sums, at, p)
+    vstore(sums, at + 2 * LANES, q)
+    vstore(sums, at + 4 * LANES, r)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def composite_all(lists, values, finished, most):
+    """The picture, and who in it has a part.
+
+    Returns
+    -------
+    picture : float32 [blocks, 1 + C, LANES]
+        The light that is left, and values.
+    total : float64 [N]
+        The sum of each one's weights.
+    needed : bool [N]
+        Without whom alone some channel of a pixel, over black or white, changes by over ``most``.
+    """
+    _, n, channels = values.shape
+    room = lists.rooms.max() if len(lists.rooms) else 0
+    picture = np.zeros((len(lists.starts), 1 + channels, LANES), np.float32)
+    flat = picture.reshape(picture.size)
+    total, needed = np.zeros(n), np.zeros(n, np.bool_)
+    weights = np.empty(room * LANES, np.float32)
+    for block in range(len(picture)):
+        own, start = values[lists.views[block]], lists.starts[block]
+        light, count = vzero() + np.float32(1), lists.counts[block]
         for k in range(count):
-            own = vload(weights, k * LANES)
-            value = np.int64(np.uint32(drawn[k])) * channels + c
-            p = p + own * flat[value]
-            q = q + own * flat[value + second]
-            r = r + own * flat[value + third]
-        to = at + (1 + c) * LANES
-        vstore(sums, to, p)
-        vstore(sums, to + second * LANES, q)
-        vstore(sums, to + third * LANES, r)
-    return weight
+            if not vany(light >= finished):
+                count = k
+                break
+            alpha = vload(lists.alphas, (start + k) * LANES)
+            weight = vwhere(light >= finished, alpha * light, vzero())
+            light = light - weight
+            vstore(weights, k * LANES, weight)
+        at = block * (1 + channels) * LANES
+        vstore(flat, at, light)
+        left = light
+        for k in range(count - 1, -1, -1):
+            member, weight = lists.members[start + k], vload(weights, k * LANES)
+            total[member] += vsum(weight)
+            # Past what is opaque there is nothing.
+            share = vwhere(light > weight * np.float32(1e-6), weight / light, vzero())
+            for c in range(channels):
+                to = at + (1 + c) * LANES
+                past, mine = vload(flat, to), weight * own[member, c]
+                vstore(flat, to, past + mine)
+                if not needed[member]:
+                    change = share * past - mine
+                    over = vabs(change) > most
+                    if c < 3:
+                        needed[member] = vany(vabs(change + share * left) > most)
+                    needed[member] = needed[member] or vany(over)
+            light = light + weight
+    return picture, total, needed
 
 
 @numba.njit(cache=True)

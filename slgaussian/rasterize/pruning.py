@@ -3,7 +3,8 @@
 Gaussians are tried one by one: dropped, the faintest first, and merged with a neighbour of like
 colour. The pixels that a change touches are composited again, with all that changed before it, and
 compared with what they were at first. So no error is estimated, none adds up unseen, and errors of
-opposite sign cancel.
+opposite sign cancel. At last the views are drawn; where they show more after all, what touches that
+place is as it was given.
 """
 
 from __future__ import annotations
@@ -15,24 +16,26 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians, covariances
 from slgaussian.kernels.simd import LANES, vany, vload, vstore, vsum, vwhere, vzero
+from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.api import rasterize
-from slgaussian.rasterize.cpu import GEOMETRY, as_kernels_take_them, project_checked
+from slgaussian.rasterize.cpu import GEOMETRY, as_kernels_take_them
 from slgaussian.rasterize.harmonics import colors
+from slgaussian.rasterize.likest import likest
 from slgaussian.rasterize.lists import (
     NOBODY,
-    composite,
+    composite_all,
     falloff,
-    light_without,
     list_views,
     replace_in,
+    without,
 )
-from slgaussian.rasterize.project import Z, eye_of, project
+from slgaussian.rasterize.project import U, V, Z, eye_of, project, project_moments
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import BLOCK
 from slgaussian.scene import Camera
@@ -40,14 +43,23 @@ from slgaussian.scene import Camera
 NOISE = 2e-6
 """What is left of the tolerance to rounding. Measured: 5e-7."""
 
-NEIGHBOURS = 6
-"""How many of the nearest each Gaussian is tried with."""
+NEIGHBOURS = 3
+"""How many of those near and most like it each Gaussian is tried with."""
 
 FAR = 4.0
 """Standard deviations of the smaller one, between centres, past which two are not tried."""
 
 UNLIKE = 16.0
 """Tolerances, between values, past which two are not tried."""
+
+SLACK = np.float32(1e-5)
+"""More than rounding moves what one Gaussian does to a pixel."""
+
+WORTH = 0.01
+"""Of those left, what has to be merged in one go for another one to be worth it."""
+
+SHARE = 256
+"""Pairs that a thread takes at a time."""
 
 SPREAD = 1.2
 """Times the covariance that has the moments of the two: the one in their place cannot be more
@@ -119,21 +131,20 @@ def prune(
         )
     settings = find_settings(settings)
     before = [_draw(gaussians, camera, settings) for camera in cameras]
-    frozen: np.ndarray | None = None
+    scene = _Scene(gaussians, cameras, settings, tolerance)
+    scene.drop()
+    scene.merge()
+    grown = rounds = 0
     while True:
-        scene = _Scene(gaussians, cameras, settings, tolerance, frozen)
-        scene.drop()
-        scene.merge()
         left = scene.gaussians[scene.kept]
         after = [_draw(left, camera, settings) for camera in cameras]
         changes = [(a - b).abs().amax(2) for a, b in zip(after, before, strict=True)]
         error = max(float(change.max()) for change in changes)
         if error <= tolerance:
             return Pruned(left, scene.kept.nonzero()[:, 0], error)
-        # Where rounding moved a cut-off, which is a jump. All that such a block draws has to stay,
-        # so this ends.
-        over = np.concatenate([_blocks(change > tolerance) for change in changes])
-        frozen = over if frozen is None else frozen | over
+        scene.take_back([change.numpy() > tolerance for change in changes], grown)
+        grown = 2 * grown if grown else rounds // 8
+        rounds += 1
 
 
 def _values(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
@@ -149,14 +160,6 @@ def _draw(gaussians: Gaussians, camera: Camera, settings: Settings) -> torch.Ten
     with torch.no_grad():
         drawn = rasterize(gaussians, values, camera, backend="cpu", settings=settings)
     return torch.cat([drawn.values, drawn.values[..., :3] + 1 - drawn.alpha[..., None]], 2)
-
-
-def _blocks(pixels: torch.Tensor) -> np.ndarray:
-    """Which blocks, row by row, hold any of ``pixels`` bool [H, W]."""
-    height, width = pixels.shape
-    padded = np.pad(pixels.numpy(), ((0, -height % BLOCK), (0, -width % BLOCK)))
-    rows, columns = padded.shape[0] // BLOCK, padded.shape[1] // BLOCK
-    return padded.reshape(rows, BLOCK, columns, BLOCK).any((1, 3)).ravel()
 
 
 class _Scene:
@@ -177,117 +180,171 @@ class _Scene:
         cameras: Sequence[Camera],
         settings: Settings,
         tolerance: float,
-        frozen: np.ndarray | None,
     ) -> None:
         gaussians, _ = as_kernels_take_them(gaussians, torch.zeros(len(gaussians), 0))
         copies = {name: tensor.detach().cpu().clone() for name, tensor in gaussians.items()}
-        self.gaussians = replace(gaussians, **copies)
+        self.given, self.gaussians = gaussians, replace(gaussians, **copies)
         self.kept = torch.ones(len(gaussians), dtype=torch.bool)
+        self.into = np.arange(len(gaussians))
         self.eyes = [eye_of(camera, settings) for camera in cameras]
-        project_checked(self.gaussians, torch.zeros(len(gaussians), 0), self.eyes[0])
         geometry = [getattr(self.gaussians, name).numpy() for name in GEOMETRY]
         self.lists = list_views(geometry, self.eyes, settings.alpha_max)
         self.values = np.stack([_values(self.gaussians, camera).numpy() for camera in cameras])
+        self.covariances = _covariances(self.gaussians)
         self.tolerance = tolerance
-        blocks = len(self.lists.starts)
-        self.frozen = np.zeros(blocks, np.bool_) if frozen is None else frozen
         self.limits = _Limits(
             np.float32(max(0.0, tolerance - NOISE)),
             np.float32(max(settings.pass_min, 1e-30)),
             np.float32(settings.alpha_min),
             np.float32(settings.alpha_max),
         )
-        self.reference, self.weight = _composite_all(self.lists, self.values, self.limits)
 
     def drop(self) -> None:
         """Drop all that can go, the faintest first."""
-        order = np.argsort(self.weight, kind="stable")
-        _drop(order, self.lists, self.values, self.reference, self.frozen, self.limits,
-              self.kept.numpy())  # fmt: skip
+        finished, limit = self.limits.finished, self.limits.change
+        # Twice the limit, as what others changed the other way is undone.
+        self.reference, weight, needed = composite_all(
+            self.lists, self.values, finished, 2 * limit + SLACK
+        )
+        order = np.flatnonzero(~needed)
+        order = order[np.argsort(weight[order], kind="stable")]
+        _drop(order, self.lists, self.values, self.reference, self.limits, self.kept.numpy())
 
     def merge(self) -> None:
         """Merge neighbours, the most alike first, and the merged again while that pays."""
-        changed = np.ones(len(self.kept), np.bool_)
-        while self.tolerance > 0 and int(self.kept.sum()) > 1:
-            pairs = self._neighbours(changed)
+        changed, merged = np.ones(len(self.kept), np.bool_), len(self.kept)
+        while self.tolerance > 0 and merged > WORTH * int(self.kept.sum()) > 0:
+            pairs = self._alike(changed)
             changed[:] = False
             for first in range(0, len(pairs), BATCH):
                 batch = pairs[first : first + BATCH]
-                self._merge(batch[~changed[batch].any(1)], changed)
-            if changed.sum() < 0.01 * len(changed):
-                break
+                batch = batch[~changed[batch].any(1)]
+                # Neighbours after one another, as they have blocks in common.
+                self._merge(batch[np.argsort(batch[:, 0], kind="stable")], changed)
+            merged = int(changed.sum()) // 2
 
-    def _neighbours(self, changed: np.ndarray) -> np.ndarray:
+    def _alike(self, changed: np.ndarray) -> np.ndarray:
         """Pairs to try, int64 [P, 2], of which at least one ``changed``, the most alike first."""
         live = self.kept.nonzero()[:, 0].numpy()
-        means = self.gaussians.means.numpy()
-        near = min(NEIGHBOURS + 1, len(live))
-        _, found = cKDTree(means[live]).query(means[live], k=near, workers=-1)
-        pairs = np.stack([np.repeat(live, near), live[found.ravel()]], 1)
-        pairs = np.unique(np.sort(pairs[changed[pairs].any(1)], 1), axis=0)
-        pairs = pairs[pairs[:, 0] < pairs[:, 1]]
-        i, j = pairs.T
-        widest = self.gaussians.scales.numpy().max(1)
-        apart = np.linalg.norm(means[i] - means[j], axis=1)
-        apart /= np.maximum(np.minimum(widest[i], widest[j]), 1e-30)
-        unlike = np.zeros(len(pairs))
-        for values in self.values:
-            unlike = np.maximum(unlike, np.abs(values[i] - values[j]).max(1, initial=0))
-        unlike /= self.tolerance
-        good = (unlike < UNLIKE) & (apart < FAR)
-        order = np.argsort((unlike + 4 * apart**2)[good], kind="stable")
-        return pairs[good][order]
+        means, widest = self.gaussians.means.numpy(), self.gaussians.scales.numpy().max(1)
+        values = np.concatenate([own[live] for own in self.values], 1)
+        unlike, asked = np.float32(UNLIKE * self.tolerance), np.flatnonzero(changed[live])
+        found, costs = likest(
+            asked, means[live], widest[live], values, NEIGHBOURS, np.float32(FAR), unlike
+        )
+        row, k = np.nonzero(found >= 0)
+        i, j = asked[row], found[row, k]
+        # Of two that found each other, one pair.
+        other = np.full(len(live), -1)
+        other[asked] = np.arange(len(asked))
+        new = (i < j) | (other[j] < 0) | ~(found[other[j]] == i[:, None]).any(1)
+        i, j, costs = i[new], j[new], costs[row, k][new]
+        pairs = np.stack([np.minimum(i, j), np.maximum(i, j)], 1)
+        return live[pairs[np.argsort(costs, kind="stable")]]
 
     def _merge(self, pairs: np.ndarray, changed: np.ndarray) -> None:
         """Try pairs in their order; a Gaussian that ``changed`` is not tried again."""
         if not len(pairs):
             return
-        shape, fraction = _join(self.gaussians, pairs)
-        solid = np.ones(len(pairs), np.float32)
-        nothing = np.empty((len(pairs), 0), np.float32)
-        seen = [project(*shape, solid, nothing, eye)[:2] for eye in self.eyes]
-        splats, boxes = (np.stack(arrays) for arrays in zip(*seen, strict=True))
-        opacities, shifts = _merge(
-            pairs, fraction, splats, boxes, self.lists, self.values, self.reference, self.frozen,
-            self.limits, self.kept.numpy(), changed,
-        )  # fmt: skip
-        done = torch.from_numpy(opacities > 0)
-        i, j = torch.from_numpy(pairs)[done].T
         mine = self.gaussians
-        for name, arrays in zip(GEOMETRY, (*shape, opacities), strict=True):
-            getattr(mine, name)[j] = torch.from_numpy(arrays)[done]
-        part, shifts = torch.from_numpy(fraction)[done], torch.from_numpy(shifts)[done]
-        part = part[:, None]
+        fraction, means, covariances = _moments(
+            pairs, mine.means.numpy(), mine.scales.numpy(), mine.opacities.numpy(), self.covariances
+        )
+        seen = [project_moments(means, covariances, eye) for eye in self.eyes]
+        splats, boxes = (np.stack(arrays) for arrays in zip(*seen, strict=True))
+        scene = self.lists, self.values, self.reference, self.limits
+        good = _promising(pairs, fraction, splats, *scene)
+        pairs, fraction, means, covariances = (
+            array[good] for array in (pairs, fraction, means, covariances)
+        )
+        splats, boxes = splats[:, good], boxes[:, good]
+        opacities, shifts = _merge(
+            pairs, fraction, splats, boxes, *scene, self.kept.numpy(), changed
+        )
+        done = opacities > 0
+        i, j = torch.from_numpy(pairs[done]).T
+        self.into[pairs[done, 0]] = pairs[done, 1]
+        self.covariances[pairs[done, 1]] = covariances[done]
+        shape = _shape_of(covariances[done])
+        for name, array in zip(GEOMETRY, (means[done], *shape, opacities[done]), strict=True):
+            getattr(mine, name)[j] = torch.from_numpy(array)
+        part, shift = torch.from_numpy(fraction[done])[:, None], torch.from_numpy(shifts[done])
         mine.sh[j] = part[..., None] * mine.sh[i] + (1 - part[..., None]) * mine.sh[j]
-        mine.sh[j, 0] += shifts[:, :3] / SH_C0
+        mine.sh[j, 0] += shift[:, :3] / SH_C0
         if mine.features is not None:
             mine.features[j] = (
-                part * mine.features[i] + (1 - part) * mine.features[j] + shifts[:, 3:]
+                part * mine.features[i] + (1 - part) * mine.features[j] + shift[:, 3:]
             )
 
+    def take_back(self, over: Sequence[np.ndarray], grown: int) -> None:
+        """Leave as it was given what touches pixels ``over`` bool [H, W] or those ``grown`` off.
 
-def _join(gaussians: Gaussians, pairs: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Means, scales and quaternions float32 of a Gaussian a pair, and the first one's fraction."""
-    i, j = (gaussians[torch.from_numpy(pairs[:, k].copy())] for k in (0, 1))
-    area_i, area_j = (
-        one.opacities.double() * one.scales.double().sort(1).values[:, 1:].prod(1).clamp_min(1e-30)
-        for one in (i, j)
-    )
-    fraction = (area_i / (area_i + area_j).clamp_min(1e-60))[:, None]
-    apart = i.means.double() - j.means.double()
-    means = fraction * i.means.double() + (1 - fraction) * j.means.double()
-    covariance_i, covariance_j = (
-        covariances(replace(one, scales=one.scales.double(), quats=one.quats.double()))
-        for one in (i, j)
-    )
-    within = fraction[..., None] * covariance_i + (1 - fraction[..., None]) * covariance_j
-    between = (fraction * (1 - fraction))[..., None] * apart[:, :, None] * apart[:, None, :]
-    variances, axes = np.linalg.eigh((SPREAD * (within + between)).numpy())
+        What is merged with it, too: so this may be too much elsewhere, and is to be repeated.
+        """
+        roots = self.into
+        while (further := roots[roots] != roots).any():
+            roots = np.where(further, roots[roots], roots)
+        hit = np.zeros(len(roots), np.bool_)
+        for where, eye in zip(over, self.eyes, strict=True):
+            if grown:
+                where = ndimage.binary_dilation(where, np.ones((3, 3)), grown)
+            sums = np.pad(where.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+            for gaussians in (self.given, self.gaussians):
+                geometry = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
+                _, boxes, _ = project(*geometry, np.empty((len(hit), 0), np.float32), eye)
+                left, right, top, bottom = boxes.T
+                inside = sums[bottom, right] - sums[top, right] - sums[bottom, left]
+                hit |= inside + sums[top, left] > 0
+        back = np.isin(roots, roots[hit])
+        back_rows = torch.from_numpy(back)
+        for name, tensor in self.given.items():
+            getattr(self.gaussians, name)[back_rows] = tensor.detach()[back_rows]
+        self.kept[back_rows] = True
+        self.into[back] = np.flatnonzero(back)
+
+
+def _covariances(gaussians: Gaussians) -> np.ndarray:
+    """Float64 [N, 3, 3]."""
+    double = {name: getattr(gaussians, name).double() for name in ("scales", "quats")}
+    found: np.ndarray = covariances(replace(gaussians, **double)).numpy()
+    return found
+
+
+def _shape_of(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scales and quaternions float32 of covariances float64 [N, 3, 3]."""
+    variances, axes = np.linalg.eigh(covariances)
     axes *= np.sign(np.linalg.det(axes))[:, None, None]
     quats = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
-    scales = np.sqrt(np.maximum(variances, 0))
-    shape = [array.astype(np.float32) for array in (means.numpy(), scales, quats)]
-    return shape, fraction[:, 0].numpy().astype(np.float32)
+    return np.sqrt(np.maximum(variances, 0)).astype(np.float32), quats.astype(np.float32)
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _moments(pairs, means, scales, opacities, covariances):
+    """The part of each pair's first one, and the mean and covariance of what takes their place.
+
+    Float32 [P], float32 [P, 3], float64 [P, 3, 3].
+    """
+    parts, mixed = np.empty(len(pairs), np.float32), np.empty((len(pairs), 3), np.float32)
+    made = np.empty((len(pairs), 3, 3))
+    for p in numba.prange(len(pairs)):
+        i, j = pairs[p]
+        of_i, of_j = _area(scales[i], opacities[i]), _area(scales[j], opacities[j])
+        part = of_i / max(of_i + of_j, 1e-60)
+        parts[p] = part
+        for k in range(3):
+            mixed[p, k] = part * means[i, k] + (1 - part) * means[j, k]
+            for m in range(3):
+                within = part * covariances[i, k, m] + (1 - part) * covariances[j, k, m]
+                apart = np.float64(means[i, k] - means[j, k]) * (means[i, m] - means[j, m])
+                made[p, k, m] = SPREAD * (within + part * (1 - part) * apart)
+    return parts, mixed, made
+
+
+@numba.njit(cache=True)
+def _area(scales, opacity):
+    """Opacity times the two greater scales."""
+    a, b, c = np.float64(scales[0]), np.float64(scales[1]), np.float64(scales[2])
+    return opacity * max(max(a * b, max(b * c, a * c)), 1e-30)
 
 
 class _Limits(NamedTuple):
@@ -299,47 +356,42 @@ class _Limits(NamedTuple):
     alpha_max: np.float32
 
 
+class _Room(NamedTuple):
+    """Room to try a change in: its blocks, and what is there."""
+
+    blocks: np.ndarray
+    alphas: np.ndarray
+    sums: np.ndarray
+    mixed: np.ndarray
+    drawn: np.ndarray
+    weights: np.ndarray
+
+
 @numba.njit(cache=True)
-def _room(lists):
-    """Room to composite any block: who is drawn, with which weights."""
+def _room(lists, blocks, views, channels):
     most = lists.rooms.max() if len(lists.rooms) else 0
-    return np.empty(most, np.int32), np.empty(most * LANES, np.float32)
+    return _Room(
+        np.empty(blocks, np.int64),
+        np.empty(blocks * LANES, np.float32),
+        np.empty(blocks * (3 + 2 * channels) * LANES, np.float32),
+        np.empty((views, channels), np.float32),
+        np.empty(most, np.int32),
+        np.empty(most * LANES, np.float32),
+    )
 
 
 @numba.njit(cache=True)
-def _composite_all(lists, values, limits):
-    """Light left and values, float32 [blocks, 1 + C, LANES], and the sum of each one's weights."""
-    _, n, channels = values.shape
-    found = np.empty((len(lists.starts), 1 + channels, LANES), np.float32)
-    sums = found.reshape(found.size)
-    total = np.zeros(n)
-    drawn, weights = _room(lists)
-    for block in range(len(found)):
-        own, at = values[lists.views[block]], block * (1 + channels) * LANES
-        composite(block, NOBODY, NOBODY, vzero(), np.float32(0), lists, own, limits.finished,
-                  drawn, weights, sums, at)  # fmt: skip
-        for k in range(lists.counts[block]):
-            total[drawn[k]] += vsum(vload(weights, k * LANES))
-    return found, total
-
-
-@numba.njit(cache=True)
-def _drop(order, lists, values, reference, frozen, limits, kept):
+def _drop(order, lists, values, reference, limits, kept):
     """Drop, in ``order``, all that can go."""
-    channels = values.shape[2]
-    sums = np.empty((1 + channels) * LANES, np.float32)
-    nothing = np.zeros(channels, np.float32)
-    drawn, weights = _room(lists)
+    views, _, channels = values.shape
+    nothing, room = np.zeros(channels, np.float32), _room(lists, 1, views, channels)
     for i in order:
         places = lists.places[lists.begins[i] : lists.ends[i]]
         needed = False
         for block in places:
-            if frozen[block]:
-                needed = True
-                break
-            composite(block, i, NOBODY, vzero(), np.float32(0), lists, values[lists.views[block]],
-                      limits.finished, drawn, weights, sums, 0)  # fmt: skip
-            if _strays(block, sums, 0, vzero(), nothing, reference, limits.change):
+            without(block, i, NOBODY, np.float32(np.inf), lists, values[lists.views[block]],
+                    limits.finished, room.drawn, room.weights, room.sums, 0)  # fmt: skip
+            if _strays(block, room.sums, 0, vzero(), vzero(), nothing, reference, limits.change):
                 needed = True
                 break
         if not needed:
@@ -349,13 +401,15 @@ def _drop(order, lists, values, reference, frozen, limits, kept):
 
 
 @numba.njit(cache=True)
-def _strays(block, sums, at, weight, own, reference, limit):
+def _strays(block, sums, at, alpha, weight, own, reference, limit):
     """Whether a block is further than ``limit`` from its picture, over black or over white."""
     truth = reference[block].reshape(reference[block].size)
-    darker = vload(sums, at) - vload(truth, 0)
+    passes = np.float32(1) + vzero() - alpha
+    darker = vload(sums, at + LANES) * passes - vload(truth, 0)
     for c in range(len(own)):
-        to = (1 + c) * LANES
-        change = vload(sums, at + to) + weight * own[c] - vload(truth, to)
+        to = at + (3 + 2 * c) * LANES
+        change = vload(sums, to) + passes * vload(sums, to + LANES) + weight * own[c]
+        change = change - vload(truth, (1 + c) * LANES)
         if _beyond(change, limit) or (c < 3 and _beyond(change + darker, limit)):
             return True
     return False
@@ -367,11 +421,11 @@ def _beyond(change, limit):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _merge(pairs, fraction, splats, boxes, lists, values, reference, frozen, limits, kept, changed):
+def _merge(pairs, fraction, splats, boxes, lists, values, reference, limits, kept, changed):
     """Put one Gaussian in the place of two where no pixel changes by more than the limit.
 
-    Its opacity is what fits the light that is left behind, its values what fits the pictures, by
-    least squares over the pixels it touches: both are linear there.
+    Its opacity is what fits the weights of the two, its values what fits the pictures, by least
+    squares over the pixels it touches: both are linear there.
 
     Parameters
     ----------
@@ -390,81 +444,20 @@ def _merge(pairs, fraction, splats, boxes, lists, values, reference, frozen, lim
     views, _, channels = values.shape
     opacities = np.zeros(len(pairs), np.float32)
     shifts = np.zeros((len(pairs), channels), np.float32)
-    blocks = np.empty(MOST_BLOCKS, np.int64)
-    alphas = np.empty(MOST_BLOCKS * LANES, np.float32)
-    ours = np.empty(MOST_BLOCKS * LANES, np.float32)
-    stride = (1 + channels) * LANES
-    sums = np.empty(MOST_BLOCKS * stride, np.float32)
-    mixed = np.empty((views, channels), np.float32)
-    drawn, weights = _room(lists)
+    room = _room(lists, MOST_BLOCKS, views, channels)
+    blocks, alphas, mixed = room.blocks, room.alphas, room.mixed
     marks = np.full(len(lists.starts), -1, np.int64)
-    truth = reference.reshape(reference.size)
     for p in range(len(pairs)):
         i, j = pairs[p]
         if changed[i] or changed[j] or not (kept[i] and kept[j]):
             continue
-        count = _touched(i, j, boxes[:, p], lists, frozen, p, marks, blocks)
-        if count == 0:
+        count = _touched(i, j, boxes[:, p], lists, p, marks, blocks)
+        if count == 0 or lists.used[0] + count > len(lists.places):
             continue
-
-        up = down = 0.0
-        for k in range(count):
-            block = blocks[k]
-            shape = falloff(block, splats[lists.views[block], p], lists)
-            vstore(alphas, k * LANES, shape)
-            light = light_without(block, i, j, lists)
-            vstore(ours, k * LANES, light)
-            taken = light * shape
-            up += vsum(taken * (light - vload(truth, block * stride)))
-            down += vsum(taken * taken)
-        opacity = np.float32(min(up / down, 1.0)) if down > 0 else np.float32(0)
-        if not opacity > limits.alpha_min:
+        opacity = _try(count, i, j, fraction[p], splats[:, p], lists, values, reference, limits,
+                       limits.change, room, shifts[p])  # fmt: skip
+        if opacity == 0:
             continue
-        if _dims(count, blocks, alphas, ours, opacity, truth, stride, limits):
-            continue
-
-        for view in range(views):
-            for c in range(channels):
-                mine = values[view, j, c]
-                mixed[view, c] = mine + fraction[p] * (values[view, i, c] - mine)
-        shifts[p] = 0
-        down = 0.0
-        for k in range(count):
-            block = blocks[k]
-            view = lists.views[block]
-            alpha = vload(alphas, k * LANES) * opacity
-            alpha = vwhere(alpha >= limits.alpha_min, alpha, vzero())
-            alpha = vwhere(alpha < limits.alpha_max, alpha, limits.alpha_max)
-            weight = composite(
-                block, i, j, alpha, np.float32(splats[view, p, Z]), lists, values[view],
-                limits.finished, drawn, weights, sums, k * stride,
-            )  # fmt: skip
-            vstore(alphas, k * LANES, alpha)
-            vstore(ours, k * LANES, weight)
-            down += vsum(weight * weight)
-            for c in range(channels):
-                to = (1 + c) * LANES
-                missing = vload(truth, block * stride + to) - vload(sums, k * stride + to)
-                shifts[p, c] += vsum(weight * (missing - weight * mixed[view, c]))
-        for c in range(channels):
-            shifts[p, c] = shifts[p, c] / down if down > 0 else np.float32(0)
-            for view in range(views):
-                if c < 3:  # no colour is below zero
-                    shifts[p, c] = max(shifts[p, c], -mixed[view, c])
-        mixed += shifts[p]
-
-        fits = lists.used[0] + count <= len(lists.places)
-        for k in range(count):
-            block = blocks[k]
-            weight, own = vload(ours, k * LANES), mixed[lists.views[block]]
-            if lists.counts[block] == lists.rooms[block] or _strays(
-                block, sums, k * stride, weight, own, reference, limits.change
-            ):
-                fits = False
-                break
-        if not fits:
-            continue
-
         lists.begins[j] = lists.used[0]
         for k in range(count):
             block, alpha = blocks[k], vload(alphas, k * LANES)
@@ -483,31 +476,131 @@ def _merge(pairs, fraction, splats, boxes, lists, values, reference, frozen, lim
     return opacities, shifts
 
 
-@numba.njit(cache=True)
-def _dims(count, blocks, shapes, lights, opacity, truth, stride, limits):
-    """Whether so much light more or less is left that black or white shows it, whatever is drawn.
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _promising(pairs, fraction, splats, lists, values, reference, limits):
+    """Which pairs may do, by the block in the middle of each view: it tells of most that do not."""
+    views, _, channels = values.shape
+    good = np.ones(len(pairs), np.bool_)
+    counter = np.zeros(1, np.int64)
+    for _worker in numba.prange(WORKERS):
+        start = take(counter) * SHARE
+        if start >= len(pairs):
+            continue
+        room, shift = _room(lists, 1, views, channels), np.empty(channels, np.float32)
+        while start < len(pairs):
+            for p in range(start, min(start + SHARE, len(pairs))):
+                i, j = pairs[p]
+                for view in range(views):
+                    room.blocks[0] = _middle(splats[view, p], lists.sizes[view])
+                    if room.blocks[0] < 0:
+                        continue
+                    if not _try(1, i, j, fraction[p], splats[:, p], lists, values, reference,
+                                limits, limits.change, room, shift):  # fmt: skip
+                        good[p] = False
+                        break
+            start = take(counter) * SHARE
+    return good
 
-    Quickly told, and the reason why most pairs are refused.
+
+@numba.njit(cache=True, error_model="numpy")
+def _try(count, i, j, part, splats, lists, values, reference, limits, most, room, shift):
+    """Fit one in the place of i and j to the first ``count`` blocks of ``room``.
+
+    Returns its opacity; 0 where it would change a pixel by more than ``most``. Writes its alphas
+    and values into ``room``, and to ``shift`` what these have beside a mixture.
     """
-    most = np.float32(2) * limits.change + limits.finished
+    stride = (3 + 2 * values.shape[2]) * LANES
     for k in range(count):
-        light = vload(lights, k * LANES)
-        left = light - light * vload(shapes, k * LANES) * opacity
-        if _beyond(left - vload(truth, blocks[k] * stride), most):
-            return True
-    return False
+        block, view = room.blocks[k], lists.views[room.blocks[k]]
+        if lists.counts[block] == lists.rooms[block]:
+            return np.float32(0)
+        vstore(room.alphas, k * LANES, falloff(block, splats[view], lists))
+        without(block, i, j, np.float32(splats[view, Z]), lists, values[view], limits.finished,
+                room.drawn, room.weights, room.sums, k * stride)  # fmt: skip
+    opacity = _opacity(count, stride, reference, room)
+    if not opacity > limits.alpha_min:
+        return np.float32(0)
+    for view in range(len(values)):
+        for c in range(values.shape[2]):
+            mine = values[view, j, c]
+            room.mixed[view, c] = mine + part * (values[view, i, c] - mine)
+    _shift(count, opacity, stride, lists, reference, limits, room, shift)
+    for k in range(count):
+        block, alpha = room.blocks[k], vload(room.alphas, k * LANES)
+        weight, own = vload(room.sums, k * stride) * alpha, room.mixed[lists.views[block]]
+        if _strays(block, room.sums, k * stride, alpha, weight, own, reference, most):
+            return np.float32(0)
+    return opacity
 
 
 @numba.njit(cache=True)
-def _touched(i, j, boxes, lists, frozen, mark, marks, blocks):
+def _middle(splat, size):
+    """The block of a view that holds the middle of a splat; -1 where it is outside."""
+    width, height, across, first = size
+    if not (0 <= splat[U] < width and 0 <= splat[V] < height):
+        return -1
+    return first + np.int64(splat[V]) // BLOCK * across + np.int64(splat[U]) // BLOCK
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _opacity(count, stride, reference, room):
+    """With which one in the place of two lets as much light pass, by least squares."""
+    up = down = np.float32(0)
+    for k in range(count):
+        light = vload(room.sums, k * stride + LANES)
+        taken = light * vload(room.alphas, k * LANES)
+        up += vsum(taken * (light - vload(_flat(reference, room.blocks[k]), 0)))
+        down += vsum(taken * taken)
+    return min(up / down, np.float32(1)) if down > 0 else np.float32(0)
+
+
+@numba.njit(cache=True)
+def _flat(reference, block):
+    return reference[block].reshape(reference[block].size)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shift(count, opacity, stride, lists, reference, limits, room, shift):
+    """Move the values by what fits the pictures, by least squares; shapes become alphas."""
+    views, channels = room.mixed.shape
+    shift[:] = 0
+    down = np.float32(0)
+    for k in range(count):
+        at, view = k * stride, lists.views[room.blocks[k]]
+        truth = _flat(reference, room.blocks[k])
+        alpha = vload(room.alphas, k * LANES) * opacity
+        alpha = vwhere(alpha >= limits.alpha_min, alpha, vzero())
+        alpha = vwhere(alpha < limits.alpha_max, alpha, limits.alpha_max)
+        light = vload(room.sums, at)
+        light = vwhere(light >= limits.finished, light, vzero())
+        vstore(room.alphas, k * LANES, alpha)
+        vstore(room.sums, at, light)
+        weight = light * alpha
+        down += vsum(weight * weight)
+        for c in range(channels):
+            to = at + (3 + 2 * c) * LANES
+            past = vload(room.sums, to + LANES)
+            missing = vload(truth, (1 + c) * LANES) - vload(room.sums, to) - past + alpha * past
+            shift[c] += vsum(weight * (missing - weight * room.mixed[view, c]))
+    for c in range(channels):
+        shift[c] = shift[c] / down if down > 0 else np.float32(0)
+        for view in range(views):
+            if c < 3:  # no colour is below zero
+                shift[c] = max(shift[c], -room.mixed[view, c])
+        for view in range(views):
+            room.mixed[view, c] += shift[c]
+
+
+@numba.njit(cache=True)
+def _touched(i, j, boxes, lists, mark, marks, blocks):
     """Write the ``blocks`` that i, j or what has the pixel ``boxes`` [V, 4] touches, each once.
 
-    Returns how many; 0 if any is frozen or they are too many.
+    Returns how many; 0 if they are too many.
     """
     count = 0
     for who in (i, j):
         for at in range(lists.begins[who], lists.ends[who]):
-            count = _mark(lists.places[at], frozen, mark, marks, blocks, count)
+            count = _mark(lists.places[at], mark, marks, blocks, count)
     for view in range(len(boxes)):
         x0, x1, y0, y1 = boxes[view]
         if x1 <= x0 or y1 <= y0:
@@ -515,15 +608,15 @@ def _touched(i, j, boxes, lists, frozen, mark, marks, blocks):
         _, _, across, first = lists.sizes[view]
         for y in range(y0 // BLOCK, (y1 - 1) // BLOCK + 1):
             for x in range(x0 // BLOCK, (x1 - 1) // BLOCK + 1):
-                count = _mark(first + y * across + x, frozen, mark, marks, blocks, count)
+                count = _mark(first + y * across + x, mark, marks, blocks, count)
     return max(count, 0)
 
 
 @numba.njit(cache=True)
-def _mark(block, frozen, mark, marks, blocks, count):
+def _mark(block, mark, marks, blocks, count):
     if count < 0 or marks[block] == mark:
         return count
-    if frozen[block] or count == len(blocks):
+    if count == len(blocks):
         return -1
     marks[block] = mark
     blocks[count] = block

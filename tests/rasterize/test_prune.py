@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, rgb_to_sh
-from slgaussian.rasterize import prune, rasterize
+from slgaussian.rasterize import prune, pruning, rasterize
+from slgaussian.rasterize.likest import likest
+from slgaussian.rasterize.project import CUT, Z, eye_of, project, project_moments
+from slgaussian.rasterize.render_settings import find_settings
 from slgaussian.scene import Camera
 
 GREY = 1 / 255
@@ -254,3 +257,70 @@ def test_no_camera_and_no_numbers():
     broken.means[1, 2] = float("nan")
     with pytest.raises(InputError, match=r"gaussians means\[1\]: holds NaN"):
         prune(broken, [camera()], GREY)
+
+
+def test_what_shows_too_much_after_all_is_as_it_was_given(monkeypatch):
+    scene, seen = cloud(300, 6), [camera(), camera(-0.5)]
+    real, calls = pruning._Scene.merge, []
+
+    def careless(self):
+        self.limits = self.limits._replace(change=np.float32(40 * GREY))
+        real(self)
+
+    take_back = pruning._Scene.take_back
+    monkeypatch.setattr(pruning._Scene, "merge", careless)
+    monkeypatch.setattr(
+        pruning._Scene, "take_back", lambda *given: (calls.append(given), take_back(*given))
+    )
+    pruned = prune(scene, seen, 4 * GREY)
+    assert calls
+    assert pruned.error <= 4 * GREY
+    assert all(change(scene, pruned.gaussians, view) <= pruned.error + ROUNDING for view in seen)
+
+
+def test_few_pairs_are_tried_in_full(monkeypatch):
+    """The middle of a pair tells of most that they will not do: a count of work."""
+    tried, merged, real = [], [], pruning._merge
+
+    def counted(pairs, *rest):
+        tried.append(len(pairs))
+        found = real(pairs, *rest)
+        merged.append(int((found[0] > 0).sum()))
+        return found
+
+    monkeypatch.setattr(pruning, "_merge", counted)
+    rows, columns = torch.meshgrid(torch.arange(40), torch.arange(40), indexing="ij")
+    means = torch.stack([columns * 0.03 - 0.6, rows * 0.03 - 0.6, torch.full((40, 40), 4.0)], -1)
+    shades = torch.rand(1600, generator=torch.Generator().manual_seed(0)) * 0.1 + 0.5
+    wall = balls(means.reshape(-1, 3).tolist(), 0.03, 0.6, shades.tolist())
+    prune(wall, [camera()], GREY)
+    assert 0 < sum(merged) < sum(tried) < 4 * sum(merged)
+
+
+def test_moments_are_projected_as_gaussians_are():
+    scene, eye = cloud(300, 7), eye_of(camera(), find_settings("fast"))
+    scene = replace(scene, opacities=torch.ones(300))
+    geometry = [getattr(scene, name).numpy() for name in ("means", "scales", "quats", "opacities")]
+    splats, boxes, _ = project(*geometry, np.empty((300, 0), np.float32), eye)
+    found, touched = project_moments(scene.means.numpy(), pruning._covariances(scene), eye)
+    shown = splats[:, Z] > eye.near
+    columns = [c for c in range(8) if c != CUT]
+    assert found[shown][:, columns] == pytest.approx(splats[shown][:, columns], rel=2e-6, abs=1e-6)
+    assert (touched[shown] == boxes[shown]).mean() > 0.99
+    assert (touched[~shown] == 0).all()
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_the_likest_are_those_of_all_that_may_be(most):
+    rng = np.random.default_rng(0)
+    means, values = rng.random((400, 3), np.float32), rng.random((400, 4), np.float32)
+    widest = np.full(400, 0.1, np.float32)
+    found, costs = likest(np.arange(400), means, widest, values, most, np.float32(2), np.float32(1))
+    apart = np.square(means[:, None].astype(np.float64) - means).sum(2) / 0.2**2
+    unlike = np.abs(values[:, None] - values).max(2)
+    cost = np.where((apart <= 1) & (unlike < 1), 4 * apart + unlike, np.inf)
+    np.fill_diagonal(cost, np.inf)
+    order = np.argsort(cost, 1)[:, :most]
+    best = np.take_along_axis(cost, order, 1)
+    assert costs == pytest.approx(best, rel=1e-5)
+    assert (found == np.where(np.isfinite(best), order, -1)).all()
