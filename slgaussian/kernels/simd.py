@@ -199,6 +199,16 @@ def prefetch(typing, array, index):
 
 
 @intrinsic
+def lowest_bit(typing, bits):
+    """The place of the lowest bit of a uint32 that is set; it is not zero."""
+
+    def lower(context, builder, signature, args):
+        return builder.cttz(args[0], ir.IntType(1)(1))
+
+    return types.uint32(types.uint32), lower
+
+
+@intrinsic
 def vzero(typing):
     """The float32 vector 0, 0, ..."""
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from slgaussian.kernels.simd import LANES, prefetch
+from slgaussian.kernels.simd import LANES, lowest_bit, prefetch
 from slgaussian.rasterize.project import (
     CUT,
     FAR,
@@ -42,6 +42,11 @@ tenth, 16x16 by a twentieth, 16x64 no faster."""
 
 BLOCKS_ACROSS = TILE_WIDTH // BLOCK
 TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
+
+assert TILE_BLOCKS == 32  # a bit of a uint32 each
+
+ROWS = np.uint64(sum(1 << BLOCKS_ACROSS * row for row in range(TILE_BLOCKS // BLOCKS_ACROSS)))
+"""The first block of each row of blocks."""
 
 PARTS = 16
 """Parts in which splats are counted and listed side by side."""
@@ -76,8 +81,8 @@ class Workspace(NamedTuple):
         To sort, and to sort into: z in the upper half, the splat in the lower.
     local : float32 [n, 8]
         The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
-    reach : int32 [n, 4]
-        Blocks of the tile that the splat may touch: left, right, top, bottom, half-open.
+    reach : uint32 [n]
+        A bit for each block of the tile that the splat may touch.
     carried : float32 [n (C + 1) + LANES]
         The values and z of each splat.
     lists : int32 [TILE_BLOCKS n]
@@ -104,7 +109,7 @@ def make_workspace(n, channels):
         np.empty(n, np.uint64),
         np.empty(n, np.uint64),
         np.empty((n, 8), np.float32),
-        np.empty((n, 4), np.int32),
+        np.empty(n, np.uint32),
         np.zeros(n * (channels + 1) + LANES, np.float32),
         np.empty(TILE_BLOCKS * n, np.int32),
         np.empty(TILE_BLOCKS, np.int64),
@@ -191,43 +196,50 @@ def load_tile(tile, bins, splats, boxes, values, work):
     n = bins.starts[tile + 1] - start
     channels = values.shape[1]
     nearest, farthest = np.float32(np.inf), np.float32(0)
+    # Numba counts references to what it takes out of a tuple, each time.
+    entries, local, reach, carried = bins.entries, work.local, work.reach, work.carried
+    last = len(entries) - 1
     for k in range(n):
-        ahead = bins.entries[min(start + k + AHEAD, len(bins.entries) - 1)]
+        ahead = entries[min(start + k + AHEAD, last)]
         prefetch(splats, ahead * splats.shape[1])
         prefetch(boxes, ahead * 4)
         prefetch(values, ahead * channels)
-        i = np.uint32(bins.entries[start + k])
-        splat = splats[i]
-        y = splat[V] - (top + TILE_HEIGHT // 2) - 0.5
-        x = splat[U] - left - 0.5 - splat[SLOPE] * y
-        work.local[k, LOCAL_X] = min(max(x, -FAR), FAR)
-        work.local[k, LOCAL_Y] = y
-        work.local[k, LOCAL_ROOT] = splat[ROOT]
-        work.local[k, LOCAL_SLANT] = splat[ROOT] * splat[SLOPE]
-        work.local[k, LOCAL_ROW_ROOT] = splat[ROW_ROOT]
-        work.local[k, LOCAL_POWER] = splat[POWER]
-        work.local[k, LOCAL_CUT] = splat[CUT]
-        work.reach[k, 0] = max(0, boxes[i, 0] - left) // BLOCK
-        work.reach[k, 1] = (min(TILE_WIDTH, boxes[i, 1] - left) + BLOCK - 1) // BLOCK
-        work.reach[k, 2] = max(0, boxes[i, 2] - top) // BLOCK
-        work.reach[k, 3] = (min(TILE_HEIGHT, boxes[i, 3] - top) + BLOCK - 1) // BLOCK
+        i = np.uint32(entries[start + k])
+        y = splats[i, V] - (top + TILE_HEIGHT // 2) - 0.5
+        x = splats[i, U] - left - 0.5 - splats[i, SLOPE] * y
+        local[k, LOCAL_X] = min(max(x, -FAR), FAR)
+        local[k, LOCAL_Y] = y
+        local[k, LOCAL_ROOT] = splats[i, ROOT]
+        local[k, LOCAL_SLANT] = splats[i, ROOT] * splats[i, SLOPE]
+        local[k, LOCAL_ROW_ROOT] = splats[i, ROW_ROOT]
+        local[k, LOCAL_POWER] = splats[i, POWER]
+        local[k, LOCAL_CUT] = splats[i, CUT]
+        x0, x1 = max(0, boxes[i, 0] - left) // BLOCK, min(TILE_WIDTH, boxes[i, 1] - left) - 1
+        y0, y1 = max(0, boxes[i, 2] - top) // BLOCK, min(TILE_HEIGHT, boxes[i, 3] - top) - 1
+        across = (2 << np.uint32(x1 // BLOCK)) - (1 << np.uint32(x0))
+        down = (np.uint64(2) << np.uint64(y1 // BLOCK * BLOCKS_ACROSS + BLOCKS_ACROSS - 1)) - (
+            np.uint64(1) << np.uint64(y0 * BLOCKS_ACROSS)
+        )
+        reach[k] = np.uint64(across) * (down & ROWS)
         at = k * (channels + 1)
         for c in range(channels):
-            work.carried[at + c] = values[i, c]
-        z = np.float32(splat[Z])
-        work.carried[at + channels] = z
+            carried[at + c] = values[i, c]
+        z = np.float32(splats[i, Z])
+        carried[at + channels] = z
         nearest, farthest = min(nearest, z), max(farthest, z)
     order = _sort_by_depth(n, channels, nearest, farthest, work)
-    most = len(work.keys)
-    work.counts[:] = 0
+    lists, counts = work.lists, work.counts
+    most = np.uint64(len(work.keys))
+    counts[:] = 0
     for j in range(n):
         entry = np.uint32(order[j])  # the lower half
-        reach = work.reach[entry]
-        for y in range(reach[2], reach[3]):
-            for x in range(reach[0], reach[1]):
-                block = y * BLOCKS_ACROSS + x
-                work.lists[block * most + work.counts[block]] = entry
-                work.counts[block] += 1
+        left_over = reach[entry]
+        while left_over:
+            block = lowest_bit(left_over)
+            count = counts[block]
+            lists[np.uint64(block) * most + np.uint64(count)] = entry
+            counts[block] = count + 1
+            left_over &= left_over - np.uint32(1)
     return left, top
 
 
