@@ -48,6 +48,7 @@ class Drawn:
     """An encoder as wide as CLIP that draws a direction for each text: only its speed counts."""
 
     name, canonical = "drawn", ("object", "things", "stuff", "texture")
+    calibration = None
 
     def encode_regions(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         raise NotImplementedError

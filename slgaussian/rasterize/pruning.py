@@ -167,9 +167,11 @@ class _Scene:
 
     Attributes
     ----------
-    gaussians : Gaussians
-        As many as were given; into some, others are merged.
+    given, gaussians : Gaussians
+        As they were, and as many of which into some others are merged.
     kept : bool [N]
+    into : int64 [N]
+        What each is merged into; itself where it is not.
     lists : slgaussian.rasterize.lists.Lists
     values : float32 [V, N, C]
     """
