@@ -1,16 +1,18 @@
 """The front door: which settings of parts it takes, and how they are written down."""
 
 import hashlib
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.build import build_field
+from slgaussian.build import build_field, label_views, predict, remember
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
+from slgaussian.geometry import SceneGeometry
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.storage.account import Account
@@ -159,3 +161,45 @@ def test_a_field_keeps_what_it_needs_or_all(pair):
     assert set(few.labels()) == set(every.labels())
     with pytest.raises(InputError, match="keep: found 'al', expected needed or all"):
         Method(keep="al")
+
+
+def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
+    """Counts of what takes longest, of two views; none grows with the number of objects."""
+    from slgaussian.geometry import boundaries, room, seen
+    from slgaussian.language import colours, silhouettes
+    from slgaussian.masks import segmentation
+
+    calls = Counter()
+
+    def counted(module, name):
+        real = getattr(module, name)
+
+        def call(*words, **options):
+            calls[name] += 1
+            return real(*words, **options)
+
+        monkeypatch.setattr(module, name, call)
+
+    for module, name in (
+        (boundaries, "half_disc"),
+        (boundaries, "texture_codes"),
+        (seen, "texture_codes"),
+        (segmentation, "watershed"),
+        (room, "_normals"),
+        (colours, "to_lab"),
+        (silhouettes, "match"),
+    ):
+        counted(module, name)
+    method = Method()
+    geometry = SceneGeometry.of(pair.context, predict(pair, method.predictor, 0).gaussians)
+    maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
+    remember(pair, geometry, maps, method.encoder, method.codes, 0)
+    names = 13  # of colours, whose swatches an encoder converts once
+    assert calls == {
+        "half_disc": 2 * 5,
+        "texture_codes": 2 * 2,  # of the borders, which are kept across fields, and of the rest
+        "watershed": 3,  # leaves of both views, and of the second for the tracker
+        "_normals": 2 * 2,  # of the room, in few places, and of the view
+        "to_lab": 2 + names,  # the colours that a photograph has, each once
+        "match": 2,
+    }
