@@ -166,7 +166,7 @@ def test_a_field_keeps_what_it_needs_or_all(pair):
 def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
     """Counts of what takes longest, of two views; none grows with the number of objects."""
     from slgaussian.geometry import boundaries, room, seen
-    from slgaussian.language import colours, silhouettes
+    from slgaussian.language import silhouettes
     from slgaussian.masks import segmentation
 
     calls = Counter()
@@ -186,7 +186,6 @@ def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
         (seen, "texture_codes"),
         (segmentation, "watershed"),
         (room, "_normals"),
-        (colours, "to_lab"),
         (silhouettes, "match"),
     ):
         counted(module, name)
@@ -194,12 +193,10 @@ def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
     geometry = SceneGeometry.of(pair.context, predict(pair, method.predictor, 0).gaussians)
     maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     remember(pair, geometry, maps, method.encoder, method.codes, 0)
-    names = 13  # of colours, whose swatches an encoder converts once
     assert calls == {
         "half_disc": 2 * 5,
         "texture_codes": 2 * 2,  # of the borders, which are kept across fields, and of the rest
         "watershed": 3,  # leaves of both views, and of the second for the tracker
         "_normals": 2 * 2,  # of the room, in few places, and of the view
-        "to_lab": 2 + names,  # the colours that a photograph has, each once
         "match": 2,
     }
