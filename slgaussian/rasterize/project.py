@@ -28,6 +28,7 @@ from slgaussian.kernels.simd import (
     vstore,
     vwhere,
     vwiden,
+    vzero,
 )
 from slgaussian.kernels.work_sharing import WORKERS, take
 from slgaussian.rasterize.api import FRUSTUM_MARGIN
@@ -130,6 +131,7 @@ def project(means, scales, quats, opacities, values, eye):
     boxes = np.empty((n, 4), np.int32)
     senseless = 0
     counter = np.zeros(1, np.int64)
+    numbers, wide = values.reshape(values.size), values.shape[1]
     for _worker in numba.prange(WORKERS):
         # Column by column, LANES numbers each.
         given = np.ones(11 * LANES, np.float32)
@@ -145,7 +147,8 @@ def project(means, scales, quats, opacities, values, eye):
                     for c in range(4):
                         given[(6 + c) * LANES + k] = quats[first + k, c]
                     given[10 * LANES + k] = opacities[first + k]
-                if not (_sensible(given) and _finite(values, first, count)):
+                held = _finite(numbers, first * wide, (first + count) * wide)
+                if not (_sensible(given) and held):
                     senseless += 1
                 _project_vector(given, eye, made)
                 for k in range(count):
@@ -178,12 +181,16 @@ def _sensible(given):
 
 
 @numba.njit(cache=True)
-def _finite(values, first, count):
-    total = np.float32(0)
-    for i in range(first, first + count):
-        for c in range(values.shape[1]):
-            total += values[i, c] * np.float32(0)
-    return total == 0
+def _finite(numbers, start, end):
+    """Whether ``numbers`` float32 are, from ``start`` to ``end``."""
+    totals, total, at = vzero(), np.float32(0), start
+    while at + LANES <= end:
+        totals = totals + vload(numbers, at) * np.float32(0)
+        at += LANES
+    while at < end:
+        total += numbers[at] * np.float32(0)
+        at += 1
+    return total == 0 and vall(totals >= np.float32(0))
 
 
 @numba.njit(cache=True, error_model="numpy")
