@@ -360,7 +360,7 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
     return d_means, d_scales, d_quats, d_opacities, d_values
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def project_moments(means, covariances, eye):
     """Project Gaussians of opacity 1 that are known by their moments, as :func:`project` does.
 
@@ -378,7 +378,7 @@ def project_moments(means, covariances, eye):
     n = len(means)
     splats, boxes = np.empty((n, 8)), np.zeros((n, 4), np.int32)
     reach = -max(eye.cut, eye.fraction) * (1.000001 / HALF_LOG2_E)
-    for i in numba.prange(n):
+    for i in range(n):
         x, y, z = _to_camera(*_three(means[i]), eye)
         A, C = _image_rows(x, y, z, eye), covariances[i]
         xx = xy = yy = 0.0

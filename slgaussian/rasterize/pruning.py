@@ -320,7 +320,7 @@ def _shape_of(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.maximum(variances, 0)).astype(np.float32), quats.astype(np.float32)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _moments(pairs, means, scales, opacities, covariances):
     """The part of each pair's first one, and the mean and covariance of what takes their place.
 
@@ -328,7 +328,7 @@ def _moments(pairs, means, scales, opacities, covariances):
     """
     parts, mixed = np.empty(len(pairs), np.float32), np.empty((len(pairs), 3), np.float32)
     made = np.empty((len(pairs), 3, 3))
-    for p in numba.prange(len(pairs)):
+    for p in range(len(pairs)):
         i, j = pairs[p]
         of_i, of_j = _area(scales[i], opacities[i]), _area(scales[j], opacities[j])
         part = of_i / max(of_i + of_j, 1e-60)
