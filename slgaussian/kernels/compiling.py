@@ -48,7 +48,7 @@ def watch() -> None:
     from numba.core import event
 
     class Listener(event.Listener):
-        def __init__(self, watch: _Watch) -> None:
+        def __init__(self, watch: _Watch | _Stopped) -> None:
             self.watch = watch
 
         def on_start(self, event: event.Event) -> None:
@@ -61,19 +61,37 @@ def watch() -> None:
         if _watch is None:
             _watch = _Watch()
             event.register("numba:compile", Listener(_watch))
+            event.register("numba:compiler_lock", Listener(_Stopped()))
 
 
 def spent() -> float:
-    """Seconds that this thread has compiled kernels, since :func:`watch` was called."""
+    """Seconds that this thread has compiled kernels or waited for others that did.
+
+    Since :func:`watch` was called.
+    """
     return getattr(_own, "seconds", 0.0)
 
 
 def clock() -> float:
-    """Seconds of a clock that stands still while this thread compiles kernels, once watched.
+    """Seconds of a clock that stands still during :func:`spent`.
 
     What takes time once an installation is no part of what work takes.
     """
     return time.perf_counter() - spent()
+
+
+class _Stopped:
+    """The time in which a thread has, or waits for, the lock under which Numba compiles."""
+
+    def begun(self) -> None:
+        _own.depth = getattr(_own, "depth", 0) + 1
+        if _own.depth == 1:
+            _own.start = time.perf_counter()
+
+    def ended(self) -> None:
+        _own.depth -= 1
+        if _own.depth == 0:
+            _own.seconds = spent() + time.perf_counter() - _own.start
 
 
 class _Watch:
@@ -108,7 +126,6 @@ class _Watch:
         if self.depth == 0:
             took = time.perf_counter() - self.start
             self.seconds += took
-            _own.seconds = spent() + took
             if self.showing:
                 self.showing = False
                 self._say("")

@@ -144,8 +144,8 @@ class _Asker:
         hit = one = self._result(sentence, gaps, kept, left)
         if sentence.count == 0:
             # That there are several speaks against an answer, but not against one of them.
-            best = max(things, key=lambda rows: gaps[rows].max())
-            one = self._result(sentence, gaps, np.isin(np.arange(len(gaps)), best), left)
+            likest = max(things, key=lambda rows: gaps[rows].max())
+            one = self._result(sentence, gaps, np.isin(np.arange(len(gaps)), likest), left)
         count, said = self._counted(sentence, things, one)
         return replace(hit, count=count, notes=(*notes, *said))
 
