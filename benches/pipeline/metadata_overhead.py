@@ -1,7 +1,6 @@
 """What it costs in bytes that files say what they are: of a store and of the results of a run.
 
-    slgaussian benchmark --rooms 0-1 --size 96x128 --against nearest-view -o WORK/rooms \\
-        --store WORK/rooms-store
+    slgaussian run scenes.toml -o WORK/scenes --store WORK/scenes-store
     python -m benches.pipeline.metadata_overhead WORK [-o FILE]
 
 Every table is encoded again without metadata, and of arrays the member that has them is taken out;
