@@ -226,7 +226,7 @@ def main() -> None:
             for run in runs
         ],
         columns={"day": ("day", str), "commit": ("commit", str)}
-        | {row.command: (row.command, ".2f") for row in rows},
+        | {row.command: (row.command, ".3g") for row in rows},
         call=shlex.join(["python", "-m", "benches.pipeline.waiting", "DATA", "EARLIER"]),
     )  # fmt: skip
     if history is not None:
