@@ -9,7 +9,7 @@
 from importlib import import_module
 from typing import Any
 
-import slgaussian.kernels.threads  # noqa: F401  (chooses Numba's threading layer before Numba starts)
+import slgaussian.kernels.threads  # noqa: F401  (sizes pools and places kernels, before they begin)
 
 __version__ = "0.1.0"
 

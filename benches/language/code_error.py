@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
 from scipy.stats import rankdata
@@ -208,7 +207,7 @@ def error_rows(rooms: dict[int, list[Room]]) -> tuple[list[dict], list[dict]]:
 
 def time_rows(room: Room) -> list[dict]:
     """Seconds of a core to draw a view of ``room``, and to read it, by method; timed in turn."""
-    numba.set_num_threads(1)
+    threads.limit(threads.cores())
     labels, camera = room.rows, room.cameras[0]
     drawing: dict[str, Callable[[], object]] = {
         "colours alone": lambda: rasterize(room.gaussians, room.gaussians.colors(), camera)

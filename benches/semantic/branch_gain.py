@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
 
@@ -108,8 +107,7 @@ def judged(
 
 def parts(lesson: Lesson) -> list[dict]:
     """Time of a step's parts on one thread; the splat's others would wait for work, and count."""
-    torch.set_num_threads(1)
-    numba.set_num_threads(1)
+    threads.limit(threads.cores())
     maps = LabelMaps(lesson.labels, np.ones(lesson.labels.shape, np.float32))
     rows = []
     for widths in SPEED_WIDTHS:

@@ -145,15 +145,7 @@ def _wrong(needs: Requirement, importing: bool = True) -> str | None:
 
 
 def _threads() -> Findings:
-    try:
-        layer = threads.numba_layer()
-    except ValueError as error:
-        said = one_line(str(error))
-        yield Finding("threads", f"{said}; install an OpenMP runtime (libgomp)", False)
-        return
-    good = layer in ("omp", "tbb")
-    advice = "" if good else "; two scenes at once would abort it: unset NUMBA_THREADING_LAYER"
-    yield Finding("threads", f"{threads.cores()} cores, Numba layer {layer}{advice}", good)
+    yield Finding("threads", f"{threads.cores()} cores")
 
 
 def _opened(place: str) -> Any:

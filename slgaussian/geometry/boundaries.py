@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.seeding import content_of
 from slgaussian.storage.derived import once
 
@@ -155,7 +155,7 @@ def depth_boundary(depth: np.ndarray) -> np.ndarray:
     return np.clip(cv2.GaussianBlur(strength, (0, 0), 1.0), 0, 0.5)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
     """The contrast from ``codes`` with ``radius`` pixels more on each side.
 

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
+
+from slgaussian.kernels.jit import kernel
 
 LANES = 16
 
@@ -330,7 +332,7 @@ MAGIC = np.float32(1.5 * 2**23)
 """Added to a small number, it leaves its nearest integer in the last bits."""
 
 
-@njit(cache=True)
+@kernel
 def vexp2(x):
     """2 to the power of a float32 vector, at most 127; below -100 it stays at 2^-100.
 
@@ -376,7 +378,7 @@ _mantissa = _split(
 )
 
 
-@njit(cache=True)
+@kernel
 def vlog2(x):
     """Logarithm to base 2 of a positive float32 vector; of 0, about -127.
 

@@ -1,9 +1,9 @@
 """The sizes of all thread pools, and what libraries must know before they start, in one place.
 
-PyTorch, Numba and OpenCV each bring a pool as large as the machine. Importing this module, which
-the package does first of all, chooses Numba's ``omp`` layer: its default where OpenMP is missing,
-``workqueue``, aborts the process when two threads call it at once. It also chooses where compiled
-kernels are kept. Each worker of a program that runs several calls :func:`share`.
+PyTorch and OpenCV each bring a pool as large as the machine, and kernels of our own are run by
+several threads (:mod:`slgaussian.kernels.work_sharing`). Each worker of a program that runs several
+calls :func:`limit`. Importing this module, which the package does first of all, also chooses where
+compiled kernels are kept.
 
 Sums of floats depend on their order, and libraries choose it by two things that have nothing to do
 with the numbers. How many threads share the work: inside a network it is a fixed number
@@ -20,6 +20,7 @@ import os
 import platform
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Iterator
 from functools import cache
@@ -38,6 +39,9 @@ LARGE_THREADS = 4
 ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread and with four."""
 
 
+_own = threading.local()
+
+
 class Sources(NamedTuple):
     """Digests of the package's sources: of those that hold kernels, and of all."""
 
@@ -54,7 +58,7 @@ def sources() -> Sources:
         source = file.read_bytes()
         named = str(file.relative_to(package)).encode() + b"\0" + source
         whole.update(named)
-        if re.search(rb"^(import|from) numba\b", source, re.MULTILINE):
+        if re.search(rb"^(import|from) (numba|slgaussian\.kernels\.jit)\b", source, re.MULTILINE):
             kernels.update(named)
     return Sources(kernels.hexdigest(), whole.hexdigest())
 
@@ -64,13 +68,12 @@ def kernel_folder() -> Path:
 
     Numba recompiles a function when its own file changes, and not when a function that it calls
     from another file does: after an update it would go on with old code. So the folder's name is a
-    digest of all the package's sources that use Numba.
+    digest of all the package's sources that have kernels.
     """
     caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(caches).expanduser() / "slgaussian" / "kernels" / sources().kernels[:16]
 
 
-os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
 # NumPy's linear algebra has a pool of its own, whose threads spin while they wait: two workers side
 # by side lost a fifth of their time to it, and nothing here is large enough to gain by it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -102,18 +105,35 @@ def processor() -> str:
 def limit(workers: int = 1) -> int:
     """Size the pools that the calling thread uses for ``workers`` threads computing side by side.
 
-    Each worker gets an equal part of the cores, at least one; that size is returned. Numba and
-    OpenMP keep the size for each thread, so every worker calls this itself.
+    Each worker gets an equal part of the cores, at least one; that size is returned. It is kept
+    for each thread, so every worker calls this itself.
     """
     import cv2
-    import numba
     import torch
 
-    size = max(1, cores() // max(1, workers))
-    numba.set_num_threads(min(size, numba.config.NUMBA_NUM_THREADS))
+    size = _own.size = max(1, cores() // max(1, workers))
     torch.set_num_threads(size)
     cv2.setNumThreads(size)
     return size
+
+
+def allotted() -> int:
+    """Threads that may share a kernel which the calling thread runs: all cores, or :func:`limit`.
+
+    :func:`kernels_on` sets it for a while.
+    """
+    return getattr(_own, "size", 0) or cores()
+
+
+@contextlib.contextmanager
+def kernels_on(count: int) -> Iterator[None]:
+    """Let ``count`` threads share the kernels that the calling thread runs, whatever the cores."""
+    before = getattr(_own, "size", 0)
+    _own.size = count
+    try:
+        yield
+    finally:
+        _own.size = before
 
 
 @contextlib.contextmanager
@@ -122,10 +142,8 @@ def fixed(count: int = 1) -> Iterator[None]:
 
     For the calling thread alone.
     """
-    import numba
     import torch
 
-    numba.get_num_threads()  # starts Numba's pool, which would set PyTorch's size anew later
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -195,20 +213,6 @@ def _openblas() -> str:
             name.restype = ctypes.c_char_p
             return name().decode()
     return "unknown"
-
-
-def numba_layer() -> str:
-    """The threading layer that Numba really starts with, found by starting it.
-
-    Raises
-    ------
-    ValueError
-        By Numba, if the layer asked for is not available.
-    """
-    import numba
-
-    numba.get_num_threads()  # starts it
-    return numba.threading_layer()
 
 
 # A user's program may have imported PyTorch, which does no harm, and computed with it, which does.

@@ -1,20 +1,30 @@
-"""Handing out work to the threads of a Numba function, one portion at a time.
+"""Several threads that run one kernel, and take its work from it portion by portion.
 
-``prange`` gives each thread its part beforehand, and then all wait for the slowest: on a machine
-that does other work as well, for a thread that is not even running. So run :data:`WORKERS`
-iterations, and let each :func:`take` the next portion until there is none; with fewer threads the
-later iterations find nothing to do. What a portion computes must not depend on who takes it; then
-nor do the results.
+A kernel that can be shared begins with a ``counter`` and goes on to :func:`take` the next portion
+until there is none. Handed out beforehand, all would wait for the slowest: on a machine that does
+other work as well, for a thread that is not even running. What a portion computes must not depend
+on who takes it; then nor do the results.
+
+The threads are Python's own, as kernels let go of its lock. They wait asleep, whoever calls may
+share, also side by side, and a kernel for one thread compiles in half the time of Numba's
+``parallel`` ones.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from functools import cache
+from typing import Any
+
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-WORKERS = 256
-"""As many as a machine may have threads."""
+from slgaussian.kernels import threads
 
 
 @intrinsic
@@ -30,3 +40,29 @@ def take(typing, counter):
         return builder.atomic_rmw("add", data, one, "monotonic")
 
     return types.int64(counter), lower
+
+
+def share(kernel: Callable[..., Any], portions: int, *args: Any) -> None:
+    """Have threads call ``kernel(counter, *args)`` until its ``portions`` are done.
+
+    This thread is one of them; :func:`slgaussian.kernels.threads.allotted` says how many it may
+    use.
+    """
+    counter = np.zeros(1, np.int64)
+    count = min(threads.allotted(), portions) - 1
+    helpers = [_pool().submit(copy_context().run, kernel, counter, *args) for _ in range(count)]
+    try:
+        kernel(counter, *args)
+    finally:
+        # One that has not even begun is not waited for: nothing is left to do.
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(1, threads.cores() - 1), "slgaussian-kernel")
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork has none of its parent's threads

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language.codes import MOST_DIMENSIONS
 
 LEVELS = {1: 12, 2: 7, 3: 5}
@@ -25,6 +26,9 @@ what rounding does to a distance in float64, 1e-15, so that it cannot change the
 BEYOND = 1.0
 """How far outside the cube the table serves. Farther out distances lose digits, and every code is
 compared, as the definition says."""
+
+SHARE = 4096
+"""Values that a thread takes at a time."""
 
 
 class Lookup(NamedTuple):
@@ -121,11 +125,11 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
     flat = np.zeros((bad.size, MOST_DIMENSIONS))
     flat[:, : codes.shape[1]] = values.reshape(-1, codes.shape[1])
     found = np.empty(len(flat), np.int32)
-    _find(flat, lookup, found)
+    share(_find, -(-len(flat) // SHARE), flat, lookup, found)
     return found.reshape(values.shape[:-1])
 
 
-@numba.njit(cache=True)
+@kernel
 def _divide(codes, cells, axes, starts, members, divided, kept):
     """Pass the candidates of each cell on to those of its halves that they may be nearest in.
 
@@ -160,7 +164,7 @@ def _divide(codes, cells, axes, starts, members, divided, kept):
     return counts
 
 
-@numba.njit(cache=True)
+@kernel
 def _may_win(code, other, low, high):
     """Whether ``code`` may be as near as ``other`` to some point between ``low`` and ``high``.
 
@@ -174,7 +178,7 @@ def _may_win(code, other, low, high):
     return lead >= -SLACK
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline="always")
 def find(x, y, z, codes, across, down, deep, starts, members):
     """Row of the code nearest to a value, and its distance, float64; zeros past the dimension.
 
@@ -203,15 +207,18 @@ def find(x, y, z, codes, across, down, deep, starts, members):
     return row, best
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline="always")
 def distance(x, y, z, codes, row):
     """L1 distance of a value from a code, summed in the order of the axes."""
     return abs(x - codes[row, 0]) + abs(y - codes[row, 1]) + abs(z - codes[row, 2])
 
 
-@numba.njit(cache=True, parallel=True)
-def _find(values, lookup, found):
+@kernel
+def _find(counter, values, lookup, found):
     codes, (across, down, deep), starts, members = lookup
-    for i in numba.prange(len(values)):
-        x, y, z = values[i]
-        found[i], _ = find(x, y, z, codes, across, down, deep, starts, members)
+    start = take(counter) * SHARE
+    while start < len(values):
+        for i in range(start, min(len(values), start + SHARE)):
+            x, y, z = values[i]
+            found[i], _ = find(x, y, z, codes, across, down, deep, starts, members)
+        start = take(counter) * SHARE

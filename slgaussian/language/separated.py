@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vabs, vload, vsum, vwhere, vzero
 from slgaussian.labels import LabelMaps
 from slgaussian.language.nearest import nearest_code
@@ -90,7 +90,7 @@ def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.
         padded = np.zeros((len(points), 3), np.float32)
         padded[:, :dimension] = points
         _anneal(
-            padded, taken, pairs.rows, weight.astype(np.float32), starts, first // 2,
+            padded, taken, pairs.rows, *_layout(padded, taken, weight), starts, first // 2,
             rng.integers(n, size=moves), rng.integers(len(points), size=moves),
             rng.random(moves), HEAT[0], HEAT[1],
         )  # fmt: skip
@@ -121,30 +121,40 @@ def _points(n: int, dimension: int) -> np.ndarray:
             return grid / (side - 1)
 
 
-@numba.njit(cache=True)
-def _anneal(points, taken, pairs, weights, starts, touching, movers, targets, luck, hot, cold):
+def _layout(
+    points: np.ndarray, taken: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The object at each point, or -1; codes [3, ...], and balls [5, ...] without centres.
+
+    Coordinates one after the other, filled up to whole vectors with codes far from all balls and
+    balls that weigh nothing. A ball is its centre, 1 / (radius times MARGIN), and its weight.
+    """
+    owners = np.full(len(points), -1)
+    owners[taken] = np.arange(len(taken))
+    codes = np.full((3, -(-len(taken) // LANES) * LANES), 1e6, np.float32)
+    codes[:, : len(taken)] = points[taken].T
+    balls = np.zeros((5, -(-len(weights) // LANES) * LANES), np.float32)
+    balls[4, : len(weights)] = weights
+    return owners, codes, balls
+
+
+@kernel
+def _anneal(
+    points, taken, pairs, owners, codes, balls, starts, touching, movers, targets, luck, hot, cold
+):
     """Move objects to free points, or swap two, so that balls between neighbours get emptier.
 
     ``taken`` [n], the point of each object, is changed in place. The pairs of object i are
     ``touching[starts[i] : starts[i + 1]]``.
     """
     n, count = len(taken), len(pairs)
-    owners = np.full(len(points), -1, np.int64)
-    # Coordinates one after the other, filled up to whole vectors with codes far from all balls and
-    # balls that weigh nothing.
-    room, balls_room = -(-n // LANES) * LANES, -(-count // LANES) * LANES
-    codes = np.full((3, room), np.float32(1e6))
-    balls = np.zeros((5, balls_room), np.float32)  # centre, 1 / (radius times MARGIN), weight
-    for i in range(n):
-        owners[taken[i]] = i
-        codes[:, i] = points[taken[i]]
-    balls[4, :count] = weights
     for e in range(count):
         _blow(e, pairs, codes, balls)
     start = np.float32(0)
     for e in range(count):
-        start += weights[e] * _crowd(e, codes, balls)
-    kept = np.full(n + count, np.float32(np.nan))
+        start += balls[4, e] * _crowd(e, codes, balls)
+    kept = np.empty(n + count, np.float32)
+    kept[:] = np.nan
     for step in range(len(movers)):
         i, target = movers[step], targets[step]
         j, source = owners[target], taken[i]
@@ -170,15 +180,16 @@ def _anneal(points, taken, pairs, weights, starts, touching, movers, targets, lu
             kept[:] = np.nan
 
 
-@numba.njit(cache=True)
+@kernel
 def _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls):
     taken[i], owners[target] = target, i
-    codes[:, i] = points[target]
+    for k in range(3):  # for a slice Numba would compile the words of an error
+        codes[k, i] = points[target, k]
     for at in range(starts[i], starts[i + 1]):
         _blow(touching[at], pairs, codes, balls)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _blow(e, pairs, codes, balls):
     """Make the ball of pair ``e`` anew; half way through a swap it may be a point."""
     a, b = pairs[e]
@@ -189,7 +200,7 @@ def _blow(e, pairs, codes, balls):
     balls[3, e] = np.float32(1) / (radius * np.float32(MARGIN))
 
 
-@numba.njit(cache=True)
+@kernel
 def _crowd(e, codes, balls):
     """How deep all codes are in the ball of pair ``e``: 1 in the middle, 0 at the edge and outside.
 
@@ -205,14 +216,14 @@ def _crowd(e, codes, balls):
     return vsum(total)
 
 
-@numba.njit(cache=True)
+@kernel
 def _deep(e, i, codes, balls):
     far = abs(codes[0, i] - balls[0, e]) + abs(codes[1, i] - balls[1, e])
     far += abs(codes[2, i] - balls[2, e])
     return max(np.float32(0), np.float32(1) - far * balls[3, e])
 
 
-@numba.njit(cache=True)
+@kernel
 def _part(i, j, pairs, starts, touching, codes, balls, kept, keep, most):
     """The part of the weighted crowding that depends on the codes of i and j; j may be -1.
 
@@ -251,7 +262,7 @@ def _part(i, j, pairs, starts, touching, codes, balls, kept, keep, most):
     return total
 
 
-@numba.njit(cache=True)
+@kernel
 def _everywhere(i, codes, balls):
     """How deep the code of i is in all balls, by their weights."""
     x, y, z = codes[0, i], codes[1, i], codes[2, i]

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import find_objects
 
 from slgaussian.geometry.boundaries import TEXTURE_CODES, texture_codes
+from slgaussian.kernels.jit import kernel
 
 COLOR_STEP = 30.0
 """Distance of mean CIELAB colours that counts as one full unit of difference."""
@@ -283,7 +283,7 @@ def _boxes(leaves, n):
     return corners / unit
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _plane_error(a, b, share):
     """Sum of squared residuals of the best plane, from sums of :func:`plane_sums`: a + share b."""
     count = a[0] + share * b[0]
@@ -302,7 +302,7 @@ def _plane_error(a, b, share):
     return max(dd - explained, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def plane_gap(a, b):
     """By how much, relative to inverse depth, one plane explains two regions worse than two do.
 
@@ -314,7 +314,7 @@ def plane_gap(a, b):
     return np.sqrt(max(worse, 0.0) / min(a[0], b[0])) * (a[0] + b[0]) / (a[6] + b[6])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power):
     """Cost of uniting regions a and b; weights are those of border, color, texture, plane, fill."""
     cost = weights[0] * border
@@ -344,7 +344,7 @@ def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, p
     return cost * (size[a] * size[b] / (size[a] + size[b])) ** power
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _merge(
     parent, height, node, edge_to, cost, edges, length, strength, size, color, histogram, sizes,
     planes, boxes, weights, power,

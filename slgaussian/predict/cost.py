@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
 from numba.extending import intrinsic
 
 from slgaussian.cameras.relative import Relative
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 
 OUTSIDE = 60
 """Cost of a candidate that lands outside the source: better than a bad match, worse than a good."""
@@ -65,7 +66,10 @@ def matching_cost(
     # Kernels count pixel centres at 0: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
     away = np.linalg.inv(centre)
-    return _matching_cost(
+    volume = np.empty((*src.shape, len(inverse_depths)), np.uint8)
+    share(
+        _matching_cost,
+        -(-len(volume) // BLOCK),
         np.pad(ref, RADIUS, mode="edge").astype(np.float32),
         _squares(src),
         (away @ relative.infinity @ centre).astype(np.float32),
@@ -73,7 +77,9 @@ def matching_cost(
         inverse_depths.astype(np.float32),
         np.float32((1 - census_weight) * 100),
         np.float32(census_weight * 200 / (_SIDE**2 - 1)),
+        volume,
     )
+    return volume
 
 
 def combine(costs: Sequence[np.ndarray]) -> np.ndarray:
@@ -85,15 +91,16 @@ def combine(costs: Sequence[np.ndarray]) -> np.ndarray:
     if len(costs) == 1:
         return costs[0]
     out = np.empty_like(costs[0])
-    _combine(np.stack(costs), out)
+    share(_combine, len(out), np.stack(costs), out)
     return out
 
 
-@njit(cache=True, parallel=True)
-def _combine(costs, out):
+@kernel
+def _combine(counter, costs, out):
     S, H, W, D = costs.shape
-    for y in prange(H):
-        sorted_costs = np.empty(S, np.int32)
+    sorted_costs = np.empty(S, np.int32)
+    y = take(counter)
+    while y < H:
         for x in range(W):
             for d in range(D):
                 seen = 0
@@ -115,6 +122,7 @@ def _combine(costs, out):
                 for k in range(half):
                     total += sorted_costs[k]
                 out[y, x, d] = total // half
+        y = take(counter)
 
 
 def _squares(image: np.ndarray) -> np.ndarray:
@@ -129,7 +137,7 @@ def _count_ones(typing, bits):
     return bits(bits), lambda context, builder, signature, args: builder.ctpop(args[0])
 
 
-@njit(cache=True)
+@kernel
 def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
     """Row ``y`` of the reference as the source shows it at inverse depth ``w``.
 
@@ -170,7 +178,7 @@ def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
         out[x] = top + dv[x] * (low - top)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _census(rows, x):
     """Which pixels of the window are darker than its centre, a bit each.
 
@@ -185,7 +193,7 @@ def _census(rows, x):
     return bits
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, columns, cost):
     """Costs of one row and candidate; ``near`` and ``here`` are the rows of its windows.
 
@@ -214,18 +222,16 @@ def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, colu
         cost[x] = np.uint8(np.int32(found + np.float32(0.5)))
 
 
-@njit(cache=True, parallel=True)
-def _matching_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share):
-    H, W = squares.shape
-    volume = np.empty((H, W, len(inverse_depths)), np.uint8)
-    for block in prange((H + BLOCK - 1) // BLOCK):
-        y0 = block * BLOCK
+@kernel
+def _matching_cost(counter, wide, squares, A, e, inverse_depths, zncc_share, census_share, volume):
+    y0 = take(counter) * BLOCK
+    while y0 < len(volume):
         part = volume[y0 : y0 + BLOCK]
         _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, part)
-    return volume
+        y0 = take(counter) * BLOCK
 
 
-@njit(cache=True)
+@kernel
 def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, volume):
     """Costs of the rows from ``y0`` on, as many as ``volume`` has."""
     H, W = squares.shape

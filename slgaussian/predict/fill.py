@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
 from slgaussian.cameras.relative import Relative
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.predict.sgm import aggregate, winners
 
 UNSEEN, AGREES, IN_FRONT, BEHIND = range(4)
@@ -71,7 +72,7 @@ def cross_check(
     )
 
 
-@njit(cache=True)
+@kernel
 def _cross_check(inverse_depth, other, A, e, least_tolerance):
     H, W = inverse_depth.shape
     out = np.empty((H, W), np.uint8)
@@ -81,7 +82,7 @@ def _cross_check(inverse_depth, other, A, e, least_tolerance):
     return out
 
 
-@njit(cache=True)
+@kernel
 def _verdict(x, y, w, other, A, e, least_tolerance):
     """What the other view says about inverse depth ``w`` at column ``x`` and row ``y``."""
     H, W = other.shape
@@ -207,7 +208,7 @@ def _through(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray
     return np.array([a, b, level - a * middle[0] - b * middle[1]])
 
 
-@njit(cache=True)
+@kernel
 def _support(planes, points, w, tolerance):
     """Number of points near each plane, int64 [P]."""
     out = np.zeros(len(planes), np.int64)
@@ -269,7 +270,7 @@ def fill(
     return np.where(keep, inverse_depth, chosen)
 
 
-@njit(cache=True)
+@kernel
 def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
     """Inverse depth of each plane at each pixel, and votes of answered pixels against planes."""
     H, W, P = votes.shape
@@ -284,7 +285,7 @@ def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
                     votes[y, x, k] = np.uint8(100 * min(off, 1.0))
 
 
-@njit(cache=True)
+@kernel
 def _vote_unseen(levels, keep, other, A, e, least_tolerance, votes):
     """Votes of unanswered pixels against planes that the other view sees through."""
     H, W, P = votes.shape
@@ -317,19 +318,21 @@ def weighted_median(
     distance = np.arange(3 * 255 + 1) / MEDIAN_COLOR
     weights = np.exp(-0.5 * distance**2).astype(np.float32)
     bins = ((inverse_depth - low) / step * 2 + 0.5).clip(0).astype(np.int32)
-    return _weighted_median(inverse_depth, bins, image, weights, MEDIAN_RADIUS)
-
-
-@njit(cache=True, parallel=True)
-def _weighted_median(values, bins, image, weights, radius):
-    out = np.empty_like(values)
-    count = bins.max() + 1
-    for y in prange(values.shape[0]):
-        _median_row(values, bins, image, weights, radius, y, count, out[y])
+    out = np.empty_like(inverse_depth)
+    share(_weighted_median, len(out), inverse_depth, bins, bins.max() + 1, image, weights,
+          MEDIAN_RADIUS, out)  # fmt: skip
     return out
 
 
-@njit(cache=True)
+@kernel
+def _weighted_median(counter, values, bins, count, image, weights, radius, out):
+    y = take(counter)
+    while y < len(values):
+        _median_row(values, bins, image, weights, radius, y, count, out[y])
+        y = take(counter)
+
+
+@kernel
 def _median_row(values, bins, image, weights, radius, y, count, out):
     H, W = values.shape
     mass = np.zeros(count, np.float32)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from slgaussian.cameras.relative import Relative
+from slgaussian.kernels.jit import kernel
 from slgaussian.predict.fill import AGREES, IN_FRONT, cross_check
 from slgaussian.predict.links import Link, ViewGraph
 
@@ -118,7 +118,7 @@ def _say(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.minimum(inwards / FEATHER, 1).astype(np.float32)
 
 
-@njit(cache=True)
+@kernel
 def _add(total, weight, agrees, inverse_depth, image, A, e, feather, near):
     """Add what the other view shows, bilinear and by its weight, where it agrees."""
     H, W = inverse_depth.shape

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.predict.fill import without_speckles
 from slgaussian.predict.links import Link
 
@@ -97,7 +97,7 @@ def lend(
     return result
 
 
-@njit(cache=True)
+@kernel
 def _land(inverse_depth, answered, image, target, A, e, alike, landed):
     """Write the greatest inverse depth of the answered pixels that land in each of the target."""
     H, W = inverse_depth.shape

@@ -7,7 +7,9 @@ eight times: the memory is what limits it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 
 _FAR = np.int16(20000)
 
@@ -41,25 +43,27 @@ def aggregate(
     halves = np.empty((2, *cost.shape), np.uint16)
     # What a change costs by the step of the guide, 0 to 255.
     jumps = np.maximum(p2_floor, p2 / (1 + np.arange(256) / contrast)).astype(np.int16)
-    _aggregate(cost, guide, jumps, np.int16(p1), halves)
+    share(_aggregate, 2, cost, guide, jumps, np.int16(p1), halves)
     return halves
 
 
-@njit(cache=True, parallel=True)
-def _aggregate(cost, guide, jumps, p1, halves):
-    for half in prange(2):
+@kernel
+def _aggregate(counter, cost, guide, jumps, p1, halves):
+    half = take(counter)
+    while half < 2:
         _sweep(cost, guide, jumps, p1, half == 0, halves[half])
+        half = take(counter)
 
 
-@njit(cache=True)
+@kernel
 def _sweep(cost, guide, jumps, p1, down, total):
     """Sum the paths along the row, down it (or up) and both diagonals, row after row."""
     H, W, D = cost.shape
     # A cell of padding at both ends saves the test for the first and last candidate.
-    start = np.full(D + 2, _FAR, np.int16)
+    start, along = np.empty(D + 2, np.int16), np.empty((2, D + 2), np.int16)
+    across = np.empty((2, 3, W, D + 2), np.int16)
+    start[:], along[:], across[:] = _FAR, _FAR, _FAR
     start[1 : D + 1] = 0
-    along = np.full((2, D + 2), _FAR, np.int16)
-    across = np.full((2, 3, W, D + 2), _FAR, np.int16)
     least_across = np.zeros((2, 3, W), np.int16)
     for k in range(H):
         y, before = (k, k - 1) if down else (H - 1 - k, H - k)
@@ -89,7 +93,7 @@ def _sweep(cost, guide, jumps, p1, down, total):
                 least_across[new, path, x] = found
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _follow(last, least, jump, p1, here, this, sums):
     """Take a path one pixel on: write its costs, add them to ``sums``, and return the least."""
     ceiling = np.int16(least + jump)
@@ -103,7 +107,7 @@ def _follow(last, least, jump, p1, here, this, sums):
     return lowest
 
 
-@njit(cache=True)
+@kernel
 def winners(halves):
     """Candidate of least cost with a sub-pixel offset, and how clearly it won.
 

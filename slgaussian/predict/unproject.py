@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.kernels.jit import kernel
 from slgaussian.scene import Camera
 
 FOOTPRINT = 0.35
@@ -85,7 +85,7 @@ def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
     return _normals(inverse_depth, np.ascontiguousarray(K), SLOPE_RADIUS, SAME_SURFACE)
 
 
-@njit(cache=True)
+@kernel
 def _normals(values, K, radius, same):
     """From least-squares slopes over the window pixels within a share ``same`` of each."""
     H, W = values.shape
@@ -130,7 +130,7 @@ def _normals(values, K, radius, same):
 # wrong with their shapes.
 
 
-@njit(cache=True)
+@kernel
 def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
     """Local axes are (across the line of sight, uphill along the surface, normal)."""
     H, W = inverse_depth.shape
@@ -174,14 +174,14 @@ def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
     return means, scales, quats
 
 
-@njit(cache=True)
+@kernel
 def _cross(a0, a1, a2, b0, b1, b2):
     """``a x b`` and its length."""
     x, y, z = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
     return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
+@kernel
 def _quaternion(R, q):
     """Quaternion wxyz of a rotation, from its largest component (Shepperd 1978), of any length."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vexp2, vload, vstore, vsum, vwhere, vzero
-from slgaussian.kernels.work_sharing import WORKERS, take
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.project import MOMENTS
 from slgaussian.rasterize.tiles import (
     ACROSS,
@@ -19,26 +19,35 @@ from slgaussian.rasterize.tiles import (
     LOCAL_SLANT,
     LOCAL_X,
     LOCAL_Y,
+    STRIP,
     TILE_BLOCKS,
     TILE_HEIGHT,
+    Bins,
     corner_of,
     fullest,
     load_tile,
     make_workspace,
+    strips_of,
     tile_range,
 )
-
-STRIP = 8
-"""Tiles that a thread takes at a time: neighbours, which have splats in common."""
 
 PATIENCE = 8
 """Splats drawn in a row before looking whether any of its pixels lets light through."""
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
 def draw(
-    splats, boxes, values, bins, width, height, alpha_max, pass_min, with_median, labels, most_label
-):
+    splats: np.ndarray,
+    boxes: np.ndarray,
+    values: np.ndarray,
+    bins: Bins,
+    width: int,
+    height: int,
+    alpha_max: np.float32,
+    pass_min: np.float32,
+    with_median: bool,
+    labels: np.ndarray,
+    most_label: int,
+) -> tuple[np.ndarray, ...]:
     """Composite front to back.
 
     Parameters
@@ -62,63 +71,83 @@ def draw(
     label : int32 [H, W], or [0, 0] without ``labels``
     label_weights : float32 [H, W, 3], or [0, 0, 3]
     """
-    channels = values.shape[1] + 1
     with_labels = most_label >= 0
-    image = np.empty((height, width, channels - 1), np.float32)
+    image = np.empty((height, width, values.shape[1]), np.float32)
     alpha = np.empty((height, width), np.float32)
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
     label = np.zeros((height, width) if with_labels else (0, 0), np.int32)
     label_weights = np.zeros((height, width, 3) if with_labels else (0, 0, 3), np.float32)
-    most = fullest(bins)
-    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
-    for _worker in numba.prange(WORKERS):
-        strip = take(counter)
-        if strip * STRIP >= tiles:
-            continue
-        work = make_workspace(most, channels - 1)
-        sums = np.empty((channels + 3) * LANES, np.float32)
-        solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-        places = np.full(most_label + 1, -1, np.int32)
-        heard = np.empty(most_label + 1, np.int32)
-        votes = np.empty((most_label + 1) * LANES, np.float32)
-        elected = np.empty(4 * LANES, np.float32)
-        while strip * STRIP < tiles:
-            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
-                left, top = load_tile(tile, bins, splats, boxes, values, work)
-                for block in range(TILE_BLOCKS):
-                    x0, y0 = corner_of(block, left, top)
-                    if x0 >= width or y0 >= height:
-                        continue
-                    used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                    vstore(solids, 0, solid)
-                    _sum_block(block, used, channels, work, sums)
-                    if with_median:
-                        vstore(middles, 0, _median_block(block, used, channels, work))
-                    if with_labels:
-                        entries = bins.entries[bins.starts[tile] :]
-                        _elect(block, used, work, entries, labels, places, heard, votes, elected)
-                    for y in range(y0, min(y0 + BLOCK, height)):
-                        for x in range(x0, min(x0 + BLOCK, width)):
-                            lane = (y - y0) * BLOCK + x - x0
-                            for c in range(channels - 1):
-                                image[y, x, c] = sums[c * LANES + lane]
-                            # Rounded, a sum of weights may pass 1.
-                            alpha[y, x] = min(solids[lane], np.float32(1))
-                            if solids[lane] > 0:
-                                depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
-                            if with_median:
-                                median[y, x] = middles[lane]
-                            if with_labels:
-                                label[y, x] = elected[lane]
-                                for k in range(3):
-                                    label_weights[y, x, k] = elected[(k + 1) * LANES + lane]
-            strip = take(counter)
+    share(
+        _draw, strips_of(bins), splats, boxes, values, bins, alpha_max, pass_min, labels,
+        most_label, image, alpha, depth, median, label, label_weights,
+    )  # fmt: skip
     return image, alpha, depth, median, label, label_weights
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_image, d_alpha, d_z):
+@kernel
+def _draw(
+    counter, splats, boxes, values, bins, alpha_max, pass_min, labels, most_label, image, alpha,
+    depth, median, label, label_weights,
+):  # fmt: skip
+    height, width, channels = image.shape
+    channels += 1
+    with_median, with_labels = median.size > 0, most_label >= 0
+    strip, tiles = take(counter), bins.across * bins.down
+    if strip * STRIP >= tiles:
+        return
+    most = fullest(bins)
+    work = make_workspace(most, channels - 1)
+    sums = np.empty((channels + 3) * LANES, np.float32)
+    solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    places = np.full(most_label + 1, -1, np.int32)
+    heard = np.empty(most_label + 1, np.int32)
+    votes = np.empty((most_label + 1) * LANES, np.float32)
+    elected = np.empty(4 * LANES, np.float32)
+    while strip * STRIP < tiles:
+        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+            left, top = load_tile(tile, bins, splats, boxes, values, work)
+            for block in range(TILE_BLOCKS):
+                x0, y0 = corner_of(block, left, top)
+                if x0 >= width or y0 >= height:
+                    continue
+                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
+                vstore(solids, 0, solid)
+                _sum_block(block, used, channels, work, sums)
+                if with_median:
+                    vstore(middles, 0, _median_block(block, used, channels, work))
+                if with_labels:
+                    entries = bins.entries[bins.starts[tile] :]
+                    _elect(block, used, work, entries, labels, places, heard, votes, elected)
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        for c in range(channels - 1):
+                            image[y, x, c] = sums[c * LANES + lane]
+                        # Rounded, a sum of weights may pass 1.
+                        alpha[y, x] = min(solids[lane], np.float32(1))
+                        if solids[lane] > 0:
+                            depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
+                        if with_median:
+                            median[y, x] = middles[lane]
+                        if with_labels:
+                            label[y, x] = elected[lane]
+                            for k in range(3):
+                                label_weights[y, x, k] = elected[(k + 1) * LANES + lane]
+        strip = take(counter)
+
+
+def draw_backward(
+    splats: np.ndarray,
+    boxes: np.ndarray,
+    values: np.ndarray,
+    bins: Bins,
+    firsts: np.ndarray,
+    limits: tuple[np.float32, np.float32],
+    d_image: np.ndarray,
+    d_alpha: np.ndarray,
+    d_z: np.ndarray,
+) -> np.ndarray:
     """Gradients of the splats, one row a tile that they touch.
 
     The weights are computed again; then each block is walked back to front. With R the composite of
@@ -130,6 +159,8 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
     ----------
     firsts : int64 [N + 1]
         See :func:`slgaussian.rasterize.project.project_backward`.
+    limits : float32, float32
+        alpha_max and pass_min, as :func:`draw` takes them.
     d_image, d_alpha, d_z : float32 [H, W, C], [H, W], [H, W]
         Upstream gradients; the last of the composited, not the mean, z.
 
@@ -137,52 +168,60 @@ def draw_backward(splats, boxes, values, bins, firsts, alpha_max, pass_min, d_im
     -------
     float32 [firsts[N], MOMENTS + C + 1]
     """
-    height, width, channels = d_image.shape
-    channels += 1
-    sums = MOMENTS + channels
-    grads = np.empty((firsts[-1], sums), np.float32)
-    most = fullest(bins)
-    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
-    for _worker in numba.prange(WORKERS):
-        strip = take(counter)
-        if strip * STRIP >= tiles:
-            continue
-        work = make_workspace(most, channels - 1)
-        totals = np.empty(most * sums * LANES, np.float32)
-        upstream = np.empty((channels + 1) * LANES, np.float32)
-        while strip * STRIP < tiles:
-            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
-                left, top = load_tile(tile, bins, splats, boxes, values, work)
-                start = bins.starts[tile]
-                n = bins.starts[tile + 1] - start
-                totals[: n * sums * LANES] = 0
-                for block in range(TILE_BLOCKS):
-                    x0, y0 = corner_of(block, left, top)
-                    if x0 >= width or y0 >= height:
-                        continue
-                    used, light, _ = weigh_block(block, work, alpha_max, pass_min)
-                    upstream[:] = 0
-                    for y in range(y0, min(y0 + BLOCK, height)):
-                        for x in range(x0, min(x0 + BLOCK, width)):
-                            lane = (y - y0) * BLOCK + x - x0
-                            for c in range(channels - 1):
-                                upstream[c * LANES + lane] = d_image[y, x, c]
-                            upstream[(channels - 1) * LANES + lane] = d_z[y, x]
-                            # What is behind everything counts for the alpha that it does not have.
-                            upstream[channels * LANES + lane] = -d_alpha[y, x]
-                    _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
-                for k in range(n):
-                    i = bins.entries[start + k]
-                    x0, x1, y0, _ = tile_range(boxes[i])
-                    place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
-                    place += tile % bins.across - x0
-                    for m in range(sums):
-                        grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
-            strip = take(counter)
+    grads = np.empty((firsts[-1], MOMENTS + values.shape[1] + 1), np.float32)
+    share(
+        _draw_backward, strips_of(bins), splats, boxes, values, bins, firsts, *limits, d_image,
+        d_alpha, d_z, grads,
+    )  # fmt: skip
     return grads
 
 
-@numba.njit(cache=True)
+@kernel
+def _draw_backward(
+    counter, splats, boxes, values, bins, firsts, alpha_max, pass_min, d_image, d_alpha, d_z, grads
+):
+    height, width, channels = d_image.shape
+    channels += 1
+    sums = MOMENTS + channels
+    strip, tiles = take(counter), bins.across * bins.down
+    if strip * STRIP >= tiles:
+        return
+    most = fullest(bins)
+    work = make_workspace(most, channels - 1)
+    totals = np.empty(most * sums * LANES, np.float32)
+    upstream = np.empty((channels + 1) * LANES, np.float32)
+    while strip * STRIP < tiles:
+        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+            left, top = load_tile(tile, bins, splats, boxes, values, work)
+            start = bins.starts[tile]
+            n = bins.starts[tile + 1] - start
+            totals[: n * sums * LANES] = 0
+            for block in range(TILE_BLOCKS):
+                x0, y0 = corner_of(block, left, top)
+                if x0 >= width or y0 >= height:
+                    continue
+                used, light, _ = weigh_block(block, work, alpha_max, pass_min)
+                upstream[:] = 0
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        for c in range(channels - 1):
+                            upstream[c * LANES + lane] = d_image[y, x, c]
+                        upstream[(channels - 1) * LANES + lane] = d_z[y, x]
+                        # What is behind everything counts for the alpha that it does not have.
+                        upstream[channels * LANES + lane] = -d_alpha[y, x]
+                _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
+            for k in range(n):
+                i = bins.entries[start + k]
+                x0, x1, y0, _ = tile_range(boxes[i])
+                place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
+                place += tile % bins.across - x0
+                for m in range(sums):
+                    grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
+        strip = take(counter)
+
+
+@kernel
 def weigh_block(block, work, alpha_max, pass_min):
     """Write the weights of one block of a loaded tile, a vector a splat of its list.
 
@@ -211,7 +250,7 @@ def weigh_block(block, work, alpha_max, pass_min):
     return j, light, solid
 
 
-@numba.njit(cache=True)
+@kernel
 def alpha_of(block, local, alpha_max):
     """The alphas of a splat in a block, as :func:`weigh_block` has them."""
     left, top = _corner(block)
@@ -222,14 +261,14 @@ def alpha_of(block, local, alpha_max):
     return vwhere(power >= local[LOCAL_CUT], alpha, vzero())
 
 
-@numba.njit(cache=True)
+@kernel
 def _corner(block):
     """The first pixel of a block, counted from the first of its tile's middle row."""
     left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))
     return np.float32(left), np.float32(top)
 
 
-@numba.njit(cache=True)
+@kernel
 def _offsets(left, top, local):
     """How far pixels are right of where a splat crosses their row, and below its centre.
 
@@ -241,7 +280,7 @@ def _offsets(left, top, local):
     return e - vload(DOWN, 0) * slant, d
 
 
-@numba.njit(cache=True)
+@kernel
 def _sum_block(block, used, channels, work, sums):
     """Weighted sums of what the splats of a row carry: a vector a channel."""
     first = block * len(work.keys)
@@ -263,7 +302,7 @@ def _sum_block(block, used, channels, work, sums):
         vstore(sums, (c + 3) * LANES, e)
 
 
-@numba.njit(cache=True)
+@kernel
 def _median_block(block, used, channels, work):
     """The z of the splat with which the light falls to one half; 0 where it does not."""
     first = block * len(work.keys)
@@ -279,7 +318,7 @@ def _median_block(block, used, channels, work):
     return found
 
 
-@numba.njit(cache=True)
+@kernel
 def _elect(block, used, work, entries, labels, places, heard, votes, elected):
     """The label with the greatest sum of weights, that sum, the next one, and that of all labels.
 
@@ -317,7 +356,7 @@ def _elect(block, used, work, entries, labels, places, heard, votes, elected):
     vstore(elected, 3 * LANES, whole)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _block_backward(block, used, channels, work, upstream, light, alpha_max, totals):
     first = block * len(work.keys)
     sums = MOMENTS + channels

@@ -103,11 +103,11 @@ class _Splatting(torch.autograd.Function):
         splats, boxes, bins, limits, eye = ctx.drawn
         # The mean depth is the composited z over alpha.
         d_z = np.divide(d_depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0)
-        d_alpha = d_alpha.numpy() - d_z * depth
+        d_solid = d_alpha.numpy() - d_z * depth
         firsts = count_tiles(boxes)
         grads = draw_backward(
-            splats, boxes, values, bins, firsts, *limits,
-            np.ascontiguousarray(d_image.numpy()), d_alpha, d_z,
+            splats, boxes, values, bins, firsts, limits,
+            np.ascontiguousarray(d_image.numpy()), d_solid, d_z,
         )  # fmt: skip
-        found = project_backward(*geometry, eye, splats, firsts, grads)
+        found = project_backward(geometry, eye, splats, firsts, grads)
         return *(torch.from_numpy(array) for array in found), None, None, None, None, None

@@ -9,23 +9,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vabs, vany, vexp2, vload, vstore, vsum, vwhere, vzero
-from slgaussian.kernels.work_sharing import WORKERS, take
-from slgaussian.rasterize.blend import STRIP, alpha_of
+from slgaussian.kernels.work_sharing import share, take
+from slgaussian.rasterize.blend import alpha_of
 from slgaussian.rasterize.project import CUT, POWER, ROOT, ROW_ROOT, SLOPE, Eye, U, V, Z, project
 from slgaussian.rasterize.tiles import (
     ACROSS,
     BLOCK,
     DOWN,
+    STRIP,
     TILE_BLOCKS,
     bin_splats,
     corner_of,
     fullest,
     load_tile,
     make_workspace,
+    strips_of,
 )
 
 SPARE = 4
@@ -89,7 +91,7 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
     """
     n = len(geometry[0])
     nothing = np.empty((n, 0), np.float32)
-    seen = [project(*geometry, nothing, eye)[:2] for eye in eyes]
+    seen = [project(geometry, nothing, eye)[:2] for eye in eyes]
     view: list[np.ndarray] = []
     left, top, sizes, first = [], [], [], 0
     for number, eye in enumerate(eyes):
@@ -107,8 +109,9 @@ def list_views(geometry: Sequence[np.ndarray], eyes: Sequence[Eye], alpha_max: f
     members = np.empty(rooms.sum(), np.int32)
     alphas = np.empty(rooms.sum() * LANES, np.float32)
     for (width, height, _, first), (splats, own) in zip(sizes, seen, strict=True):
-        _write(splats, own, bin_splats(own, width, height), width, height, np.float32(alpha_max),
-               starts[first:], members, alphas)  # fmt: skip
+        bins = bin_splats(own, width, height)
+        share(_write, strips_of(bins), splats, own, bins, width, height, np.float32(alpha_max),
+              starts[first:], members, alphas)  # fmt: skip
     return Lists(
         starts, counts, rooms, members, alphas, _joined(view), _joined(left), _joined(top),
         np.array(sizes), np.array([splats[:, Z] for splats, _ in seen], np.float32),
@@ -123,7 +126,7 @@ def _joined(columns: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(columns).astype(np.int32)
 
 
-@numba.njit(cache=True)
+@kernel
 def _touch(boxes, sizes, blocks):
     """How many each block lists, where the blocks of each Gaussian begin, and these."""
     views, n, _ = boxes.shape
@@ -150,32 +153,29 @@ def _touch(boxes, sizes, blocks):
     return counts, begins, places
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _write(splats, boxes, bins, width, height, alpha_max, starts, members, alphas):
+@kernel
+def _write(counter, splats, boxes, bins, width, height, alpha_max, starts, members, alphas):
     """Write the entries of every block of a view: all that the rasteriser looks at there."""
     across = -(-width // BLOCK)
     nothing = np.empty((len(splats), 0), np.float32)
-    most = fullest(bins)
-    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
-    for _worker in numba.prange(WORKERS):
+    strip, tiles = take(counter), bins.across * bins.down
+    if strip * STRIP >= tiles:
+        return
+    work = make_workspace(fullest(bins), 0)
+    while strip * STRIP < tiles:
+        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+            left, top = load_tile(tile, bins, splats, boxes, nothing, work)
+            entries = bins.entries[bins.starts[tile] :]
+            for block in range(TILE_BLOCKS):
+                x0, y0 = corner_of(block, left, top)
+                if x0 < width and y0 < height:
+                    place = starts[y0 // BLOCK * across + x0 // BLOCK]
+                    _write_block(block, work, alpha_max, width - x0, height - y0, place,
+                                 entries, members, alphas)  # fmt: skip
         strip = take(counter)
-        if strip * STRIP >= tiles:
-            continue
-        work = make_workspace(most, 0)
-        while strip * STRIP < tiles:
-            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
-                left, top = load_tile(tile, bins, splats, boxes, nothing, work)
-                entries = bins.entries[bins.starts[tile] :]
-                for block in range(TILE_BLOCKS):
-                    x0, y0 = corner_of(block, left, top)
-                    if x0 < width and y0 < height:
-                        place = starts[y0 // BLOCK * across + x0 // BLOCK]
-                        _write_block(block, work, alpha_max, width - x0, height - y0, place,
-                                     entries, members, alphas)  # fmt: skip
-            strip = take(counter)
 
 
-@numba.njit(cache=True)
+@kernel
 def _write_block(block, work, alpha_max, wide, tall, entry, splats, members, alphas):
     """Write the entries of a block, of which ``wide`` by ``tall`` pixels are in the image."""
     first = block * len(work.keys)
@@ -187,14 +187,14 @@ def _write_block(block, work, alpha_max, wide, tall, entry, splats, members, alp
         entry += 1
 
 
-@numba.njit(cache=True)
+@kernel
 def inside(vector, wide, tall):
     """``vector`` in the first ``wide`` by ``tall`` pixels of a block, zero in the others."""
     vector = vwhere(vload(ACROSS, 0) < np.float32(wide), vector, vzero())
     return vwhere(vload(DOWN, 0) < np.float32(tall), vector, vzero())
 
 
-@numba.njit(cache=True)
+@kernel
 def falloff(block, splat, lists):
     """What the alpha of a splat is in a block, over its opacity: as the rasteriser has it."""
     width, height = lists.sizes[lists.views[block], :2]
@@ -210,7 +210,7 @@ def falloff(block, splat, lists):
     return inside(alpha, width - left, height - top)
 
 
-@numba.njit(cache=True)
+@kernel
 def without(block, i, j, z, lists, values, finished, drawn, weights, sums, at):
     """Composite a block without Gaussians i and j, in two parts: before and past a place in depth.
 
@@ -279,14 +279,14 @@ def without(block, i, j, z, lists, values, finished, drawn, weights, sums, at):
             vstore(sums, at + (3 + 2 * c + half) * LANES, total)
 
 
-@numba.njit(cache=True)
+@kernel
 def _keep(p, q, r, sums, at):
     vstore(sums, at, p)
     vstore(sums, at + 2 * LANES, q)
     vstore(sums, at + 4 * LANES, r)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def composite_all(lists, values, finished, most):
     """The picture, and who in it has a part.
 
@@ -338,7 +338,7 @@ def composite_all(lists, values, finished, most):
     return picture, total, needed
 
 
-@numba.njit(cache=True)
+@kernel
 def replace_in(block, i, j, alpha, has, z, lists):
     """Take i and j out of a block; where it ``has`` one in place of j, put that in."""
     start = lists.starts[block]
@@ -362,7 +362,7 @@ def replace_in(block, i, j, alpha, has, z, lists):
     lists.counts[block] = end - start
 
 
-@numba.njit(cache=True)
+@kernel
 def _move(entry, to, lists):
     lists.members[to] = lists.members[entry]
     vstore(lists.alphas, to * LANES, vload(lists.alphas, entry * LANES))

@@ -124,7 +124,7 @@ def checked(
     InputError
         Naming the first Gaussian with a number that makes no sense.
     """
-    splats, boxes, sensible = project(*geometry, values, eye)
+    splats, boxes, sensible = project(geometry, values, eye)
     if not sensible:
         check_inputs(gaussians, values)
     return splats, boxes

@@ -10,26 +10,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
-from slgaussian.kernels.work_sharing import WORKERS, take
-from slgaussian.rasterize.blend import STRIP, weigh_block
+from slgaussian.kernels.work_sharing import share, take
+from slgaussian.rasterize.blend import weigh_block
 from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
-from slgaussian.rasterize.project import eye_of
+from slgaussian.rasterize.project import SHARE, eye_of
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import (
     BLOCK,
+    STRIP,
     TILE_BLOCKS,
     bin_splats,
     corner_of,
     fullest,
     load_tile,
     make_workspace,
+    strips_of,
 )
 from slgaussian.scene import Camera
 
@@ -108,11 +110,14 @@ def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast"
     blocks = -(-eye.height // BLOCK) * -(-eye.width // BLOCK)
     counts, alpha = np.zeros(blocks + 1, np.int64), np.empty((eye.height, eye.width), np.float32)
     scene = splats, boxes, nothing.numpy(), bins, *limits
-    _weigh(*scene, alpha, counts, False, np.empty(0, np.int32), np.empty(0, np.uint16))
+    strips = strips_of(bins)
+    share(
+        _weigh, strips, *scene, alpha, counts, False, np.empty(0, np.int32), np.empty(0, np.uint16)
+    )
     starts = np.concatenate([[0], np.cumsum(counts[:-1])])
     members = np.empty(starts[-1], np.int32)
     weights = np.empty(starts[-1] * LANES, np.uint16)
-    _weigh(*scene, alpha, starts, True, members, weights)
+    share(_weigh, strips, *scene, alpha, starts, True, members, weights)
     turned = _turn(starts, members, weights, len(gaussians))
     return SplatPlan(
         eye.height, eye.width, len(gaussians), torch.from_numpy(alpha), starts, members, weights,
@@ -124,65 +129,83 @@ class _Product(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, plan: SplatPlan) -> torch.Tensor:
         ctx.plan = plan
-        image = _multiply(plan.starts, plan.members, plan.weights, values.numpy(), plan.height,
-                          plan.width)  # fmt: skip
+        channels = values.shape[1]
+        image = np.empty((plan.height, plan.width, channels), np.float32)
+        flat = np.zeros((plan.count, -(-channels // GROUP) * GROUP), np.float32)
+        flat[:, :channels] = values.numpy()
+        share(_multiply, -(-plan.height // BLOCK), plan.starts, plan.members, plan.weights, flat,
+              image)  # fmt: skip
         return torch.from_numpy(image)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor) -> tuple[torch.Tensor, None]:
         plan = ctx.plan
-        grads = _multiply_turned(
-            *plan.by_gaussian, plan.weights_by_gaussian, np.ascontiguousarray(upstream.numpy())
-        )
+        channels = upstream.shape[2]
+        grads = np.empty((plan.count, channels), np.float32)
+        rows, across = -(-plan.height // BLOCK), -(-plan.width // BLOCK)
+        padded = -(-channels // GROUP) * GROUP
+        planes = np.zeros(rows * across * padded * LANES, np.float32)
+        share(_lay_out, rows, np.ascontiguousarray(upstream.numpy()), planes)
+        share(_multiply_turned, -(-plan.count // SHARE), *plan.by_gaussian,
+              plan.weights_by_gaussian, planes, grads)  # fmt: skip
         return torch.from_numpy(grads), None
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@kernel
 def _weigh(
-    splats, boxes, values, bins, alpha_max, pass_min, alpha, starts, write, members, weights
+    counter,
+    splats,
+    boxes,
+    values,
+    bins,
+    alpha_max,
+    pass_min,
+    alpha,
+    starts,
+    write,
+    members,
+    weights,
 ):
     """Count the entries of every block into ``starts``, or ``write`` them where it says."""
     height, width = alpha.shape
     across = -(-width // BLOCK)
+    strip, tiles = take(counter), bins.across * bins.down
+    if strip * STRIP >= tiles:
+        return
     most = fullest(bins)
-    counter, tiles = np.zeros(1, np.int64), bins.across * bins.down
-    for _worker in numba.prange(WORKERS):
+    work = make_workspace(most, 0)
+    solids = np.empty(LANES, np.float32)
+    while strip * STRIP < tiles:
+        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+            left, top = load_tile(tile, bins, splats, boxes, values, work)
+            for block in range(TILE_BLOCKS):
+                x0, y0 = corner_of(block, left, top)
+                if x0 >= width or y0 >= height:
+                    continue
+                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
+                vstore(solids, 0, solid)
+                for y in range(y0, min(y0 + BLOCK, height)):
+                    for x in range(x0, min(x0 + BLOCK, width)):
+                        lane = (y - y0) * BLOCK + x - x0
+                        alpha[y, x] = min(solids[lane], np.float32(1))
+                place = y0 // BLOCK * across + x0 // BLOCK
+                found = 0
+                for j in range(used):
+                    weight = vload(work.weights, j * LANES)
+                    if vany(weight > np.float32(WEIGHT_MIN)):
+                        if write:
+                            k = work.lists[block * most + j]
+                            entry = starts[place] + found
+                            members[entry] = bins.entries[bins.starts[tile] + k]
+                            vstore_half(weights, entry * LANES, weight)
+                        found += 1
+                if not write:
+                    starts[place] = found
         strip = take(counter)
-        if strip * STRIP >= tiles:
-            continue
-        work = make_workspace(most, 0)
-        solids = np.empty(LANES, np.float32)
-        while strip * STRIP < tiles:
-            for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
-                left, top = load_tile(tile, bins, splats, boxes, values, work)
-                for block in range(TILE_BLOCKS):
-                    x0, y0 = corner_of(block, left, top)
-                    if x0 >= width or y0 >= height:
-                        continue
-                    used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                    vstore(solids, 0, solid)
-                    for y in range(y0, min(y0 + BLOCK, height)):
-                        for x in range(x0, min(x0 + BLOCK, width)):
-                            lane = (y - y0) * BLOCK + x - x0
-                            alpha[y, x] = min(solids[lane], np.float32(1))
-                    place = y0 // BLOCK * across + x0 // BLOCK
-                    found = 0
-                    for j in range(used):
-                        weight = vload(work.weights, j * LANES)
-                        if vany(weight > np.float32(WEIGHT_MIN)):
-                            if write:
-                                k = work.lists[block * most + j]
-                                entry = starts[place] + found
-                                members[entry] = bins.entries[bins.starts[tile] + k]
-                                vstore_half(weights, entry * LANES, weight)
-                            found += 1
-                    if not write:
-                        starts[place] = found
-            strip = take(counter)
 
 
-@numba.njit(cache=True)
+@kernel
 def _turn(starts, members, weights, count):
     """The entries, Gaussian by Gaussian: where each one starts, their blocks and weights."""
     begins = np.zeros(count + 1, np.int64)
@@ -201,18 +224,30 @@ def _turn(starts, members, weights, count):
     return begins, blocks, turned
 
 
-@numba.njit(cache=True, parallel=True)
-def _multiply(starts, members, weights, values, height, width):
-    n, channels = values.shape
-    padded = -(-channels // GROUP) * GROUP
-    flat = np.empty(n * padded, np.float32)
-    for i in numba.prange(n):
-        for c in range(padded):
-            flat[i * padded + c] = values[i, c] if c < channels else np.float32(0)
-    across = -(-width // BLOCK)
-    image = np.empty((height, width, channels), np.float32)
-    for down in numba.prange(-(-height // BLOCK)):
-        sums = np.empty(GROUP * LANES, np.float32)
+@kernel
+def _lay_out(counter, upstream, planes):
+    """Write an image into ``planes``: block by block, and channel by channel within one."""
+    height, width, channels = upstream.shape
+    across, padded = -(-width // BLOCK), -(-channels // GROUP) * GROUP
+    down = take(counter)
+    while down * BLOCK < height:
+        for y in range(down * BLOCK, min((down + 1) * BLOCK, height)):
+            for x in range(width):
+                at = (down * across + x // BLOCK) * padded * LANES
+                at += y % BLOCK * BLOCK + x % BLOCK
+                for c in range(channels):
+                    planes[at + c * LANES] = upstream[y, x, c]
+        down = take(counter)
+
+
+@kernel
+def _multiply(counter, starts, members, weights, values, image):
+    """Write the sums of the rows of ``values``, padded to whole groups, by weight."""
+    height, width, channels = image.shape
+    padded, flat = values.shape[1], values.ravel()
+    across, sums = -(-width // BLOCK), np.empty(GROUP * LANES, np.float32)
+    down = take(counter)
+    while down * BLOCK < height:
         y0 = down * BLOCK
         for column in range(across):
             x0, block = column * BLOCK, down * across + column
@@ -234,34 +269,27 @@ def _multiply(starts, members, weights, values, height, width):
                         lane = (y - y0) * BLOCK + x - x0
                         for k in range(min(GROUP, channels - c)):
                             image[y, x, c + k] = sums[k * LANES + lane]
-    return image
+        down = take(counter)
 
 
-@numba.njit(cache=True, parallel=True)
-def _multiply_turned(begins, blocks, weights, upstream):
-    height, width, channels = upstream.shape
-    across, down = -(-width // BLOCK), -(-height // BLOCK)
+@kernel
+def _multiply_turned(counter, begins, blocks, weights, planes, grads):
+    """Write the sums of ``planes``, as :func:`_lay_out` has them, for each Gaussian."""
+    n, channels = grads.shape
     padded = -(-channels // GROUP) * GROUP
-    # Channel by channel within a block, zero past the edge of the image.
-    planes = np.zeros(down * across * padded * LANES, np.float32)
-    for y in numba.prange(height):
-        for x in range(width):
-            at = (y // BLOCK * across + x // BLOCK) * padded * LANES
-            at += y % BLOCK * BLOCK + x % BLOCK
-            for c in range(channels):
-                planes[at + c * LANES] = upstream[y, x, c]
-    grads = np.empty((len(begins) - 1, channels), np.float32)
-    for i in numba.prange(len(begins) - 1):
-        for c in range(0, channels, GROUP):
-            p, q, r, s = vzero(), vzero(), vzero(), vzero()
-            for entry in range(begins[i], begins[i + 1]):
-                weight = vload_half(weights, entry * LANES)
-                at = (np.int64(np.uint32(blocks[entry])) * padded + c) * LANES
-                p = p + weight * vload(planes, at)
-                q = q + weight * vload(planes, at + LANES)
-                r = r + weight * vload(planes, at + 2 * LANES)
-                s = s + weight * vload(planes, at + 3 * LANES)
-            for k, total in enumerate((p, q, r, s)):
-                if c + k < channels:
-                    grads[i, c + k] = vsum(total)
-    return grads
+    start = take(counter) * SHARE
+    while start < n:
+        for i in range(start, min(n, start + SHARE)):
+            for c in range(0, channels, GROUP):
+                p, q, r, s = vzero(), vzero(), vzero(), vzero()
+                for entry in range(begins[i], begins[i + 1]):
+                    weight = vload_half(weights, entry * LANES)
+                    at = (np.int64(np.uint32(blocks[entry])) * padded + c) * LANES
+                    p = p + weight * vload(planes, at)
+                    q = q + weight * vload(planes, at + LANES)
+                    r = r + weight * vload(planes, at + 2 * LANES)
+                    s = s + weight * vload(planes, at + 3 * LANES)
+                for k, total in enumerate((p, q, r, s)):
+                    if c + k < channels:
+                        grads[i, c + k] = vsum(total)
+        start = take(counter) * SHARE

@@ -10,11 +10,12 @@ however long and thin the splat, as it does in ``a dx^2 + 2 b dx dy + c dy^2``.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import (
     LANES,
     vabs,
@@ -30,7 +31,7 @@ from slgaussian.kernels.simd import (
     vwiden,
     vzero,
 )
-from slgaussian.kernels.work_sharing import WORKERS, take
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.api import FRUSTUM_MARGIN
 from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
@@ -109,13 +110,16 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
     )
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def project(means, scales, quats, opacities, values, eye):
+def project(
+    geometry: Sequence[np.ndarray], values: np.ndarray, eye: Eye
+) -> tuple[np.ndarray, np.ndarray, bool]:
     """Project every Gaussian, in float64, a vector of them at a time.
 
     Parameters
     ----------
-    means, scales, quats, opacities, values : float32 [N, 3], [N, 3], [N, 4], [N], [N, C]
+    geometry : float32 [N, 3], [N, 3], [N, 4], [N]
+        Means, scales, quaternions and opacities.
+    values : float32 [N, C]
     eye : Eye
 
     Returns
@@ -126,46 +130,50 @@ def project(means, scales, quats, opacities, values, eye):
     sensible : bool
         Whether all numbers make sense; where they do not, the splats do not either.
     """
+    n = len(values)
+    splats, boxes = np.empty((n, 8)), np.empty((n, 4), np.int32)
+    sensible = np.ones(-(-n // SHARE), np.bool_)
+    share(_project, len(sensible), *geometry, values, eye, splats, boxes, sensible)
+    return splats, boxes, bool(sensible.all())
+
+
+@kernel
+def _project(counter, means, scales, quats, opacities, values, eye, splats, boxes, sensible):
     n = len(means)
-    splats = np.empty((n, 8))
-    boxes = np.empty((n, 4), np.int32)
-    senseless = 0
-    counter = np.zeros(1, np.int64)
     numbers, wide = values.reshape(values.size), values.shape[1]
-    for _worker in numba.prange(WORKERS):
-        # Column by column, LANES numbers each.
-        given = np.ones(11 * LANES, np.float32)
-        made = np.empty(12 * LANES)
-        start = take(counter) * SHARE
-        while start < n:
-            for first in range(start, min(n, start + SHARE), LANES):
-                count = min(LANES, n - first)
-                for k in range(count):
-                    for c in range(3):
-                        given[c * LANES + k] = means[first + k, c]
-                        given[(3 + c) * LANES + k] = scales[first + k, c]
-                    for c in range(4):
-                        given[(6 + c) * LANES + k] = quats[first + k, c]
-                    given[10 * LANES + k] = opacities[first + k]
-                held = _finite(numbers, first * wide, (first + count) * wide)
-                if not (_sensible(given) and held):
-                    senseless += 1
-                _project_vector(given, eye, made)
-                for k in range(count):
-                    for c in range(8):
-                        splats[first + k, c] = made[c * LANES + k]
-                    for c in range(4):
-                        boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
-            start = take(counter) * SHARE
-    return splats, boxes, senseless == 0
+    # Column by column, LANES numbers each.
+    given = np.ones(11 * LANES, np.float32)
+    made = np.empty(12 * LANES)
+    part = take(counter)
+    while part < len(sensible):
+        start = part * SHARE
+        for first in range(start, min(n, start + SHARE), LANES):
+            count = min(LANES, n - first)
+            for k in range(count):
+                for c in range(3):
+                    given[c * LANES + k] = means[first + k, c]
+                    given[(3 + c) * LANES + k] = scales[first + k, c]
+                for c in range(4):
+                    given[(6 + c) * LANES + k] = quats[first + k, c]
+                given[10 * LANES + k] = opacities[first + k]
+            held = _finite(numbers, first * wide, (first + count) * wide)
+            if not (_sensible(given) and held):
+                sensible[part] = False
+            _project_vector(given, eye, made)
+            for k in range(count):
+                for c in range(8):
+                    splats[first + k, c] = made[c * LANES + k]
+                for c in range(4):
+                    boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
+        part = take(counter)
 
 
-@numba.njit(cache=True)
+@kernel
 def _column(given, column):
     return vwiden(vload(given, column * LANES))
 
 
-@numba.njit(cache=True)
+@kernel
 def _sensible(given):
     """Whether parameters are finite, scales and opacities in range, quaternions not zero."""
     scale_x, scale_y, scale_z = _column(given, 3), _column(given, 4), _column(given, 5)
@@ -180,7 +188,7 @@ def _sensible(given):
     return vall(fine & (opacity >= 0.0) & (opacity <= 1.0))
 
 
-@numba.njit(cache=True)
+@kernel
 def _finite(numbers, start, end):
     """Whether ``numbers`` float32 are, from ``start`` to ``end``."""
     totals, total, at = vzero(), np.float32(0), start
@@ -193,7 +201,7 @@ def _finite(numbers, start, end):
     return total == 0 and vall(totals >= np.float32(0))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _project_vector(given, eye, made):
     """Columns of parameters to those of splats and boxes."""
     x, y, z = _to_camera(_column(given, 0), _column(given, 1), _column(given, 2), eye)
@@ -227,13 +235,13 @@ def _project_vector(given, eye, made):
     _store_pixels(v, vwhere(shown, _root(reach * yy), -1.0), eye.height, made, 10)
 
 
-@numba.njit(cache=True)
+@kernel
 def _root(x):
     # To the digits of float32, which is what the rest of the way has.
     return vwiden(vsqrt(vnarrow(x)))
 
 
-@numba.njit(cache=True)
+@kernel
 def _store_pixels(centre, reach, size, made, column):
     """First and one past the last pixel whose centre is within ``reach``; empty if negative."""
     low = vceil(clamp(centre - reach - 0.5, 0.0, size))
@@ -242,13 +250,18 @@ def _store_pixels(centre, reach, size, made, column):
     vstore(made, (column + 1) * LANES, vwhere(high > low, high, low))
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads):
+def project_backward(
+    geometry: Sequence[np.ndarray],
+    eye: Eye,
+    splats: np.ndarray,
+    firsts: np.ndarray,
+    grads: np.ndarray,
+) -> tuple[np.ndarray, ...]:
     """Gradients of the Gaussians from those of the splats.
 
     Parameters
     ----------
-    means, scales, quats, opacities, eye, splats
+    geometry, eye, splats
         As :func:`project` took and gave them.
     firsts : int64 [N + 1]
         Gaussian i has the rows ``firsts[i]`` to ``firsts[i + 1]`` of ``grads``.
@@ -260,107 +273,126 @@ def project_backward(means, scales, quats, opacities, eye, splats, firsts, grads
     float32 [N, 3], [N, 3], [N, 4], [N], [N, C]
         Of means, scales, quats, opacities and values; zero for what is not drawn.
     """
-    n, channels = means.shape[0], grads.shape[1] - MOMENTS - 1
-    d_means = np.zeros((n, 3), np.float32)
-    d_scales = np.zeros((n, 3), np.float32)
-    d_quats = np.zeros((n, 4), np.float32)
-    d_opacities = np.zeros(n, np.float32)
-    d_values = np.zeros((n, channels), np.float32)
-    for i in numba.prange(n):
-        if firsts[i] == firsts[i + 1]:
-            continue
-        m0 = m1 = m2 = m3 = m4 = m5 = dz = 0.0
-        for row in range(firsts[i], firsts[i + 1]):
-            m0 += grads[row, 0]
-            m1 += grads[row, 1]
-            m2 += grads[row, 2]
-            m3 += grads[row, 3]
-            m4 += grads[row, 4]
-            m5 += grads[row, 5]
-            for k in range(channels):
-                d_values[i, k] += grads[row, MOMENTS + k]
-            dz += grads[row, MOMENTS + channels]
-        root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
-        row_precision = row_root * row_root / HALF_LOG2_E
-        d_opacity = m0 / math.exp2(splats[i, POWER])
-        du = root * m1 / HALF_LOG2_E
-        dv = row_root * m3 / HALF_LOG2_E - slope * du
-        # var = xx - xy^2 / yy, slope = xy / yy.
-        d_var = 0.5 * (root * root / HALF_LOG2_E) * m2 / HALF_LOG2_E
-        d_slope = root / row_root * m4 / HALF_LOG2_E
-        dxx = d_var
-        dxy = d_slope * row_precision - 2 * slope * d_var
-        dyy = slope * slope * d_var - slope * row_precision * d_slope
-        dyy += 0.5 * row_precision * m5 / HALF_LOG2_E
-
-        x, y, z = _to_camera(*_three(means[i]), eye)
-        A = _image_rows(x, y, z, eye)
-        qw, qx, qy, qz = quats[i]
-        R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
-        px, py = _spread(A, R, *_three(scales[i]))
-        if eye.compensate:
-            # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
-            xx, xy, yy, det = _covariance(px, py)
-            wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
-            fraction = math.sqrt(det / wide)
-            d_fraction = d_opacity * opacities[i]
-            d_opacity *= fraction
-            if fraction > 0:
-                d_det = d_fraction / (2 * fraction) * (wide - det) / (wide * wide)
-                d_trace = -d_fraction / (2 * fraction) * det / (wide * wide) * eye.low_pass
-                dxx += d_det * yy + d_trace
-                dxy -= d_det * 2 * xy
-                dyy += d_det * xx + d_trace
-        d_opacities[i] = d_opacity
-
-        dAx0 = dAx1 = dAx2 = dAy0 = dAy1 = dAy2 = 0.0
-        dR = np.empty((3, 3))
-        for k in range(3):
-            dpx = 2 * dxx * px[k] + dxy * py[k]
-            dpy = 2 * dyy * py[k] + dxy * px[k]
-            sx, sy = scales[i, k] * dpx, scales[i, k] * dpy
-            dAx0 += sx * R[0][k]
-            dAx1 += sx * R[1][k]
-            dAx2 += sx * R[2][k]
-            dAy0 += sy * R[0][k]
-            dAy1 += sy * R[1][k]
-            dAy2 += sy * R[2][k]
-            d_scales[i, k] = dpx * (
-                A[0][0] * R[0][k] + A[0][1] * R[1][k] + A[0][2] * R[2][k]
-            ) + dpy * (A[1][0] * R[0][k] + A[1][1] * R[1][k] + A[1][2] * R[2][k])
-            for j in range(3):
-                dR[j, k] = sx * A[0][j] + sy * A[1][j]
-        _rotation_backward(quats[i], dR, d_quats[i])
-
-        # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
-        W = eye.R
-        dJ00 = dAx0 * W[0, 0] + dAx1 * W[0, 1] + dAx2 * W[0, 2]
-        dJ01 = dAx0 * W[1, 0] + dAx1 * W[1, 1] + dAx2 * W[1, 2]
-        dJ02 = dAx0 * W[2, 0] + dAx1 * W[2, 1] + dAx2 * W[2, 2]
-        dJ11 = dAy0 * W[1, 0] + dAy1 * W[1, 1] + dAy2 * W[1, 2]
-        dJ12 = dAy0 * W[2, 0] + dAy1 * W[2, 1] + dAy2 * W[2, 2]
-        tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
-        dz -= (
-            dJ00 * eye.fx
-            + dJ01 * eye.skew
-            - dJ02 * (eye.fx * tx + eye.skew * ty)
-            + dJ11 * eye.fy
-            - dJ12 * eye.fy * ty
-        ) / (z * z)
-        dx = du * eye.fx
-        dy = du * eye.skew + dv * eye.fy
-        if tx == x:
-            dx -= dJ02 * eye.fx / z
-        if ty == y:
-            dy -= (dJ02 * eye.skew + dJ12 * eye.fy) / z
-        # x and y are divided by z already.
-        dz -= (dx * x + dy * y) / z
-        for k in range(3):
-            d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
-    return d_means, d_scales, d_quats, d_opacities, d_values
+    n, channels = len(splats), grads.shape[1] - MOMENTS - 1
+    found = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)
+    share(_project_backward, -(-n // SHARE), *geometry, eye, splats, firsts, grads, *found)
+    return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
+def _project_backward(
+    counter, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales,
+    d_quats, d_opacities, d_values,
+):  # fmt: skip
+    n, start = len(means), take(counter) * SHARE
+    while start < n:
+        for i in range(start, min(n, start + SHARE)):
+            _gaussian_backward(
+                i, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales,
+                d_quats, d_opacities, d_values,
+            )  # fmt: skip
+        start = take(counter) * SHARE
+
+
+@kernel
+def _gaussian_backward(
+    i, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales, d_quats,
+    d_opacities, d_values,
+):  # fmt: skip
+    channels = d_values.shape[1]
+    if firsts[i] == firsts[i + 1]:
+        return
+    m0 = m1 = m2 = m3 = m4 = m5 = dz = 0.0
+    for row in range(firsts[i], firsts[i + 1]):
+        m0 += grads[row, 0]
+        m1 += grads[row, 1]
+        m2 += grads[row, 2]
+        m3 += grads[row, 3]
+        m4 += grads[row, 4]
+        m5 += grads[row, 5]
+        for k in range(channels):
+            d_values[i, k] += grads[row, MOMENTS + k]
+        dz += grads[row, MOMENTS + channels]
+    root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
+    row_precision = row_root * row_root / HALF_LOG2_E
+    d_opacity = m0 / math.exp2(splats[i, POWER])
+    du = root * m1 / HALF_LOG2_E
+    dv = row_root * m3 / HALF_LOG2_E - slope * du
+    # var = xx - xy^2 / yy, slope = xy / yy.
+    d_var = 0.5 * (root * root / HALF_LOG2_E) * m2 / HALF_LOG2_E
+    d_slope = root / row_root * m4 / HALF_LOG2_E
+    dxx = d_var
+    dxy = d_slope * row_precision - 2 * slope * d_var
+    dyy = slope * slope * d_var - slope * row_precision * d_slope
+    dyy += 0.5 * row_precision * m5 / HALF_LOG2_E
+
+    x, y, z = _to_camera(*_three(means[i]), eye)
+    A = _image_rows(x, y, z, eye)
+    qw, qx, qy, qz = quats[i]
+    R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
+    px, py = _spread(A, R, *_three(scales[i]))
+    if eye.compensate:
+        # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
+        xx, xy, yy, det = _covariance(px, py)
+        wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
+        fraction = math.sqrt(det / wide)
+        d_fraction = d_opacity * opacities[i]
+        d_opacity *= fraction
+        if fraction > 0:
+            d_det = d_fraction / (2 * fraction) * (wide - det) / (wide * wide)
+            d_trace = -d_fraction / (2 * fraction) * det / (wide * wide) * eye.low_pass
+            dxx += d_det * yy + d_trace
+            dxy -= d_det * 2 * xy
+            dyy += d_det * xx + d_trace
+    d_opacities[i] = d_opacity
+
+    dAx0 = dAx1 = dAx2 = dAy0 = dAy1 = dAy2 = 0.0
+    dR = np.empty((3, 3))
+    for k in range(3):
+        dpx = 2 * dxx * px[k] + dxy * py[k]
+        dpy = 2 * dyy * py[k] + dxy * px[k]
+        sx, sy = scales[i, k] * dpx, scales[i, k] * dpy
+        dAx0 += sx * R[0][k]
+        dAx1 += sx * R[1][k]
+        dAx2 += sx * R[2][k]
+        dAy0 += sy * R[0][k]
+        dAy1 += sy * R[1][k]
+        dAy2 += sy * R[2][k]
+        d_scales[i, k] = dpx * (A[0][0] * R[0][k] + A[0][1] * R[1][k] + A[0][2] * R[2][k]) + dpy * (
+            A[1][0] * R[0][k] + A[1][1] * R[1][k] + A[1][2] * R[2][k]
+        )
+        for j in range(3):
+            dR[j, k] = sx * A[0][j] + sy * A[1][j]
+    _rotation_backward(quats[i], dR, d_quats[i])
+
+    # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
+    W = eye.R
+    dJ00 = dAx0 * W[0, 0] + dAx1 * W[0, 1] + dAx2 * W[0, 2]
+    dJ01 = dAx0 * W[1, 0] + dAx1 * W[1, 1] + dAx2 * W[1, 2]
+    dJ02 = dAx0 * W[2, 0] + dAx1 * W[2, 1] + dAx2 * W[2, 2]
+    dJ11 = dAy0 * W[1, 0] + dAy1 * W[1, 1] + dAy2 * W[1, 2]
+    dJ12 = dAy0 * W[2, 0] + dAy1 * W[2, 1] + dAy2 * W[2, 2]
+    tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
+    dz -= (
+        dJ00 * eye.fx
+        + dJ01 * eye.skew
+        - dJ02 * (eye.fx * tx + eye.skew * ty)
+        + dJ11 * eye.fy
+        - dJ12 * eye.fy * ty
+    ) / (z * z)
+    dx = du * eye.fx
+    dy = du * eye.skew + dv * eye.fy
+    if tx == x:
+        dx -= dJ02 * eye.fx / z
+    if ty == y:
+        dy -= (dJ02 * eye.skew + dJ12 * eye.fy) / z
+    # x and y are divided by z already.
+    dz -= (dx * x + dy * y) / z
+    for k in range(3):
+        d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
+
+
+@kernel
 def project_moments(means, covariances, eye):
     """Project Gaussians of opacity 1 that are known by their moments, as :func:`project` does.
 
@@ -402,14 +434,14 @@ def project_moments(means, covariances, eye):
     return splats, boxes
 
 
-@numba.njit(cache=True)
+@kernel
 def _pixels(centre, reach, size):
     low = np.int32(math.ceil(min(max(centre - reach - 0.5, 0.0), size)))
     high = np.int32(math.floor(min(max(centre + reach - 0.5, -1.0), size - 1.0))) + 1
     return low, max(low, np.int32(high))
 
 
-@numba.njit(cache=True)
+@kernel
 def _three(row):
     return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
 
@@ -417,14 +449,14 @@ def _three(row):
 # From here to the covariance, numbers are float64 scalars or vectors.
 
 
-@numba.njit(cache=True)
+@kernel
 def clamp(x, low, high):
     """``x``, but at least ``low`` and at most ``high``."""
     x = vwhere(x > low, x, low)
     return vwhere(x < high, x, high)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _to_camera(x, y, z, eye):
     """x / z, y / z and z; z as it is, but 1 for the divisions where it is not past near."""
     x = x - eye.centre[0]
@@ -440,12 +472,12 @@ def _to_camera(x, y, z, eye):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _to_pixel(x, y, eye):
     return eye.fx * x + eye.skew * y + eye.cx, eye.fy * y + eye.cy
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _image_rows(x, y, z, eye):
     """How image x and y change with the world position, to first order: two rows of three."""
     tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
@@ -467,7 +499,7 @@ def _image_rows(x, y, z, eye):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _rotation(w, x, y, z):
     """Rows of the rotation matrix of a quaternion of any length but zero."""
     t = 2.0 / (w * w + x * x + y * y + z * z)
@@ -478,7 +510,7 @@ def _rotation(w, x, y, z):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _rotation_backward(quat, dR, out):
     """Write the gradient of the quaternion to ``out``; it is orthogonal to the quaternion."""
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
@@ -510,7 +542,7 @@ def _rotation_backward(quat, dR, out):
     out[3] = (dz - along * z) / length
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _spread(A, R, s0, s1, s2):
     """The three axes of a Gaussian, scaled, on the image: x and y of each, in pixels."""
     (a, b, c), (d, e, f) = A
@@ -528,7 +560,7 @@ def _spread(A, R, s0, s1, s2):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _covariance(px, py):
     """xx, xy, yy and the determinant of the sum of the outer products of three axes.
 

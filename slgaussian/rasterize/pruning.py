@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import torch
 from scipy import ndimage
@@ -21,8 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians, covariances
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vload, vstore, vsum, vwhere, vzero
-from slgaussian.kernels.work_sharing import WORKERS, take
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.api import rasterize
 from slgaussian.rasterize.cpu import GEOMETRY, as_kernels_take_them
 from slgaussian.rasterize.harmonics import colors
@@ -255,7 +255,8 @@ class _Scene:
         seen = [project_moments(means, covariances, eye) for eye in self.eyes]
         splats, boxes = (np.stack(arrays) for arrays in zip(*seen, strict=True))
         scene = self.lists, self.values, self.reference, self.limits
-        good = _promising(pairs, fraction, splats, *scene)
+        good = np.ones(len(pairs), bool)
+        share(_promising, -(-len(pairs) // SHARE), pairs, fraction, splats, *scene, good)
         pairs, fraction, means, covariances = (
             array[good] for array in (pairs, fraction, means, covariances)
         )
@@ -293,7 +294,7 @@ class _Scene:
             sums = np.pad(where.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
             for gaussians in (self.given, self.gaussians):
                 geometry = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
-                _, boxes, _ = project(*geometry, np.empty((len(hit), 0), np.float32), eye)
+                _, boxes, _ = project(geometry, np.empty((len(hit), 0), np.float32), eye)
                 left, right, top, bottom = boxes.T
                 inside = sums[bottom, right] - sums[top, right] - sums[bottom, left]
                 hit |= inside + sums[top, left] > 0
@@ -320,7 +321,7 @@ def _shape_of(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.maximum(variances, 0)).astype(np.float32), quats.astype(np.float32)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _moments(pairs, means, scales, opacities, covariances):
     """The part of each pair's first one, and the mean and covariance of what takes their place.
 
@@ -342,7 +343,7 @@ def _moments(pairs, means, scales, opacities, covariances):
     return parts, mixed, made
 
 
-@numba.njit(cache=True)
+@kernel
 def _area(scales, opacity):
     """Opacity times the two greater scales."""
     a, b, c = np.float64(scales[0]), np.float64(scales[1]), np.float64(scales[2])
@@ -369,7 +370,7 @@ class _Room(NamedTuple):
     weights: np.ndarray
 
 
-@numba.njit(cache=True)
+@kernel
 def _room(lists, blocks, views, channels):
     most = lists.rooms.max() if len(lists.rooms) else 0
     return _Room(
@@ -382,7 +383,7 @@ def _room(lists, blocks, views, channels):
     )
 
 
-@numba.njit(cache=True)
+@kernel
 def _drop(order, lists, values, reference, limits, kept):
     """Drop, in ``order``, all that can go."""
     views, _, channels = values.shape
@@ -402,7 +403,7 @@ def _drop(order, lists, values, reference, limits, kept):
                 replace_in(block, i, NOBODY, vzero(), False, np.float32(0), lists)
 
 
-@numba.njit(cache=True)
+@kernel
 def _strays(block, sums, at, alpha, weight, own, reference, limit):
     """Whether a block is further than ``limit`` from its picture, over black or over white."""
     truth = reference[block].reshape(reference[block].size)
@@ -417,12 +418,12 @@ def _strays(block, sums, at, alpha, weight, own, reference, limit):
     return False
 
 
-@numba.njit(cache=True)
+@kernel
 def _beyond(change, limit):
     return vany(change > limit) or vany(change < -limit)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _merge(pairs, fraction, splats, boxes, lists, values, reference, limits, kept, changed):
     """Put one Gaussian in the place of two where no pixel changes by more than the limit.
 
@@ -478,33 +479,29 @@ def _merge(pairs, fraction, splats, boxes, lists, values, reference, limits, kep
     return opacities, shifts
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _promising(pairs, fraction, splats, lists, values, reference, limits):
-    """Which pairs may do, by the block in the middle of each view: it tells of most that do not."""
+@kernel
+def _promising(counter, pairs, fraction, splats, lists, values, reference, limits, good):
+    """Write which pairs may do, by the block in the middle of each view: few others do not."""
     views, _, channels = values.shape
-    good = np.ones(len(pairs), np.bool_)
-    counter = np.zeros(1, np.int64)
-    for _worker in numba.prange(WORKERS):
+    start = take(counter) * SHARE
+    if start >= len(pairs):
+        return
+    room, shift = _room(lists, 1, views, channels), np.empty(channels, np.float32)
+    while start < len(pairs):
+        for p in range(start, min(start + SHARE, len(pairs))):
+            i, j = pairs[p]
+            for view in range(views):
+                room.blocks[0] = _middle(splats[view, p], lists.sizes[view])
+                if room.blocks[0] < 0:
+                    continue
+                if not _try(1, i, j, fraction[p], splats[:, p], lists, values, reference,
+                            limits, limits.change, room, shift):  # fmt: skip
+                    good[p] = False
+                    break
         start = take(counter) * SHARE
-        if start >= len(pairs):
-            continue
-        room, shift = _room(lists, 1, views, channels), np.empty(channels, np.float32)
-        while start < len(pairs):
-            for p in range(start, min(start + SHARE, len(pairs))):
-                i, j = pairs[p]
-                for view in range(views):
-                    room.blocks[0] = _middle(splats[view, p], lists.sizes[view])
-                    if room.blocks[0] < 0:
-                        continue
-                    if not _try(1, i, j, fraction[p], splats[:, p], lists, values, reference,
-                                limits, limits.change, room, shift):  # fmt: skip
-                        good[p] = False
-                        break
-            start = take(counter) * SHARE
-    return good
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _try(count, i, j, part, splats, lists, values, reference, limits, most, room, shift):
     """Fit one in the place of i and j to the first ``count`` blocks of ``room``.
 
@@ -535,7 +532,7 @@ def _try(count, i, j, part, splats, lists, values, reference, limits, most, room
     return opacity
 
 
-@numba.njit(cache=True)
+@kernel
 def _middle(splat, size):
     """The block of a view that holds the middle of a splat; -1 where it is outside."""
     width, height, across, first = size
@@ -544,7 +541,7 @@ def _middle(splat, size):
     return first + np.int64(splat[V]) // BLOCK * across + np.int64(splat[U]) // BLOCK
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _opacity(count, stride, reference, room):
     """With which one in the place of two lets as much light pass, by least squares."""
     up = down = np.float32(0)
@@ -556,12 +553,12 @@ def _opacity(count, stride, reference, room):
     return min(up / down, np.float32(1)) if down > 0 else np.float32(0)
 
 
-@numba.njit(cache=True)
+@kernel
 def _flat(reference, block):
     return reference[block].reshape(reference[block].size)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _shift(count, opacity, stride, lists, reference, limits, room, shift):
     """Move the values by what fits the pictures, by least squares; shapes become alphas."""
     views, channels = room.mixed.shape
@@ -593,7 +590,7 @@ def _shift(count, opacity, stride, lists, reference, limits, room, shift):
             room.mixed[view, c] += shift[c]
 
 
-@numba.njit(cache=True)
+@kernel
 def _touched(i, j, boxes, lists, mark, marks, blocks):
     """Write the ``blocks`` that i, j or what has the pixel ``boxes`` [V, 4] touches, each once.
 
@@ -614,7 +611,7 @@ def _touched(i, j, boxes, lists, mark, marks, blocks):
     return max(count, 0)
 
 
-@numba.njit(cache=True)
+@kernel
 def _mark(block, mark, marks, blocks, count):
     if count < 0 or marks[block] == mark:
         return count

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, lowest_bit, prefetch
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.project import (
     CUT,
     FAR,
@@ -50,6 +51,9 @@ ROWS = np.uint64(sum(1 << BLOCKS_ACROSS * row for row in range(TILE_BLOCKS // BL
 
 PARTS = 16
 """Parts in which splats are counted and listed side by side."""
+
+STRIP = 8
+"""Tiles that a thread takes at a time: neighbours, which have splats in common."""
 
 MOST_BITS = 11
 """Bits of depth that a pass of the sort looks at: most tiles need two, with eight bits three."""
@@ -102,7 +106,7 @@ class Workspace(NamedTuple):
     weights: np.ndarray
 
 
-@numba.njit(cache=True)
+@kernel
 def make_workspace(n, channels):
     """A :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
     return Workspace(
@@ -117,40 +121,42 @@ def make_workspace(n, channels):
     )
 
 
-@numba.njit(cache=True, parallel=True)
-def bin_splats(boxes, width, height):
+def bin_splats(boxes: np.ndarray, width: int, height: int) -> Bins:
     """List the splats with pixel ``boxes`` int32 [N, 4] by tile; returns :class:`Bins`."""
-    n = len(boxes)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     cursors = np.zeros((PARTS, across * down), np.int64)
-    for part in numba.prange(PARTS):
-        for i in range(part * n // PARTS, (part + 1) * n // PARTS):
-            left, right, top, bottom = tile_range(boxes[i])
-            for y in range(top, bottom):
-                for x in range(left, right):
-                    cursors[part, y * across + x] += 1
-    starts = np.empty(across * down + 1, np.int64)
-    total = 0
-    for tile in range(across * down):
-        starts[tile] = total
-        for part in range(PARTS):
-            count = cursors[part, tile]
-            cursors[part, tile] = total
-            total += count
-    starts[-1] = total
-    entries = np.empty(total, np.int32)
-    for part in numba.prange(PARTS):
+    share(_bin, PARTS, boxes, across, cursors, np.empty(0, np.int32), False)
+    # Tile by tile, and part by part in each.
+    ends = np.cumsum(cursors.T).reshape(-1, PARTS)
+    cursors[:] = ends.T - cursors
+    starts = np.append(cursors[0], ends[-1, -1])
+    entries = np.empty(starts[-1], np.int32)
+    share(_bin, PARTS, boxes, across, cursors, entries, True)
+    return Bins(across, down, starts, entries)
+
+
+@kernel
+def _bin(counter, boxes, across, cursors, entries, write):
+    """Count the splats of each tile, part by part, or ``write`` them where the cursors say."""
+    n, part = len(boxes), take(counter)
+    while part < PARTS:
         for i in range(part * n // PARTS, (part + 1) * n // PARTS):
             left, right, top, bottom = tile_range(boxes[i])
             for y in range(top, bottom):
                 for x in range(left, right):
                     tile = y * across + x
-                    entries[cursors[part, tile]] = i
+                    if write:
+                        entries[cursors[part, tile]] = i
                     cursors[part, tile] += 1
-    return Bins(across, down, starts, entries)
+        part = take(counter)
 
 
-@numba.njit(cache=True)
+def strips_of(bins: Bins) -> int:
+    """How many portions of :data:`STRIP` tiles there are."""
+    return -(-bins.across * bins.down // STRIP)
+
+
+@kernel
 def tile_range(box):
     """First and one past the last tile, across and down, that a pixel box touches."""
     if box[1] <= box[0] or box[3] <= box[2]:
@@ -165,7 +171,7 @@ def tile_range(box):
     )
 
 
-@numba.njit(cache=True)
+@kernel
 def count_tiles(boxes):
     """How many tiles the splats before each one touch: int64 [N + 1], the last for all of them."""
     firsts = np.zeros(len(boxes) + 1, np.int64)
@@ -175,7 +181,7 @@ def count_tiles(boxes):
     return firsts
 
 
-@numba.njit(cache=True)
+@kernel
 def fullest(bins):
     """How many splats the fullest tile has, at least one."""
     most = 1
@@ -184,7 +190,7 @@ def fullest(bins):
     return most
 
 
-@numba.njit(cache=True)
+@kernel
 def load_tile(tile, bins, splats, boxes, values, work):
     """Fill the workspace with the splats of ``tile``; returns its left and top pixel.
 
@@ -243,13 +249,13 @@ def load_tile(tile, bins, splats, boxes, values, work):
     return left, top
 
 
-@numba.njit(cache=True)
+@kernel
 def corner_of(block, left, top):
     """The first pixel of a block of the tile whose first pixel is ``left, top``."""
     return left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
 
 
-@numba.njit(cache=True)
+@kernel
 def _sort_by_depth(n, channels, nearest, farthest, work):
     """The keys of the splats of the workspace, nearest first; those of equal z keep their order.
 

@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.jit import kernel
 from slgaussian.labels import VISIBLE
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import distance, find, make_lookup
@@ -160,7 +160,7 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
 # On one thread: an image is 3 ms of work, and waiting for a second one may cost more than it saves.
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _decode(features, lookup, gaps, table, ids, confidence):
     """Write ``ids`` and ``confidence``; returns which image rows hold what is no number."""
     height, width = ids.shape
@@ -183,7 +183,7 @@ def _decode(features, lookup, gaps, table, ids, confidence):
     return bad
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, close, lead):
     """Nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
@@ -222,7 +222,7 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
     return bad
 
 
-@numba.njit(cache=True)
+@kernel
 def _settle(above, close, below, settled):
     """Copy those of ``close`` that enough pixels around agree with."""
     for u in range(1, len(close) - 1):
@@ -233,7 +233,7 @@ def _settle(above, close, below, settled):
         settled[u - 1 + REACH] = row if agree + 1 >= AGREE else -1
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _answer(features, codes, rows, leads, settled, table, ids, confidence):
     """Ids and confidence of an image row; ``settled`` has :data:`REACH` more on every side."""
     channels = features.shape[1]
@@ -254,7 +254,7 @@ def _answer(features, codes, rows, leads, settled, table, ids, confidence):
         confidence[u] = min(weight, np.float32(1)) * lead
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _choose(x, y, z, codes, settled, row, lead):
     """The nearest code of settled pixels, and its lead; ties go to the lowest row.
 

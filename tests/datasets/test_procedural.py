@@ -1,7 +1,6 @@
 import itertools
 import pickle
 
-import numba
 import numpy as np
 import pytest
 from implicit_solids import inside_below_zero
@@ -18,6 +17,7 @@ from slgaussian.datasets.procedural.names import (
     look,
 )
 from slgaussian.errors import InputError
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.scene import View
 
 SMALL = {"height": 64, "width": 96}
@@ -42,13 +42,9 @@ def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
     first = reader.read(seed=3, **SMALL)
     views = [first.read(name) for name in first.cameras]
     again = reader.read(seed=3, **SMALL)
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
+    with kernels_on(1):
         for name, view in reversed(list(zip(first.cameras, views, strict=True))):
             assert same(again.read(name), view)
-    finally:
-        numba.set_num_threads(threads)
     assert first.phrases == again.phrases
     assert not same(reader.read(seed=4, **SMALL).read("view_00"), views[0])
 

@@ -356,17 +356,16 @@ def test_size_reads_as_height_and_width():
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="counts cores as Linux does")
 def test_pools_share_the_cores():
     import cv2
-    import numba
 
     from slgaussian.kernels import threads
 
     all_cores = threads.cores()
     try:
         assert threads.limit(all_cores) == 1
-        assert (numba.get_num_threads(), torch.get_num_threads(), cv2.getNumThreads()) == (1, 1, 1)
+        assert (threads.allotted(), torch.get_num_threads(), cv2.getNumThreads()) == (1, 1, 1)
     finally:
         assert threads.limit(1) == all_cores
-    assert numba.get_num_threads() == min(all_cores, numba.config.NUMBA_NUM_THREADS)
+    assert threads.allotted() == all_cores
 
 
 def test_words_lists_the_vocabulary_by_family(monkeypatch, capsys):

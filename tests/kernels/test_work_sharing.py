@@ -1,24 +1,100 @@
-"""Threads that take shares leave none out and take none twice."""
+"""Threads that share a kernel leave no portion out and take none twice."""
 
-import numba
+import multiprocessing
+import os
+import threading
+
 import numpy as np
 import pytest
 
-from slgaussian.kernels.work_sharing import WORKERS, take
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.threads import allotted, kernels_on
+from slgaussian.kernels.work_sharing import share, take
 
 
-@numba.njit(parallel=True)
-def _count(shares):
-    taken = np.zeros(shares, np.int64)
-    counter = np.zeros(1, np.int64)
-    for _worker in numba.prange(WORKERS):
-        share = take(counter)
-        while share < shares:
-            taken[share] += 1
-            share = take(counter)
-    return taken
+@kernel
+def _count(counter, taken):
+    portion = take(counter)
+    while portion < len(taken):
+        taken[portion] += 1
+        portion = take(counter)
 
 
-@pytest.mark.parametrize("shares", [0, 1, 7, 100_000])
-def test_every_share_is_taken_once(shares):
-    assert (_count(shares) == 1).all()
+@pytest.mark.parametrize("portions", [0, 1, 7, 100_000])
+@pytest.mark.parametrize("threads", [1, 2, 50])
+def test_every_portion_is_taken_once(portions, threads):
+    taken = np.zeros(portions, np.int64)
+    with kernels_on(threads):
+        share(_count, portions, taken)
+    assert (taken == 1).all()
+
+
+def test_several_callers_may_share_at_once():
+    def work(taken):
+        for _ in range(50):
+            share(_count, len(taken), taken)
+
+    taken = [np.zeros(1000, np.int64) for _ in range(8)]
+    callers = [threading.Thread(target=work, args=(own,)) for own in taken]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join()
+    assert all((own == 50).all() for own in taken)
+
+
+def test_several_threads_are_in_a_kernel_at_once():
+    """Each waits for the other: alone, or with Python's lock kept, one would wait for ever."""
+    met, both = [], threading.Barrier(2, timeout=60)
+
+    def meet(counter):
+        both.wait()
+        met.append(threading.get_ident())
+
+    with kernels_on(2):
+        share(meet, 2)
+    assert len(set(met)) == 2
+
+
+def test_what_a_helper_raises_is_raised():
+    both = threading.Barrier(2, timeout=60)
+    caller = threading.get_ident()
+
+    def fail(counter):
+        both.wait()
+        if threading.get_ident() != caller:
+            raise MemoryError("in a helper")
+
+    with kernels_on(2), pytest.raises(MemoryError, match="in a helper"):
+        share(fail, 2)
+
+
+def test_a_size_is_the_calling_threads_own():
+    before = allotted()
+    with kernels_on(before + 3):
+        seen = []
+        other = threading.Thread(target=lambda: seen.append(allotted()))
+        other.start()
+        other.join()
+        assert seen == [len(os.sched_getaffinity(0))]
+        assert allotted() == before + 3
+    assert allotted() == before
+
+
+def _forked(connection) -> None:
+    taken = np.zeros(100, np.int64)
+    with kernels_on(2):
+        share(_count, len(taken), taken)
+    connection.send(int(taken.sum()))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_forked_process_shares_with_threads_of_its_own():
+    with kernels_on(2):
+        share(_count, 100, np.zeros(100, np.int64))  # the pool has begun
+    ours, theirs = multiprocessing.Pipe()
+    child = multiprocessing.get_context("fork").Process(target=_forked, args=(theirs,))
+    child.start()
+    assert ours.poll(60) and ours.recv() == 100
+    child.join()

@@ -1,12 +1,12 @@
 """The code nearest to a value: what comparing with every code gives, ties included."""
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.nearest import make_lookup, nearest_code
 
@@ -131,10 +131,6 @@ def test_the_threads_do_not_matter():
     rng = np.random.default_rng(2)
     codes, values = grid_codes(60, rng), rng.random((50, 70, 3)).astype(np.float32)
     both = nearest_code(values, codes)
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
+    with kernels_on(1):
         one = nearest_code(values, codes)
-    finally:
-        numba.set_num_threads(threads)
     np.testing.assert_array_equal(one, both)

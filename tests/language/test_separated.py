@@ -13,6 +13,7 @@ from slgaussian.language.separated import (
     HEAT,
     Pairs,
     _anneal,
+    _layout,
     _points,
     misread,
     neighbours,
@@ -153,9 +154,10 @@ def test_annealing_takes_the_moves_of_a_plain_one(n):
         points, taken, pairs, weights, list(zip(movers, targets, luck, strict=True))
     )
     assert (plain != taken).any()
+    points = points.astype(np.float32)
     _anneal(
-        points.astype(np.float32), taken, pairs, weights.astype(np.float32), starts, first // 2,
-        movers, targets, luck, *HEAT,
+        points, taken, pairs, *_layout(points, taken, weights), starts, first // 2, movers,
+        targets, luck, *HEAT,
     )  # fmt: skip
     np.testing.assert_array_equal(taken, plain)
 

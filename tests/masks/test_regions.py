@@ -1,10 +1,10 @@
-import numba
 import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, main_label, paste, view
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
 
@@ -149,13 +149,9 @@ def test_depth_parts_what_colour_cannot():
 
 
 def test_same_bytes_whatever_the_number_of_threads(scene):
-    before = numba.get_num_threads()
     expected = Regions(level="all").propose(SeenView.alone(scene))
-    try:
-        numba.set_num_threads(1)
+    with kernels_on(1):
         alone = Regions(level="all").propose(SeenView.alone(scene))
-    finally:
-        numba.set_num_threads(before)
     assert alone.masks.tobytes() == expected.masks.tobytes()
     assert alone.scores.tobytes() == expected.scores.tobytes()
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
-import numba
 import numpy as np
 import pytest
 
@@ -27,6 +26,7 @@ from benches.predict.hard_pairs import (
 )
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.candidates import MAX_DEPTH
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View
@@ -35,10 +35,8 @@ from slgaussian.scene import Sample, View
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> Iterator[None]:
     """On images this small a second thread waits more than it works."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(threads)
+    with kernels_on(1):
+        yield
 
 
 def predict(given: Sample) -> tuple[Gaussians, np.ndarray]:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 
-import numba
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from benches.views import twists
 from benches.views.built_fields import Row, at_targets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.links import link_views, usable
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample
@@ -32,10 +32,8 @@ SIZE, VIEWS, ODD = (120, 160), 5, 2
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> Iterator[None]:
     """On images this small a second thread waits more than it works."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(threads)
+    with kernels_on(1):
+        yield
 
 
 @cache

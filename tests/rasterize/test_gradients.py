@@ -3,11 +3,11 @@
 from dataclasses import replace
 from functools import cache
 
-import numba
 import pytest
 import torch
 
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
 from slgaussian.rasterize.hard_cases import camera, case, cloud, rotated, splats
 from slgaussian.scene import Camera
@@ -350,19 +350,13 @@ def test_background():
         assert (fast - true).norm() / true.norm() < 2e-6
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two cores")
 def test_bytes_do_not_depend_on_the_threads():
     seen = camera(70, 60, 60)
     made, values = cloud(200, 5, 0.5, seen)
-    before = numba.get_num_threads()
     found = []
-    try:
-        for threads, chunk in [(1, 0), (2, 0), (2, 1), (2, 3)]:
-            numba.set_num_threads(threads)
-            with numba.parallel_chunksize(chunk):
-                found.append(gradients(made, values, seen, "cpu", PRESETS["fast"]))
-    finally:
-        numba.set_num_threads(before)
+    for threads in (1, 2, 2, 7):
+        with kernels_on(threads):
+            found.append(gradients(made, values, seen, "cpu", PRESETS["fast"]))
     for other in found[1:]:
         for field, gradient in found[0].items():
             assert torch.equal(gradient, other[field]), field

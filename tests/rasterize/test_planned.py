@@ -1,12 +1,12 @@
 """Planned rendering is the rasteriser's, linear in the values, and its backward its adjoint."""
 
-import numba
 import numpy as np
 import pytest
 import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.planned import plan
 from slgaussian.scene import Camera
@@ -76,14 +76,10 @@ def test_no_gaussians_and_wrong_values():
 
 def test_bytes_do_not_depend_on_the_thread_count():
     made, values = cloud(), torch.rand(300, 3, generator=torch.Generator().manual_seed(4))
-    before = numba.get_num_threads()
     found = []
-    try:
-        for threads in (1, before):
-            numba.set_num_threads(threads)
-            leaf = values.clone().requires_grad_()
+    for threads in (1, 2):
+        leaf = values.clone().requires_grad_()
+        with kernels_on(threads):
             image = plan(made, camera()).render(leaf)
             found.append((image.detach(), *torch.autograd.grad(image.sum(), leaf)))
-    finally:
-        numba.set_num_threads(before)
     assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, rgb_to_sh
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import prune, pruning, rasterize
 from slgaussian.rasterize.likest import likest
 from slgaussian.rasterize.project import CUT, Z, eye_of, project, project_moments
@@ -230,14 +230,10 @@ def test_it_holds_for_the_reference():
 
 
 def test_the_result_does_not_depend_on_the_thread_count():
-    scene, before = cloud(300, 5), numba.get_num_threads()
-    found = []
-    try:
-        for threads in (1, before):
-            numba.set_num_threads(threads)
+    scene, found = cloud(300, 5), []
+    for threads in (1, 2):
+        with kernels_on(threads):
             found.append(prune(scene, [camera()], 4 * GREY))
-    finally:
-        numba.set_num_threads(before)
     for (name, a), (_, b) in zip(*(one.gaussians.items() for one in found), strict=True):
         assert torch.equal(a, b), name
     assert torch.equal(found[0].kept, found[1].kept)
@@ -301,7 +297,7 @@ def test_moments_are_projected_as_gaussians_are():
     scene, eye = cloud(300, 7), eye_of(camera(), find_settings("fast"))
     scene = replace(scene, opacities=torch.ones(300))
     geometry = [getattr(scene, name).numpy() for name in ("means", "scales", "quats", "opacities")]
-    splats, boxes, _ = project(*geometry, np.empty((300, 0), np.float32), eye)
+    splats, boxes, _ = project(geometry, np.empty((300, 0), np.float32), eye)
     found, touched = project_moments(scene.means.numpy(), pruning._covariances(scene), eye)
     shown = splats[:, Z] > eye.near
     columns = [c for c in range(8) if c != CUT]

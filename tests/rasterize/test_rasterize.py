@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.rasterize.hard_cases import (
     ALL_CUT,
@@ -427,18 +427,6 @@ def test_no_finite_input_gives_nan(seed, preset):
 # The bytes.
 
 
-def in_threads(threads: int, chunk: int, draw):
-    """What ``draw()`` returns with that many threads, each taking ``chunk`` pieces at a time."""
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(threads)
-        with numba.parallel_chunksize(chunk):
-            return draw()
-    finally:
-        numba.set_num_threads(before)
-
-
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two cores")
 @pytest.mark.parametrize("preset", ["fast", "exact"])
 def test_bytes_do_not_depend_on_the_threads(preset):
     made, values = cloud(300, seen=camera(100, 80, 90))
@@ -449,11 +437,13 @@ def test_bytes_do_not_depend_on_the_threads(preset):
         seen = camera(100, 80, 90)
         return rasterize(made, values, seen, settings=preset, median=True, labels=labels)
 
-    first = in_threads(1, 0, draw)
-    for threads, chunk in [(1, 0), (2, 0), (2, 1), (2, 3)]:
-        again = in_threads(threads, chunk, draw)
+    with kernels_on(1):
+        first = draw()
+    for threads in (1, 2, 2, 7):
+        with kernels_on(threads):
+            again = draw()
         for name, drawn in vars(first).items():
-            assert torch.equal(drawn, getattr(again, name)), (name, threads, chunk)
+            assert torch.equal(drawn, getattr(again, name)), (name, threads)
 
 
 def test_inputs_of_other_dtypes_are_taken():

@@ -7,7 +7,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -16,6 +15,7 @@ from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
 from slgaussian.errors import InputError, SpecError
+from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, provenance, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
 from slgaussian.semantic.draws import drawn_for
@@ -33,10 +33,8 @@ def bytes_in(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(autouse=True, scope="module")
 def _alone():
     """These images are too small to share, and on a busy machine sharing waits for others."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
+    with kernels_on(1):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -96,18 +94,17 @@ def test_metrics_of_steps_that_no_checkpoint_knows_of_are_dropped(tmp_path, unin
 
 
 def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
-    before = torch.get_num_threads(), numba.get_num_threads()
+    before = torch.get_num_threads()
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
             folder = tmp_path / str(threads)
-            train(LESSONS, SETTINGS, folder)
+            with kernels_on(threads):
+                train(LESSONS, SETTINGS, folder)
             assert torch.get_num_threads() == threads
             assert bytes_in(folder) == bytes_in(uninterrupted)
     finally:
-        torch.set_num_threads(before[0])
-        numba.set_num_threads(before[1])
+        torch.set_num_threads(before)
 
 
 def test_readers_ahead_change_no_byte(tmp_path, uninterrupted):

@@ -24,10 +24,11 @@ from functools import cached_property
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 from scipy.special import expit, logit
 
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import langsplat
 from slgaussian.language.locate import central_point
 from slgaussian.language.query import Rules, TextReader
@@ -134,7 +135,7 @@ class DenseView:
         asked /= np.linalg.norm(asked, axis=1, keepdims=True)
         flat = self.vectors.reshape(-1, width)
         found = np.empty((len(asked), len(flat)))
-        cosines(flat, asked, found)
+        share(cosines, len(flat), flat, asked, found)
         return found.reshape(len(asked), scales, h * w)
 
 
@@ -214,13 +215,14 @@ class DenseResult:
         return np.where(self.seen, relevancy, relevancy[self.seen].min(initial=1.0))
 
 
-@numba.njit(cache=True, parallel=True)
-def cosines(vectors: np.ndarray, texts: np.ndarray, found: np.ndarray) -> None:
+@kernel
+def cosines(counter: np.ndarray, vectors: np.ndarray, texts: np.ndarray, found: np.ndarray) -> None:
     """Write the cosines [Q, P] of vectors float32 [P, C] with unit texts float64 [Q, C].
 
-    0 for a zero vector. Sums run in one order, whatever the number of threads.
+    A vector a portion; 0 for a zero vector. Sums run in one order, whatever the number of threads.
     """
-    for p in numba.prange(len(vectors)):
+    p = take(counter)
+    while p < len(vectors):
         vector = vectors[p]
         squared = 0.0
         for c in range(vectors.shape[1]):
@@ -231,3 +233,4 @@ def cosines(vectors: np.ndarray, texts: np.ndarray, found: np.ndarray) -> None:
             for c in range(vectors.shape[1]):
                 total += np.float64(vector[c]) * texts[q, c]
             found[q, p] = total * scale
+        p = take(counter)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.geometry.room import Surroundings
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import Encoder
 
 BATCH = 512
@@ -66,7 +67,8 @@ class Level:
             _between(centres, length)
             for centres, length in zip(self.centres, self.size, strict=True)
         )
-        _sample(np.ascontiguousarray(self.values[..., start:stop]), *down, *across, pixels, found)
+        values = np.ascontiguousarray(self.values[..., start:stop])
+        share(_sample, len(pixels), values, *down, *across, pixels, found)
         return found
 
     def against(self, texts: np.ndarray) -> Level:
@@ -134,12 +136,13 @@ def _between(centres: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
     return low, (place - low).astype(np.float32)
 
 
-@numba.njit(cache=True, parallel=True)
-def _sample(values, low_y, share_y, low_x, share_x, pixels, found):
+@kernel
+def _sample(counter, values, low_y, share_y, low_x, share_x, pixels, found):
     height, width = len(low_y), len(low_x)
     rows, columns = values.shape[1], values.shape[2]
     one = np.float32(1)
-    for n in numba.prange(len(pixels)):
+    n = take(counter)
+    while n < len(pixels):
         line, x = divmod(pixels[n], width)
         view, y = divmod(line, height)
         grid, down, right = values[view], share_y[y], share_x[x]
@@ -150,3 +153,4 @@ def _sample(values, low_y, share_y, low_x, share_x, pixels, found):
         for k in range(values.shape[3]):
             upper = a * grid[top, left, k] + b * grid[top, after, k]
             found[n, k] = upper + (c * grid[bottom, left, k] + d * grid[bottom, after, k])
+        n = take(counter)

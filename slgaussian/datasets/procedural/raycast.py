@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 
 BOX, BALL, CYLINDER, CONE, RING = range(5)
 
@@ -84,21 +86,24 @@ def cast(solids: Solids, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarr
     """
     t = np.empty(rays.shape[:2])
     index = np.empty(rays.shape[:2], np.int64)
-    _cast(solids, np.asarray(origin, np.float64), np.ascontiguousarray(rays), t, index)
+    rays = np.ascontiguousarray(rays)
+    share(_cast, len(t), solids, np.asarray(origin, np.float64), rays, t, index)
     return t, index
 
 
-@njit(cache=True, parallel=True)
-def _cast(solids, origin, rays, t, index):
-    for row in prange(rays.shape[0]):
+@kernel
+def _cast(counter, solids, origin, rays, t, index):
+    row = take(counter)
+    while row < len(rays):
         for col in range(rays.shape[1]):
             dx, dy, dz = rays[row, col]
             t[row, col], index[row, col] = nearest(
                 solids, origin[0], origin[1], origin[2], dx, dy, dz, np.inf
             )
+        row = take(counter)
 
 
-@njit(cache=True)
+@kernel
 def nearest(solids, ox, oy, oz, dx, dy, dz, limit):
     """The smallest t in (0, limit) at which a ray meets a solid, and the solid's row or -1."""
     best, which = limit, -1
@@ -127,7 +132,7 @@ def nearest(solids, ox, oy, oz, dx, dy, dz, limit):
     return best, which
 
 
-@njit(cache=True)
+@kernel
 def normal_at(kind, size, x, y, z):
     """Outward unit normal, in the local frame, at a local point on the solid's surface."""
     if kind == BOX:
@@ -155,7 +160,7 @@ def normal_at(kind, size, x, y, z):
     return x / rho * 2 * half / side, y / rho * 2 * half / side, radius / side
 
 
-@njit(cache=True)
+@kernel
 def _intersect(kind, size, x, y, z, dx, dy, dz):
     if kind == BOX:
         lo, hi = _slab(x, dx, size[0], -np.inf, np.inf)
@@ -179,7 +184,7 @@ def _intersect(kind, size, x, y, z, dx, dy, dz):
     return _torus(size[0], size[1], x, y, z, dx, dy, dz)
 
 
-@njit(cache=True)
+@kernel
 def _slab(x, dx, half, lo, hi):
     """Clip the interval [lo, hi] of t to where |x + t dx| <= half."""
     if dx == 0.0:
@@ -188,7 +193,7 @@ def _slab(x, dx, half, lo, hi):
     return max(lo, min(t0, t1)), min(hi, max(t0, t1))
 
 
-@njit(cache=True)
+@kernel
 def _entry(lo, hi):
     """First positive end of an interval of t; infinity if it is empty or behind."""
     if lo > hi or hi <= 0:
@@ -196,7 +201,7 @@ def _entry(lo, hi):
     return lo if lo > 0 else hi
 
 
-@njit(cache=True)
+@kernel
 def _roots(a, b, c):
     """Ordered roots of a t^2 + 2 b t + c with a != 0, without cancellation; (inf, -inf) if none."""
     disc = b * b - a * c
@@ -208,7 +213,7 @@ def _roots(a, b, c):
     return min(t0, t1), max(t0, t1)
 
 
-@njit(cache=True)
+@kernel
 def _cone(radius, half, x, y, z, dx, dy, dz):
     lo, hi = _slab(z, dz, half, -np.inf, np.inf)
     k2 = (radius / (2 * half)) ** 2
@@ -231,7 +236,7 @@ def _cone(radius, half, x, y, z, dx, dy, dz):
     return min(_entry(lo, min(hi, t0)), _entry(max(lo, t1), hi))
 
 
-@njit(cache=True)
+@kernel
 def _torus(ring, tube, x, y, z, dx, dy, dz):
     """First positive root of the torus quartic, isolated by the roots of its derivatives."""
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -272,7 +277,7 @@ def _torus(ring, tube, x, y, z, dx, dy, dz):
     return (t - start) / length
 
 
-@njit(cache=True)
+@kernel
 def _monotone_root(c4, c3, c2, c1, c0, lo, hi):
     """Root of a quartic that is monotone on [lo, hi], by Newton kept inside a shrinking bracket."""
     at_lo = (((c4 * lo + c3) * lo + c2) * lo + c1) * lo + c0

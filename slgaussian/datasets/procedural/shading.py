@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from slgaussian.datasets.procedural.raycast import Solids, nearest, normal_at
 from slgaussian.datasets.procedural.textures import Materials, albedo
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.scene import Camera
 
 SAMPLES = 2
@@ -42,14 +43,15 @@ def photograph(
     """
     image = np.empty((camera.height, camera.width, 3))
     to_world = camera.c2w[:3, :3] @ np.linalg.inv(camera.K)
-    _photograph(solids, casters, materials, light, camera.center.copy(), to_world, image)
+    scene = solids, casters, materials, light
+    share(_photograph, len(image), *scene, camera.center.copy(), to_world, image)
     return image
 
 
-@njit(cache=True, parallel=True)
-def _photograph(solids, casters, materials, light, eye, to_world, image):
-    n = SAMPLES
-    for row in prange(image.shape[0]):
+@kernel
+def _photograph(counter, solids, casters, materials, light, eye, to_world, image):
+    n, row = SAMPLES, take(counter)
+    while row < len(image):
         for col in range(image.shape[1]):
             red, green, blue = 0.0, 0.0, 0.0
             for k in range(n * n):
@@ -62,9 +64,10 @@ def _photograph(solids, casters, materials, light, eye, to_world, image):
             image[row, col, 0] = red / (n * n)
             image[row, col, 1] = green / (n * n)
             image[row, col, 2] = blue / (n * n)
+        row = take(counter)
 
 
-@njit(cache=True)
+@kernel
 def _radiance(solids, casters, materials, light, eye, dx, dy, dz, sample):
     t, p = nearest(solids, eye[0], eye[1], eye[2], dx, dy, dz, np.inf)
     if p < 0:

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import skimage.data
-from numba import njit
 
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING
+from slgaussian.kernels.jit import kernel
 
 PLAIN, STRIPED, CHECKED, DOTTED, SPECKLED, WOODEN, MARBLE, BRICK, PHOTO, PICTURE = range(10)
 
@@ -109,7 +109,7 @@ def _photos() -> np.ndarray:
     return np.stack(out)
 
 
-@njit(cache=True)
+@kernel
 def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
     """Linear RGB of solid ``p`` at a local surface point with local outward normal."""
     pattern = materials.pattern[p]
@@ -175,7 +175,7 @@ def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
     )
 
 
-@njit(cache=True)
+@kernel
 def _surface(kind, size, x, y, z, nx, ny, nz, cell, rows):
     """Where a local surface point lies in the grid of pattern cells: (along, up).
 
@@ -213,22 +213,22 @@ def _surface(kind, size, x, y, z, nx, ny, nz, cell, rows):
     return turn * _even(2 * math.pi * width / cell), v
 
 
-@njit(cache=True)
+@kernel
 def _fit(x, half, cell):
     return (x + half) / (2 * half) * max(1.0, round(2 * half / cell))
 
 
-@njit(cache=True)
+@kernel
 def _even(count):
     return 2 * max(1.0, round(count / 2))
 
 
-@njit(cache=True)
+@kernel
 def _ramp(x, lo, hi):
     return min(max((x - lo) / (hi - lo), 0.0), 1.0)
 
 
-@njit(cache=True)
+@kernel
 def _sample(photo, u, v):
     """Bilinear pixel of a photograph whose tiles are mirrored at whole u and v; v points up."""
     side = photo.shape[0]
@@ -246,7 +246,7 @@ def _sample(photo, u, v):
     )
 
 
-@njit(cache=True)
+@kernel
 def _hash(i, j, k):
     """A fixed pseudo-random number in [-0.5, 0.5) for a lattice point (integer mixing, 32 bit)."""
     h = (int(i) * 374761393 + int(j) * 668265263 + int(k) * 2654435761) & 0xFFFFFFFF
@@ -255,7 +255,7 @@ def _hash(i, j, k):
     return (h ^ (h >> 15)) / 4294967296.0 - 0.5
 
 
-@njit(cache=True)
+@kernel
 def _noise(x, y, z):
     """Value noise in [-0.5, 0.5] with unit cells: hashed lattice values, smoothly interpolated."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
@@ -270,7 +270,7 @@ def _noise(x, y, z):
     return (1 - c) * near + c * far
 
 
-@njit(cache=True)
+@kernel
 def _clouds(x, y, z, octaves):
     """Sum of ``octaves`` of noise, each twice as fine and half as strong."""
     total, strength = 0.0, 1.0

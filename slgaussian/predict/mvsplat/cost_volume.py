@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from slgaussian.kernels.work_sharing import share
 from slgaussian.predict.mvsplat.cost_volume_cpu import add_products
 from slgaussian.scene import Camera
 
@@ -61,7 +62,7 @@ def correlate(
             lines = path(cameras[i], cameras[j], (h, w))
             if volume.is_cpu:
                 arrays = (t.numpy() for t in (maps[i], maps[j], disparities, volume[i]))
-                add_products(*lines, np.float32(MIN_DEPTH), *arrays)
+                share(add_products, h, *lines, np.float32(MIN_DEPTH), *arrays)
             else:
                 add_warped(*lines, maps[i], maps[j], disparities, volume[i])
     volume *= 1 / (channels**0.5 * (views - 1))

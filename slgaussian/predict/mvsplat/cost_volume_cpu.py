@@ -9,15 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import take
 
 REORDERED = {"reassoc", "contract", "nsz"}
 """Freedoms of the compiler with sums; those about NaN and infinity are not among them."""
 
 
-@njit(cache=True, parallel=True, fastmath=REORDERED)
-def add_products(start, offset, least, reference, other, disparities, out):
+@kernel(fastmath=REORDERED)
+def add_products(counter, start, offset, least, reference, other, disparities, out):
     """Add to ``out`` the inner products of a view with another at every disparity.
+
+    A row of ``out`` is a portion.
 
     Parameters
     ----------
@@ -30,7 +34,8 @@ def add_products(start, offset, least, reference, other, disparities, out):
     out : float32 [h, w, D]
     """
     h, w, _ = reference.shape
-    for row in prange(h):
+    row = take(counter)
+    while row < h:
         for column in range(w):
             mine = reference[row, column]
             pixel = row * w + column
@@ -53,9 +58,10 @@ def add_products(start, offset, least, reference, other, disparities, out):
                 a, b = x - left, y - top
                 above, below = (1 - a) * p00 + a * p01, (1 - a) * p10 + a * p11
                 out[row, column, d] += (1 - b) * above + b * below
+        row = take(counter)
 
 
-@njit(cache=True, inline="always", fastmath=REORDERED)
+@kernel(inline="always", fastmath=REORDERED)
 def _product(mine, other, row, column):
     """Inner product with a pixel of ``other``; 0 outside."""
     total = np.float32(0)

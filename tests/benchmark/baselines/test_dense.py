@@ -1,6 +1,5 @@
 """Answers a pixel against plain float64 formulas."""
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +7,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from slgaussian.benchmark.baselines.dense import DenseView, cosines
+from slgaussian.kernels.threads import kernels_on
+from slgaussian.kernels.work_sharing import share
 from slgaussian.language import langsplat
 from slgaussian.language.query import Rules, TextReader
 
@@ -73,13 +74,9 @@ def test_cosines_do_not_depend_on_the_number_of_threads(reader):
     view = some_view(reader)
     flat, texts = view.vectors.reshape(-1, view.vectors.shape[3]), reader.vectors(TEXTS)
     found = [np.empty((3, len(flat))) for _ in range(2)]
-    cosines(flat, texts.astype(np.float64), found[0])
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        cosines(flat, texts.astype(np.float64), found[1])
-    finally:
-        numba.set_num_threads(threads)
+    for count, into in zip((1, 2), found, strict=True):
+        with kernels_on(count):
+            share(cosines, len(flat), flat, texts.astype(np.float64), into)
     assert found[0].tobytes() == found[1].tobytes()
 
 
