@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from slgaussian.benchmark import pictures, showcase
+from slgaussian.benchmark.baselines import VARIANTS
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import ALONG_THE_WAY
 from slgaussian.benchmark.pictures import Named
@@ -20,6 +21,9 @@ Images = Mapping[str, np.ndarray]
 
 SHOWN_SETS = 3
 """Data sets of which a scene is shown at the top, and key numbers stand there."""
+
+SHOWN_METHODS = 4
+"""Methods that the first sentence names, if they are not more: the table of scores names all."""
 
 SHOWN_ANSWERS = 4
 """Answers of such a scene: from the best to the worst in even steps."""
@@ -43,7 +47,8 @@ class KeyNumber:
     interval : str
         Where it lies, as printed.
     other : str
-        The same of the best of the other methods, with its name; empty if there is none.
+        The same of the best other method, or of the best variant of ours where nothing else ran,
+        with its name; empty if there is neither.
     """
 
     title: str
@@ -78,6 +83,22 @@ PSNR_ABOUT = (
 )
 QUERY_ABOUT = "seconds, with rendering a view that was not seen before; the median"
 BUILD_ABOUT = "seconds from photographs to a scene that answers, all methods share it; the median"
+
+
+def compared(others: Sequence[str]) -> str:
+    """What else was asked, as words: ``2 other methods (a; b) and 1 variant (c)``; "" if nothing.
+
+    A variant is ours with one part changed. More than :data:`SHOWN_METHODS` are not named.
+    """
+    said = []
+    for kind, own in (
+        ("other method", [name for name in others if name not in VARIANTS]),
+        ("variant", [name for name in others if name in VARIANTS]),
+    ):
+        if own:
+            names = f" ({'; '.join(own)})" if len(others) <= SHOWN_METHODS else ""
+            said.append(f"{len(own)} {kind}{'' if len(own) == 1 else 's'}{names}")
+    return " and ".join(said)
 
 
 @dataclass(frozen=True)
@@ -226,8 +247,11 @@ def key_numbers(
             low, high = (form.format(factor * mine[end]) for end in ("low", "high"))
             interval = f"{low.removesuffix(' %')} to {high}"
         if by_method:
-            best = max(by_method.values(), key=lambda score: score["value"])
-            other = f"{form.format(factor * best['value'])}, {best['method']}"
+            others = by_method.keys() - VARIANTS
+            best = max((by_method[name] for name in others or by_method),
+                       key=lambda score: score["value"])  # fmt: skip
+            what = "best other" if others else "best variant"
+            other = f"{what}: {form.format(factor * best['value'])}, {best['method']}"
         value = form.format(factor * mine["value"])
         found.append(KeyNumber(title, value, about, interval, other))
     near = [own["psnr"] for own in metrics if "psnr" in own]

@@ -193,6 +193,7 @@ def render_report(
     paper = paper_tables(
         [row for rows in by_method.values() for row in rows], _published(manifest), ours
     )
+    rest = [method for method in by_method if method != ours]
     common = {
         "ours": ours,
         "scenes": [scene.name for scene in scenes],
@@ -225,7 +226,8 @@ def render_report(
         "photographs": _photographs(manifest),
         "unseen": _unseen(manifest),
         "sets": list(dict.fromkeys(scene.dataset for scene in scenes)),
-        "others": [method for method in by_method if method != ours],
+        "others": rest,
+        "compared": opening.compared(rest),
         "key_numbers": numbers,
         "number_terms": {title: found[0][1].about for title, found in numbers.items()},
         "main": main,

@@ -186,6 +186,28 @@ def test_the_first_lines_say_how_good_on_what_and_compared_with_what(both, resul
     assert f"{result.scene_metrics['psnr']:.1f} dB" in lines
 
 
+def test_a_variant_of_ours_is_no_other_method():
+    assert opening.compared([]) == ""
+    assert opening.compared(["no-bank"]) == "1 variant (no-bank)"
+    assert (
+        opening.compared(["query-2d", "no-bank", "query-2d, depth"])
+        == "2 other methods (query-2d; query-2d, depth) and 1 variant (no-bank)"
+    )
+    assert opening.compared([*map(str, range(5)), "absent-zero"]) == "5 other methods and 1 variant"
+
+    def iou(method: str, value: float) -> dict[str, object]:
+        return {"method": method, "metric": "iou", "value": value, "low": None, "high": None}
+
+    ours, best, other = iou("slgaussian", 0.5), iou("no-bank", 0.6), iou("query-2d", 0.4)
+    for rows, said in (
+        ([ours, best, other], "best other: 0.40, query-2d"),
+        ([ours, best], "best variant: 0.60, no-bank"),
+        ([ours], ""),
+    ):
+        (number, *_) = opening.key_numbers("office", rows, [], "slgaussian")
+        assert number.other == said
+
+
 def test_terms_are_explained_before_they_are_used(both):
     page = both.html
     table = page.index('<table class="scores main">')

@@ -62,7 +62,8 @@ class Row:
 
     ``about`` says in one line what it is, and of what is not the original that it is not. ``rules``
     are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
-    A ``slow`` one takes a minute a scene, and ``all`` leaves it out.
+    A ``slow`` one takes a minute a scene, and ``all`` leaves it out. A ``variant`` is the field
+    with one part changed: no other method, though it may be better.
     """
 
     method: str
@@ -70,6 +71,7 @@ class Row:
     settings: Mapping[str, Any] = field(default_factory=dict)
     rules: Mapping[str, Any] = field(default_factory=dict)
     slow: bool = False
+    variant: bool = False
 
     def load(self) -> Method:
         """The method; raises as :func:`load_method`."""
@@ -84,13 +86,22 @@ class Row:
 ROWS = {
     "slgaussian": Row("slgaussian", "the field, as it was built"),
     "slgaussian, grid codes": Row(
-        "slgaussian", "the field with the paper's code strategy", {"codes": "grid"}
+        "slgaussian",
+        "the field with the paper's code strategy",
+        {"codes": "grid"},
+        variant=True,
     ),
     "slgaussian, exact": Row(
-        "slgaussian", "the field without codes: Gaussians vote for objects", {"codes": "exact"}
+        "slgaussian",
+        "the field without codes: Gaussians vote for objects",
+        {"codes": "exact"},
+        variant=True,
     ),
     "slgaussian, filled": Row(
-        "slgaussian", "unlabelled Gaussians take the other view's object", {"lifting": "filled"}
+        "slgaussian",
+        "unlabelled Gaussians take the other view's object",
+        {"lifting": "filled"},
+        variant=True,
     ),
     "query-2d": Row(
         "query-2d", "the paper's 2D query: render, propose, encode, score; the image alone"
@@ -131,16 +142,23 @@ ROWS = {
     "nearest-view": Row(
         "nearest-view", "the nearest photograph's masks and features, as they are: no 3D"
     ),
-    "no-association": Row("no-association", "ablation: each view's masks are objects of their own"),
-    "no-bank": Row("no-bank", "ablation: the mean over views in place of the multi-view bank"),
+    "no-association": Row(
+        "no-association", "ablation: each view's masks are objects of their own", variant=True
+    ),
+    "no-bank": Row(
+        "no-bank", "ablation: the mean over views in place of the multi-view bank", variant=True
+    ),
     "absent-zero": Row(
         "slgaussian",
         "ablation: the paper's zero vector for an absent view",
         rules={"absent": "zero"},
+        variant=True,
     ),
 }
 ROWS |= {name: Row(name, "of another package") for name in brought(GROUP) if name not in ROWS}
 """The table of all methods, in its order."""
+
+VARIANTS = frozenset(name for name, row in ROWS.items() if row.variant)
 
 PAPER_ABLATION = {
     (False, False, False): "langsplat-like, optimised",
