@@ -6,9 +6,12 @@ from typing import Any
 
 import typer
 
+from slgaussian import ahead
+
 
 def run_and_say(command: str, settings: Any, verbose: bool) -> None:
     """Perform a run, and print its scores, its report and what was left out; 1 if anything was."""
+    ahead.begin()
     finished = performed(command, settings, verbose)
     from flows.cli.tables import scores_tables, view_counts_tables
 

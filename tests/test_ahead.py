@@ -1,0 +1,52 @@
+"""What a second process compiles ahead is what the first one needs later."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from slgaussian import ahead
+from slgaussian.kernels import threads
+
+AFTERWARDS = """
+from slgaussian.build import build_field
+from slgaussian.kernels import threads
+from numba.core import event
+from tests.flows.command import room_sample
+
+class Listener(event.Listener):
+    def on_start(self, event):
+        print(event.data["dispatcher"].py_func.__module__)
+    def on_end(self, event):
+        pass
+
+sample = room_sample()
+event.register("numba:compile", Listener())
+build_field(sample)
+"""
+
+LATER = (
+    "slgaussian.rasterize.project",
+    "slgaussian.rasterize.tiles",
+    "slgaussian.rasterize.blend",
+    "slgaussian.masks.merge",
+    "slgaussian.language.separated",
+    "slgaussian.language.nearest",
+)
+
+
+@pytest.mark.whole
+@pytest.mark.skipif(threads.cores() < 2, reason="needs two cores")
+def test_nothing_that_was_compiled_ahead_is_compiled_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    begun = ahead.begin()
+    assert begun is not None and begun.wait(300) == 0
+    assert ahead.begin() is None  # there are kernels now
+    done = subprocess.run(
+        [sys.executable, "-c", AFTERWARDS], capture_output=True, text=True, env=dict(os.environ)
+    )
+    assert done.returncode == 0, done.stderr
+    compiled = set(done.stdout.split())
+    assert "slgaussian.predict.cost" in compiled  # depth, which comes first
+    assert not compiled.intersection(LATER)
