@@ -47,6 +47,8 @@ class Claim:
 def claims(gains: Table) -> list[Claim]:
     """What the differences of one data set bear out, by :data:`CLAIMED`: one a method, in order.
 
+    Where all of many bear out nothing, for want of places, one claim says so.
+
     Parameters
     ----------
     gains : Table
@@ -64,6 +66,8 @@ def claims(gains: Table) -> list[Claim]:
             gain = f"{cell.value} ({cell.interval})" if cell.interval else cell.value
             text = SAID[cell.mark].format(other=line.method, gain=gain)
             found.append(Claim(cell.mark, text))
+    if len(found) > 2 and all(claim.mark == "few" for claim in found):
+        return [Claim("few", f"too few places to tell from any of the {len(found)} others")]
     return found
 
 

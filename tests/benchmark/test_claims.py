@@ -76,6 +76,17 @@ def test_fewer_places_than_are_needed_tell_nothing_however_many_scenes_they_have
     assert claim(ours, theirs, list("abcdefgg")).mark == "better"
 
 
+def test_of_many_that_nothing_is_borne_out_of_one_line_says_so():
+    ours, places = rows_of("mine", [0.6] * 8, list("aabbccdd")), list("aabbccdd")
+    others = {name: (ours, rows_of(name, [0.5] * 8, places)) for name in ("x", "y", "z")}
+    (table,) = difference_tables(others)
+    assert [one.text for one in claims(table)] == [
+        "too few places to tell from any of the 3 others"
+    ]
+    (table,) = difference_tables({name: others[name] for name in "xy"})
+    assert [one.mark for one in claims(table)] == ["few", "few"]
+
+
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=10))
 def test_only_an_interval_that_excludes_0_puts_one_ahead(pairs):
     ours, theirs = (np.array(own) for own in zip(*pairs, strict=True))
