@@ -215,9 +215,9 @@ def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray
     normals = np.ascontiguousarray(normals.T)
     cosine, part = np.empty((2, normals.shape[1]))
     for k, up in enumerate(ups):
-        np.abs(np.dot(up, normals, cosine), cosine)
-        level = (np.maximum(cosine, most, part).mean() - most) / (1 - most)
-        np.minimum(cosine, steep, part)
+        np.abs(np.dot(up, normals, out=cosine), out=cosine)
+        level = (np.maximum(cosine, most, out=part).mean() - most) / (1 - most)
+        np.minimum(cosine, steep, out=part)
         wall = 1 - part @ part / (len(part) * steep**2)
         found[k] = level + WALLS * wall
     return found
