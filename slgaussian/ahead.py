@@ -10,6 +10,7 @@ costs what it takes and changes nothing.
 
 from __future__ import annotations
 
+import atexit
 import os
 import subprocess
 import sys
@@ -27,9 +28,11 @@ def begin() -> subprocess.Popen[bytes] | None:
     if folder is None or threads.cores() < 2 or next(Path(folder).glob("*/*.nbc"), None):
         return None
     quiet = subprocess.DEVNULL
-    return subprocess.Popen(
+    begun = subprocess.Popen(
         [sys.executable, "-m", "slgaussian.ahead"], stdin=quiet, stdout=quiet, stderr=quiet
     )
+    atexit.register(begun.poll)  # its seconds are counted with those of the first
+    return begun
 
 
 def work() -> None:
