@@ -7,7 +7,7 @@ the light.
 
 import math
 
-# Before Numba, which reads once where it keeps kernels and how it starts threads.
+# Before Numba, which reads once where it keeps kernels.
 import slgaussian.kernels.threads  # noqa: F401
 
 # isort: split
