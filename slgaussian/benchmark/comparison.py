@@ -49,6 +49,9 @@ COSTS = {
 
 EXPECTED = "expected a folder that benchmark, run or demo wrote"
 
+SCENES = 3
+"""Scenes whose data differ that are named one by one, at most."""
+
 HOST = "machine", "processor", "workers"
 """What is said of where both were measured."""
 
@@ -252,7 +255,10 @@ def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], lis
 
 
 def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """The leaves of two manifests that differ, those of the data in a line a scene."""
+    """The leaves of two manifests that differ.
+
+    Those of the data in a line a scene; of more than :data:`SCENES` scenes in one for all.
+    """
     if not first or not second:
         return []
     data = [dict(made.get("data", {})) for made in (first, second)]
@@ -268,15 +274,31 @@ def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple
         for name in dict.fromkeys([*one, *other])
         if one.get(name) != other.get(name)
     ]
+    differing: dict[str, list[tuple[str, str, str]]] = {}
+    alone = []
     for scene in dict.fromkeys([*data[0], *data[1]]):
         if scene not in data[0] or scene not in data[1]:
             before, after = ("present" if scene in own else "–" for own in data)
-            found.append((f"data.{scene}", before, after))
+            alone.append((f"data.{scene}", before, after))
             continue
         mine, theirs = (dict(flatten(own[scene])) for own in data)
-        names = [n for n in dict.fromkeys([*mine, *theirs]) if mine.get(n) != theirs.get(n)]
-        found += [(f"data.{scene}.{n}", mine.get(n, "–"), theirs.get(n, "–")) for n in names]
-    return found
+        for leaf in dict.fromkeys([*mine, *theirs]):
+            if mine.get(leaf) != theirs.get(leaf):
+                told = scene, mine.get(leaf, "–"), theirs.get(leaf, "–")
+                differing.setdefault(leaf, []).append(told)
+    for leaf, scenes in differing.items():
+        if len(scenes) <= SCENES:
+            found += [(f"data.{scene}.{leaf}", a, b) for scene, a, b in scenes]
+        else:
+            scene, a, b = scenes[0]
+            more = f" of {scene}, and others of {len(scenes) - 1} more scenes"
+            found.append((f"data.*.{leaf}", _short(a) + more, _short(b) + more))
+    return found + alone
+
+
+def _short(value: str) -> str:
+    """The beginning of a digest."""
+    return value if len(value) <= 16 else f"{value[:12]}…"
 
 
 def _costs(first: Made, second: Made) -> list[tuple[str, str, str]]:

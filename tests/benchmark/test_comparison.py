@@ -103,6 +103,24 @@ def test_what_they_were_made_with_is_compared(tmp_path, result):
     ]
 
 
+def test_data_that_differ_in_many_scenes_take_one_line(tmp_path, result):
+    several = [
+        {**MANIFEST, "data": {f"s{k}": {"sample": f"{k}{side * 70}"} for k in range(5)}}
+        for side in "ab"
+    ]
+    first, second = (
+        leave(tmp_path / name, result, manifest=one)
+        for name, one in zip("ab", several, strict=True)
+    )
+    assert compared(first, second).settings == [
+        (
+            "data.*.sample",
+            "0aaaaaaaaaaa… of s0, and others of 4 more scenes",
+            "0bbbbbbbbbbb… of s0, and others of 4 more scenes",
+        )
+    ]
+
+
 def test_queries_of_one_report_alone_are_counted_and_not_compared(tmp_path, result):
     left_out = scored(result)[0]["query"]
     second = leave(tmp_path / "b", result, lambda row: None if row["query"] == left_out else row)
