@@ -185,7 +185,9 @@ def render_leaderboard(found: Leaderboard) -> tuple[str, str]:
 def _terms(found: Leaderboard) -> dict[str, str]:
     """What stands in the tables, by the name it has there."""
     columns = [column for board in found.boards for column in board.columns]
-    terms = {column.title: column.help for column in columns}
+    terms: dict[str, str] = {}
+    for column in columns:  # what later protocols say refers to those before
+        terms.setdefault(column.title, column.help)
     return terms | {
         "range": f"below a score, where {100 * LEVEL:.0f} % of the means lie if scenes, or the "
         "places that they show, are drawn anew",
