@@ -117,7 +117,7 @@ class _Watch:
         if spent >= SILENT and now - self.told >= AGAIN:
             self.told, self.showing = now, True
             self._say(
-                "compiling kernels for this processor, once, a minute or two: "
+                "compiling kernels for this processor, once, up to a minute: "
                 f"{self.kernels} in {spent:.0f} s"
             )
 
@@ -136,4 +136,4 @@ class _Watch:
             tell(text)
         elif text and not _Watch.said_once:
             _Watch.said_once = True
-            _log.warning("compiling kernels for this processor, once; it takes a minute or two")
+            _log.warning("compiling kernels for this processor, once; it takes up to a minute")

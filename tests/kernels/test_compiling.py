@@ -71,7 +71,7 @@ def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatc
         new_kernel()(1)
     # A record may be caught by handlers of several loggers.
     (said,) = {id(r): r for r in caplog.records if r.name == compiling.__name__}.values()
-    assert said.levelno == logging.WARNING and "takes a minute or two" in said.message
+    assert said.levelno == logging.WARNING and "takes up to a minute" in said.message
 
 
 def test_the_clock_stands_still_while_another_thread_compiles(at_once):
