@@ -36,9 +36,9 @@ Refine = Annotated[
 def demo(settings: dict, out: Out = Path("slg-demo"), verbose: Verbose = False) -> None:
     """Try everything on scenes that come with the installation.
 
-    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes one
-    or two minutes, leaves a report and a field of every scene, and ends with a command that asks one.
-    Run it again, and what is unchanged comes from the store.
+    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes
+    one or two minutes, leaves a report and a field of every scene, and ends with a command that
+    asks one. Run it again, and what is unchanged comes from the store.
 
     \b
     slgaussian demo
