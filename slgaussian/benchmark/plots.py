@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import Bbox
 
 from slgaussian.benchmark.scores import Reliability
 
@@ -125,7 +126,8 @@ def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
 def plot_worth(points: Sequence[tuple[str, float, float]], ours: str, label: str) -> str:
     """IoU over what it costs, the best of each price joined: the Pareto front.
 
-    ``points`` are (method, IoU, cost); those on the front are named, and all where they are few.
+    ``points`` are (method, IoU, cost); those on the front are named, and all where they are few,
+    but none whose name would lie on another.
     """
 
     def draw() -> Figure:
@@ -140,20 +142,36 @@ def plot_worth(points: Sequence[tuple[str, float, float]], ours: str, label: str
         for method, value, cost in points:
             color, size = (ACCENT, 8) if method == ours else (SOFT, 5.5)
             axes.plot(cost, value, "o", color=color, ms=size, mec="white")
-            if len(points) <= NAMED or method == ours or (cost, value) in front:
-                # Beside the mark and within the axes; what is behind the front stands below.
-                side = "left" if cost < max(point[2] for point in points) else "right"
-                place = 6 if side == "left" else -6, 5 if (cost, value) in front else -13
-                axes.annotate(method, (cost, value), place, textcoords="offset points", ha=side)
         axes.set(xscale="log", xlabel=label, ylabel="IoU")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.margins(0.12, 0.14)
         axes.grid()
+        named = [
+            point
+            for point in sorted(points, key=lambda point: (point[0] != ours, -point[1]))
+            if len(points) <= NAMED or point[0] == ours or (point[2], point[1]) in front
+        ]
+        _name_points(figure, named)
         return figure
 
     return as_svg(draw)
+
+
+def _name_points(figure: Figure, points: Sequence[tuple[str, float, float]]) -> None:
+    """Write names beside their points, the first ones first; one without room is left out."""
+    axes, taken = figure.axes[0], list[Bbox]()
+    figure.draw_without_rendering()  # so that places on the page are known
+    room = axes.get_window_extent()
+    for name, value, cost in points:
+        for side, x, y in (("left", 6, 5), ("left", 6, -13), ("right", -6, 5), ("right", -6, -13)):
+            text = axes.annotate(name, (cost, value), (x, y), textcoords="offset points", ha=side)
+            box = text.get_window_extent()
+            if room.x0 <= box.x0 and box.x1 <= room.x1 and not box.count_overlaps(taken):
+                taken.append(box)
+                break
+            text.remove()
 
 
 def _name_lines(figure: Figure) -> None:

@@ -2,7 +2,7 @@ import re
 
 import numpy as np
 
-from slgaussian.benchmark.plots import plot_curves, plot_reliability, plot_scores
+from slgaussian.benchmark.plots import plot_curves, plot_reliability, plot_scores, plot_worth
 from slgaussian.benchmark.scores import Reliability
 
 METHODS = [f"method {k}" for k in range(12)]
@@ -43,3 +43,12 @@ def test_a_plot_may_stand_in_a_page_as_it_is():
 def test_one_method_without_an_interval_can_be_drawn():
     svg = plot_scores([{"method": "a", "value": 0.5, "low": None, "high": None}], "a")
     assert svg.startswith("<svg")
+
+
+def test_names_of_points_never_lie_on_each_other():
+    crowd = [(f"method {k}", 0.5 + k / 1e4, 1 + k / 1e4) for k in range(3)]
+    apart = ("far away", 0.1, 0.001)
+    svg = plot_worth([*crowd, apart], "method 1", "seconds")
+    named = [name for name, *_ in (*crowd, apart) if name in svg]
+    assert "method 1" in named and "far away" in named
+    assert len(named) < 4
