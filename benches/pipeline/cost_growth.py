@@ -1,11 +1,11 @@
-"""How cost grows: processor seconds against the size of what is asked, with fitted exponents.
+"""How cost grows: processor seconds and memory against the size of what is asked, with exponents.
 
     python -m benches.pipeline.cost_growth [-o FILE] [--only WHAT ...]
 
 All on made-up scenes. Each point runs in a process of its own, which first does the same with
 something small, so that imports and kernels do not count: processor seconds, the median of three
-times where one is short. The exponent is the slope of the logarithms over the larger half of the
-range: 1 is linear.
+times where one is short, and what the process comes to hold beyond what it is given. The exponent
+is the slope of the logarithms over the larger half of the range: 1 is linear.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from benches.common.pages import publish
+from slgaussian.benchmark import resident_memory
 
 RANGES: Mapping[str, tuple[float, ...]] = {
     "texts": (1, 10, 100, 1000),
     "objects": (5, 50, 500),
-    "Gaussians": (50_000, 200_000, 1_000_000, 4_000_000),
-    "pixels": (0.05, 0.1, 0.2, 0.4),
+    "Gaussians": (50_000, 200_000, 1_000_000, 5_000_000),
+    "pixels": (0.1, 0.2, 0.4, 0.8, 2.0),
     "views": (2, 3, 4, 6),
 }
 """What grows, and through which sizes; pixels are megapixels a view."""
@@ -143,15 +144,19 @@ def _field(views: int, megapixels: float) -> Callable[[], object]:
 
 
 def point(what: str, size: float) -> dict[str, float]:
-    """The cost of one size, in this process: ``seconds`` of the processor."""
+    """The cost of one size, in this process: ``seconds`` of the processor, and ``megabytes``."""
     job(what, RANGES[what][0])()
     work = job(what, size)
-    spent = []
+    spent: list[float] = []
+    resident_memory.give_back()
+    given = resident_memory.held("VmRSS")
+    resident_memory.forget_peak()
     while not spent or (len(spent) < TIMES and spent[0] < SHORT):
         start = time.process_time()
         work()
         spent.append(time.process_time() - start)
-    return {"size": size, "seconds": float(np.median(spent))}
+    more = max(resident_memory.held("VmHWM") - given, 0)
+    return {"size": size, "seconds": float(np.median(spent)), "megabytes": more / 1e6}
 
 
 def grown(what: str) -> dict:
@@ -164,8 +169,11 @@ def grown(what: str) -> dict:
             raise SystemExit(done.stderr)
         rows.append(json.loads(done.stdout.splitlines()[-1]))
         print(what, rows[-1], file=sys.stderr)
-    sizes, seconds = ([row[name] for row in rows] for name in ("size", "seconds"))
-    return {"what": what, "says": SAYS[what], "rows": rows, "exponent": exponent(sizes, seconds)}
+    sizes = [row["size"] for row in rows]
+    found = {
+        name: exponent(sizes, [row[name] for row in rows]) for name in ("seconds", "megabytes")
+    }
+    return {"what": what, "says": SAYS[what], "rows": rows} | found
 
 
 def main() -> None:
