@@ -3,6 +3,7 @@
 import os
 import re
 from collections import defaultdict
+from contextlib import suppress
 from pathlib import Path
 
 PROC = Path("/proc")
@@ -44,8 +45,9 @@ def listening(process: int) -> list[tuple[str, str]]:
     """
     own = set()
     for entry in (PROC / f"{process}/fd").iterdir():
-        found = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry))
-        own |= {found[1]} if found else set()
+        with suppress(FileNotFoundError):  # closed meanwhile
+            found = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry))
+            own |= {found[1]} if found else set()
     places = []
     for table in ("tcp", "tcp6", "udp", "udp6"):
         for line in (PROC / f"{process}/net/{table}").read_text().splitlines()[1:]:
