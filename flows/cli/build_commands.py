@@ -10,7 +10,6 @@ from flows.cli.command_settings import BUILD, COMMON, FIELDS, MASKS, RUN
 from flows.cli.help import App
 from flows.cli.options import with_options
 from flows.cli.running import run_and_say
-from slgaussian import ahead
 from slgaussian.errors import InputError
 
 commands = App()
@@ -89,7 +88,6 @@ def field(
 
         typer.echo(added(photos, cameras, out, settings))
         return
-    ahead.begin()
     from flows.cli.fields import build
 
     typer.echo(build(photos, cameras, refine, keyframes, out or Path("field"), settings))

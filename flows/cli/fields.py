@@ -16,6 +16,7 @@ from flows.cli.drawings import check_drawing, drawing
 from flows.cli.posing import posed_sample
 from flows.cli.viewpoints import Choice, Viewpoint
 from flows.settings import make_settings
+from slgaussian import ahead
 from slgaussian.build import build_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
@@ -82,6 +83,7 @@ def made(
     ``start`` is when the work began, by ``time.perf_counter``. What ``settled`` makes of the field
     is saved.
     """
+    ahead.begin()
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(part.name for part in method.parts)
     print(

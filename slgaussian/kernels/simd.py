@@ -77,7 +77,7 @@ def _install(function, emit, applies, mask=False):
     """Make ``function`` an operator of vectors.
 
     By types and instructions alone: Numba would inline an ``overload`` wherever it is used, and
-    that took a third of the time in which kernels compile.
+    kernels of vectors would compile for much longer.
     """
 
     @type_callable(function)

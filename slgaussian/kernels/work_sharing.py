@@ -6,8 +6,7 @@ other work as well, for a thread that is not even running. What a portion comput
 on who takes it; then nor do the results.
 
 The threads are Python's own, as kernels let go of its lock. They wait asleep, whoever calls may
-share, also side by side, and a kernel for one thread compiles in half the time of Numba's
-``parallel`` ones.
+share, also side by side, and a kernel for one thread compiles faster than a ``parallel`` one.
 """
 
 from __future__ import annotations
