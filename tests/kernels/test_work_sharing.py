@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -54,6 +55,30 @@ def test_several_threads_are_in_a_kernel_at_once():
     with kernels_on(2):
         share(meet, 2)
     assert len(set(met)) == 2
+
+
+MANY = 200_000_000
+"""Portions that take a second or more."""
+
+
+@kernel
+def _go_on(counter):
+    taken = 0
+    while take(counter) < MANY:
+        taken += 1
+    return taken
+
+
+def test_python_goes_on_while_a_kernel_runs():
+    _go_on(np.full(1, MANY))  # compiled
+    counter, taken = np.zeros(1, np.int64), []
+    runs = threading.Thread(target=lambda: taken.append(_go_on(counter)))
+    runs.start()
+    while counter[0] == 0:
+        time.sleep(0)
+    counter[0] = MANY  # no more portions
+    runs.join()
+    assert taken[0] < MANY
 
 
 def test_what_a_helper_raises_is_raised():
