@@ -13,7 +13,7 @@ from slgaussian.storage.store import ArtifactRef
 from tasks.stage import Worksite, stage
 
 
-@stage("numerics", version=1)
+@stage("numerics", version=2)
 def numerics(site: Worksite, machine: Mapping[str, str]) -> ArtifactRef:
     """What float32 makes of hard cases: spec ``hard_cases``.
 

@@ -1,6 +1,6 @@
 """How the charts of all pages look."""
 
-BLUE, ORANGE, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 """Okabe and Ito's colours, which colour-blind people tell apart; markers differ too."""
 INK, FAINT = "#3c4043", "#e3e6ea"
 STYLE = {

@@ -18,12 +18,13 @@ import torch
 from benches.common.paired_timing import paired_times
 from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize import PRESETS, Settings, hard_cases, plan, rasterize
+from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
 from slgaussian.rasterize.blend import draw
 from slgaussian.rasterize.cpu import project_checked
 from slgaussian.rasterize.project import eye_of
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
+from tests.rasterize import hard_cases
 
 DEFAULT = Settings()
 NOTHING_CUT = {"alpha_min": 0.0, "sigmas": math.inf, "pass_min": 0.0}

@@ -8,29 +8,25 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from benches.common.chart_style import BLUE, FAINT, GREEN, INK, ORANGE, PINK, STYLE
-from benches.common.markdown_tables import fraction
+from benches.common.chart_style import BLUE, FAINT, INK, ORANGE, STYLE
 from benches.rasterize.parameter_sweeps import LOOP
 
-OURS, THEIRS, PRUNED, UNSEEN = BLUE, ORANGE, GREEN, PINK
+OURS, THEIRS = BLUE, ORANGE
 HALO = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 GREY_LEVEL = 1 / 255
 
 
 def picture(
     thresholds: list[dict],
-    tolerances: list[dict],
     counts: list[dict],
     resolutions: list[dict],
     channels: list[dict],
 ) -> bytes:
-    """SVG of the rows of ``parameter_sweeps.py``, and of ``pruning_error.py`` (``tolerances``)."""
+    """SVG of the rows of ``parameter_sweeps.py``."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10, 8), layout="constrained")
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.15, 1), hspace=0.04)
-        left, right = upper.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-        draw_cuts(left, thresholds)
-        draw_pruning(right, tolerances)
+        draw_cuts(upper.subplots(), thresholds)
         panels = lower.subplots(1, 3, sharey=True, gridspec_kw={"wspace": 0.06})
         sizes = [f"{row['gaussians'] / 1000:,.0f}k" for row in counts]
         draw_times(panels[0], counts, "gaussians", "Gaussians", sizes)
@@ -65,23 +61,6 @@ def draw_cuts(axes: Axes, thresholds: list[dict]) -> None:
     axes.set_title("Error against time: down and left is better")
     axes.set_xlabel("time for a picture, ms")
     axes.set_ylabel("greatest error of any value in [0, 1]")
-
-
-def draw_pruning(axes: Axes, tolerances: list[dict]) -> None:
-    """Errors over the share that stays: of the views that pruning is given, and of another."""
-    for key, told, color, marker in (
-        ("held_out_error", "unseen view", UNSEEN, "v"),
-        ("error", "given views", PRUNED, "^"),
-    ):
-        points = [(100 * row["share"], row[key]) for row in tolerances]
-        axes.plot(*zip(*points, strict=True), marker=marker, color=color, ms=7, label=told)
-    axes.axhline(GREY_LEVEL, color=INK, lw=1, ls=(0, (5, 3)), zorder=1)
-    axes.set_xmargin(0.08)
-    axes.grid(color=FAINT)
-    axes.legend(loc="lower left", frameon=False, labelcolor="linecolor")
-    least, most = (fraction(row["tolerance"]) for row in (tolerances[0], tolerances[-1]))
-    axes.set_title(f"Pruning, tolerances {least} to {most}")
-    axes.set_xlabel("Gaussians that remain, %")
 
 
 def mark_points(

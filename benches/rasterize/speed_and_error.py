@@ -14,7 +14,7 @@ import torch
 
 from benches.common.pages import publish
 from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
-from benches.rasterize import fresh_process, parameter_sweeps, pruning_error
+from benches.rasterize import fresh_process, parameter_sweeps
 from benches.rasterize.parameter_sweeps import Subject
 from benches.rasterize.rasterizer_chart import picture
 from slgaussian.errors import InputError
@@ -26,9 +26,6 @@ from slgaussian.storage.store import write_atomic
 MEASURES = {
     "stages": lambda subject: [parameter_sweeps.stages_row(subject)],
     "thresholds": parameter_sweeps.threshold_rows,
-    "tolerances": lambda s: pruning_error.sweep(
-        s.gaussians, s.contexts, pruning_error.TOLERANCES, s.camera
-    ),
     "counts": parameter_sweeps.count_rows,
     "resolutions": parameter_sweeps.resolution_rows,
     "channels": parameter_sweeps.channel_rows,
@@ -65,14 +62,10 @@ def run(options: argparse.Namespace) -> None:
     chosen = options.scene or next(iter(samples))
     if chosen not in samples:
         raise InputError(f"--scene: found {chosen!r}, expected one of {', '.join(samples)}")
-    rows = {"scenes": [], "pruned": []}
+    rows = {"scenes": []}
     for name, sample in samples.items():
         subject = subject_of(name, sample)
         rows["scenes"].append(parameter_sweeps.scene_row(subject))
-        pruned = pruning_error.sweep(
-            subject.gaussians, subject.contexts, [pruning_error.GREY], subject.camera
-        )
-        rows["pruned"] += [{"scene": name, "views": "contexts", **row} for row in pruned]
         if name == chosen:
             swept = subject
     for key, measure in MEASURES.items():
@@ -86,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
     file = options.out and options.out / "rasterizer.md"
     publish("rasterize/rasterizer.md.j2", file, rows=rows, scene=chosen, command=" ".join(words))
     if options.out is not None:
-        shown = "thresholds", "tolerances", "counts", "resolutions", "channels"
+        shown = "thresholds", "counts", "resolutions", "channels"
         drawn = picture(*(rows[key] for key in shown))
         write_atomic(options.out / "rasterizer.svg", drawn)
 

@@ -10,17 +10,14 @@ from slgaussian.rasterize.render_settings import PRESETS, Settings
 
 if TYPE_CHECKING:
     from slgaussian.rasterize.planned import SplatPlan, plan
-    from slgaussian.rasterize.pruning import Pruned, prune
 
 __all__ = [
     "BACKENDS",
     "PRESETS",
-    "Pruned",
     "Render",
     "Settings",
     "SplatPlan",
     "plan",
-    "prune",
     "rasterize",
 ]
 
@@ -28,8 +25,6 @@ __all__ = [
 _LATER = {
     "SplatPlan": "slgaussian.rasterize.planned",
     "plan": "slgaussian.rasterize.planned",
-    "Pruned": "slgaussian.rasterize.pruning",
-    "prune": "slgaussian.rasterize.pruning",
 }
 
 

@@ -251,17 +251,6 @@ def weigh_block(block, work, alpha_max, pass_min):
 
 
 @kernel
-def alpha_of(block, local, alpha_max):
-    """The alphas of a splat in a block, as :func:`weigh_block` has them."""
-    left, top = _corner(block)
-    e, d = _offsets(left, top, local)
-    power = local[LOCAL_POWER] - e * e - d * d
-    alpha = vexp2(power)
-    alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
-    return vwhere(power >= local[LOCAL_CUT], alpha, vzero())
-
-
-@kernel
 def _corner(block):
     """The first pixel of a block, counted from the first of its tile's middle row."""
     left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))

@@ -393,55 +393,6 @@ def _gaussian_backward(
 
 
 @kernel
-def project_moments(means, covariances, eye):
-    """Project Gaussians of opacity 1 that are known by their moments, as :func:`project` does.
-
-    Parameters
-    ----------
-    means, covariances : float32 [N, 3], float64 [N, 3, 3]
-    eye : Eye
-
-    Returns
-    -------
-    float64 [N, 8], int32 [N, 4]
-        Splats and boxes. Their column CUT is that of the fraction of their opacity alone, as
-        nobody knows yet where another one falls below ``alpha_min``.
-    """
-    n = len(means)
-    splats, boxes = np.empty((n, 8)), np.zeros((n, 4), np.int32)
-    reach = -max(eye.cut, eye.fraction) * (1.000001 / HALF_LOG2_E)
-    for i in range(n):
-        x, y, z = _to_camera(*_three(means[i]), eye)
-        A, C = _image_rows(x, y, z, eye), covariances[i]
-        xx = xy = yy = 0.0
-        for j in range(3):
-            for k in range(3):
-                xx += A[0][j] * C[j, k] * A[0][k]
-                xy += A[0][j] * C[j, k] * A[1][k]
-                yy += A[1][j] * C[j, k] * A[1][k]
-        xx += eye.low_pass
-        yy += eye.low_pass
-        u, v = _to_pixel(x, y, eye)
-        splats[i, U], splats[i, V] = clamp(u, -FAR, FAR), clamp(v, -FAR, FAR)
-        splats[i, ROOT] = math.sqrt(HALF_LOG2_E * yy / (xx * yy - xy * xy))
-        splats[i, SLOPE] = clamp(xy / yy, -FAR, FAR)
-        splats[i, ROW_ROOT] = math.sqrt(HALF_LOG2_E / yy)
-        splats[i, POWER], splats[i, CUT], splats[i, Z] = 0.0, eye.fraction, z
-        if z > eye.near:
-            wide, tall = math.sqrt(reach * xx), math.sqrt(reach * yy)
-            boxes[i, 0], boxes[i, 1] = _pixels(u, wide, eye.width)
-            boxes[i, 2], boxes[i, 3] = _pixels(v, tall, eye.height)
-    return splats, boxes
-
-
-@kernel
-def _pixels(centre, reach, size):
-    low = np.int32(math.ceil(min(max(centre - reach - 0.5, 0.0), size)))
-    high = np.int32(math.floor(min(max(centre + reach - 0.5, -1.0), size - 1.0))) + 1
-    return low, max(low, np.int32(high))
-
-
-@kernel
 def _three(row):
     return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
 

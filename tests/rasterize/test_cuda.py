@@ -10,7 +10,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.rasterize.cuda import load_gsplat
-from slgaussian.rasterize.hard_cases import camera, case, cloud
+from tests.rasterize.hard_cases import camera, case, cloud
 
 needs_gpu = pytest.mark.skipif(
     not torch.cuda.is_available() or find_spec("gsplat") is None,

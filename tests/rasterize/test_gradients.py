@@ -9,8 +9,8 @@ import torch
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
-from slgaussian.rasterize.hard_cases import camera, case, cloud, rotated, splats
 from slgaussian.scene import Camera
+from tests.rasterize.hard_cases import camera, case, cloud, rotated, splats
 
 EXACT = PRESETS["exact"]
 GEOMETRY = ("means", "scales", "quats", "opacities")

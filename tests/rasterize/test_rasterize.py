@@ -13,7 +13,9 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Settings, rasterize
-from slgaussian.rasterize.hard_cases import (
+from slgaussian.rasterize.harmonics import colors
+from slgaussian.scene import Camera
+from tests.rasterize.hard_cases import (
     ALL_CUT,
     bounds,
     camera,
@@ -24,8 +26,6 @@ from slgaussian.rasterize.hard_cases import (
     rotated,
     splats,
 )
-from slgaussian.rasterize.harmonics import colors
-from slgaussian.scene import Camera
 
 BACKENDS = ["cpu", "reference"]
 EXACT = PRESETS["exact"]

@@ -1,8 +1,7 @@
 """Scenes on which rasterisers break, by name, and the error of the cpu backend on each.
 
 Every case is small enough for the float64 reference to draw it in a fraction of a second. The tests
-draw all of them, every report draws some (:mod:`slgaussian.benchmark.numerics`), and a bench sweeps
-settings over them with :func:`measure`.
+draw all of them, and a bench sweeps settings over them with :func:`measure`.
 """
 
 from __future__ import annotations
@@ -44,11 +43,6 @@ class Errors:
     values: float
     alpha: float
     depth: float
-
-    def worst(self, bounds: Errors) -> tuple[float, float]:
-        """The error that is nearest to its bound, or farthest beyond it, and that bound."""
-        pairs = list(zip(vars(self).values(), vars(bounds).values(), strict=True))
-        return max(pairs, key=lambda pair: math.inf if math.isnan(pair[0]) else pair[0] / pair[1])
 
 
 EXACT_BOUND = 5e-6
