@@ -1,0 +1,519 @@
+"""Everything that users run, as whole commands: exit states and digests of what they leave.
+
+Run it before and after a change that should change nothing (``record``), and list the differences
+(``diff``). Each command runs in a process of its own, from a plain install in a new environment
+unless ``--program`` names another one. Without ``--data`` (a folder with ``office``) the steps on
+photographs are left out; ``--only`` takes some of the groups.
+
+    python -m benches.pipeline.user_commands record WORK before.json --data DATA
+    python -m benches.pipeline.user_commands diff before.json after.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from benches.common.small_rooms import write_rooms
+
+ROOT = Path(__file__).resolve().parents[2]
+HOST = "127.0.0.1"
+TIMED = re.compile(
+    r"(log(\.\d+)?\.jsonl|times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)"
+)
+"""Files with times or dates in them: that they exist is recorded, not their bytes."""
+LIMIT = 3600.0
+"""Seconds after which a command is taken to hang."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of one command.
+
+    Attributes
+    ----------
+    command : str
+    status : int
+        Exit status; negative if a signal ended it.
+    files : dict of str to str
+        SHA-256 of each file, by its path in the folder that the command wrote.
+    stdout : str
+        SHA-256 of its standard output where that is an answer (``--json``, ``--help``), else empty.
+    """
+
+    command: str
+    status: int
+    files: dict[str, str] = field(default_factory=dict)
+    stdout: str = ""
+
+
+@dataclass
+class Recorder:
+    """Run commands of one program in one folder, and record what they leave."""
+
+    program: list[str]
+    work: Path
+    env: dict[str, str]
+    results: dict[str, Result] = field(default_factory=dict)
+
+    def run(self, name: str, *words: object, out: str = "", answer: bool = False) -> Result:
+        """Run ``slgaussian WORDS``; record its status, the digests under ``out`` and its answer."""
+        arguments = [str(word) for word in words]
+        begin = time.monotonic()
+        done = subprocess.run(
+            [*self.program, *arguments],
+            cwd=self.work,
+            env=self.env,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=LIMIT,
+        )
+        log = self.work / "logs" / (re.sub(r"\W+", "_", name) + ".log")
+        log.parent.mkdir(exist_ok=True)
+        log.write_bytes(done.stdout + done.stderr)
+        stdout = hashlib.sha256(done.stdout).hexdigest() if answer else ""
+        result = self.record(name, arguments, done.returncode, out, stdout)
+        print(f"{time.monotonic() - begin:7.1f} s  status {result.status}  {name}", flush=True)
+        return result
+
+    def record(
+        self, name: str, arguments: list[str], status: int, out: str = "", stdout: str = ""
+    ) -> Result:
+        """Record the outcome of a command that has ended."""
+        files = digests(self.work / out) if out else {}
+        self.results[name] = Result(shlex.join(arguments), status, files, stdout)
+        return self.results[name]
+
+
+def digests(path: Path) -> dict[str, str]:
+    """Return the SHA-256 of a file, or of each file under a folder, by relative path.
+
+    Of a file with times in it only its presence counts; of ``artifacts.parquet`` the stages and
+    the digests of their artifacts.
+    """
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+    return {str(p.relative_to(path)) if p != path else p.name: _digest(p) for p in files}
+
+
+def _digest(path: Path) -> str:
+    if TIMED.fullmatch(path.name):
+        return "present"
+    if path.name == "artifacts.parquet":
+        import pyarrow.parquet as pq
+
+        rows = pq.read_table(path, columns=["scene", "stage", "spec", "digest"]).to_pylist()
+        # Measured seconds are an artifact of their own.
+        lines = sorted(json.dumps(row) for row in rows if "times" not in row["spec"])
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# The groups. Each writes below a folder of its own, so that any of them can run alone.
+
+
+def helps(recorder: Recorder, _data: Path | None) -> None:
+    """``--help`` of the program and of each command."""
+    recorder.run("help", "--help", answer=True)
+    listing = (recorder.work / "logs" / "help.log").read_text()
+    for command in re.findall(r"^  ([a-z]+)  +\S", listing, re.MULTILINE):
+        recorder.run(f"help {command}", command, "--help", answer=True)
+
+
+def demo(recorder: Recorder, _data: Path | None) -> None:
+    """The demo with its defaults, and again from its store."""
+    for name in ("demo", "demo again"):
+        recorder.run(name, "demo", "-o", "demo/out", "--store", "demo/store", out="demo/out")
+
+
+def office(recorder: Recorder, data: Path | None) -> None:
+    """Three labelled scenes of photographs with all methods; masks scored; two runs compared."""
+    if data is None:
+        return
+    pairs = json.loads((data / "office" / "pairs.json").read_text())
+    index = recorder.work / "office" / "pairs.json"
+    index.parent.mkdir(exist_ok=True)
+    index.write_text(json.dumps(dict(list(pairs.items())[:3])))
+    source = ["--data", data / "office", "--pairs", index, "--labels", data / "office" / "labels"]
+    store = ["--store", "office/store"]
+    recorder.run(
+        "office", "benchmark", *source, "--against", "all", *store, "-o", "office/out",
+        out="office/out",
+    )  # fmt: skip
+    fast = ["--preset", "fast", "-o", "office/fast"]
+    recorder.run("office fast", "benchmark", *source, *store, *fast, out="office/fast")
+    masks = "office/out/predictions/slgaussian"
+    recorder.run("score", "score", masks, *source, "-o", "office/score", out="office/score")
+    compared = ["office/out", "office/fast", "-o", "office/compare"]
+    recorder.run("compare", "compare", *compared, out="office/compare")
+
+
+def runners(recorder: Recorder, _data: Path | None) -> None:
+    """``run`` by each runner on a folder, and by threads on a bucket: the same bytes."""
+    base = recorder.work / "runners"
+    write_rooms(base / "rooms", 3)
+    python = Path(recorder.program[0]).parent
+
+    def one(name: str, runner: str, store: str) -> None:
+        options = ["--runner", runner, "--store", store, "-o", f"runners/{name}"]
+        out = f"runners/{name}"
+        recorder.run(f"run {name}", "run", "runners/rooms/rooms.toml", *options, out=out)
+
+    for runner in ("threads", "processes"):
+        one(runner, runner, f"runners/store_{runner}")
+    with dask_cluster(python, base, recorder.env) as address:
+        one("dask", address, str(base / "store_dask"))
+    with ray_cluster(python, base, recorder.env) as address:
+        one("ray", address, str(base / "store_ray"))
+    with s3_bucket(python, base, recorder.env) as (bucket, variables):
+        recorder.env.update(variables)
+        one("bucket", "threads", f"{bucket}/slg")
+
+
+def corpus(recorder: Recorder, _data: Path | None) -> None:
+    """From chunks to lessons, a training set, weights, a promotion and a refusal."""
+    store = ["--store", "corpus/store"]
+    chunks = ["-o", "corpus/chunks", "--views", "6", "--size", "96x128"]
+    recorder.run("pack", "pack", "procedural:0-3", *chunks, out="corpus/chunks")
+    size = ["--size", "96x128", *store]
+    lessons = ["corpus/chunks", *size, "-o", "corpus/lessons"]
+    recorder.run("supervise", "supervise", *lessons, out="corpus/lessons")
+    recorder.run("supervise again", "supervise", *lessons, out="corpus/lessons")
+    sources = ["corpus/set", "corpus/chunks", *size]
+    recorder.run("dataset", "dataset", *sources, out="corpus/set")
+    training = ["--lessons", "corpus/lessons", "--steps", "50", *store, "-o", "corpus/trained"]
+    recorder.run("train", "train", *training, out="corpus/trained")
+    retrain = ["--chunks", "corpus/chunks", "--out", "corpus/new", "--models", "corpus/models"]
+    retrain += [*size, "--held-out", "0.4"]
+    models = "corpus/models"
+    recorder.run("retrain", "retrain", *retrain, "--steps", "40", out=models)
+    # So few clips promote nothing by themselves: an operator does.
+    recorder.run("promote", "versions", models, "--use", "1", out=models)
+    recorder.run("pack more", "pack", "procedural:4-7", *chunks, out="corpus/chunks")
+    # One step makes weights that are no better.
+    recorder.run("retrain, refused", "retrain", *retrain, "--steps", "1", out=models)
+    recorder.run("roll back", "versions", models, "--roll-back", out=models)
+    recorder.run("versions", "versions", models, answer=True)
+
+
+def fields(recorder: Recorder, data: Path | None) -> None:
+    """Fields of two and five photographs, with and without cameras; every question and export."""
+    if data is None:
+        folder = recorder.work / "fields"
+        write_rooms(folder, 1)
+        photographs = sorted((folder / "room_0000").glob("*.png"))
+        cameras = folder / "room_0000" / "transforms.json"
+        recorder.run(
+            "field", "field", *photographs[::2], "--cameras", cameras, "-o", "fields/posed",
+            out="fields/posed",
+        )  # fmt: skip
+        questions(recorder, "fields/posed", cameras, ["wall", "floor"], [])
+        return
+    images, cameras = data / "office" / "images", data / "office" / "transforms.json"
+    pairs = json.loads((data / "office" / "pairs.json").read_text())
+    context = [images / Path(name).name for name in next(iter(pairs.values()))["context"]]
+    walk = sorted((data / "office_walk" / "images").iterdir())[:5]
+    posed = [*context, "--cameras", cameras]
+    recorder.run("field posed", "field", *posed, "-o", "fields/posed", out="fields/posed")
+    recorder.run("field two", "field", *context, "-o", "fields/two", out="fields/two")
+    recorder.run("field five", "field", *walk, "-o", "fields/five", out="fields/five")
+    five = [*walk, "--cameras", data / "office_walk" / "transforms.json"]
+    recorder.run("field five posed", "field", *five, "-o", "fields/fifth", out="fields/fifth")
+    estimate = ["cameras", *context, "-o", "fields/cameras.json"]
+    recorder.run("cameras", *estimate, out="fields/cameras.json")
+    recorder.run("masks", "masks", *posed, "-o", "fields/ids", out="fields/ids")
+    questions(recorder, "fields/posed", cameras, ["blue carpet", "wooden table"], context)
+
+
+def questions(
+    recorder: Recorder, folder: str, cameras: Path, texts: list[str], pictures: list[Path]
+) -> None:
+    """Ask one field everything that a command can ask, and write it in each format."""
+    out = f"{folder}_answers"
+    (recorder.work / out).mkdir()
+
+    def ask(name: str, *words: object, file: str = "", answer: bool = False) -> None:
+        words = (*words, "-o", f"{out}/{file}") if file else words
+        recorder.run(f"{name} {folder}", *words, out=f"{out}/{file}" * bool(file), answer=answer)
+
+    ask("query", "query", folder, *texts, "--json", answer=True)
+    ask("query absent", "query", folder, "purple sofa", "--json", answer=True)
+    ask("query unknown", "query", folder, "zyzzyva")
+    ask("query picture", "query", folder, texts[0], file="hit.png")
+    between = ["--between", "0", "1", "0.5", "--json"]
+    ask("query between", "query", folder, texts[0], *between, answer=True)
+    if pictures:
+        like = ["--like", pictures[0], "--json"]
+        ask("query like", "query", folder, *like, answer=True)
+    ask("segment", "segment", folder, *texts, file="labels.png")
+    ask("segment json", "segment", folder, *texts, "--json", answer=True)
+    ask("objects", "objects", folder, "--json", answer=True)
+    ask("objects table", "objects", folder, file="objects.parquet")
+    ask("teach", "teach", folder, "thing", "--at", "20", "20")
+    ask("query taught", "query", folder, "thing", "--json", answer=True)
+    ask("forget", "teach", folder, "thing", "--forget")
+    ask("extract", "extract", folder, "1", file="one.ply")
+    ask("remove", "remove", folder, "1", file="without")
+    ask("render", "render", folder, *between[:-1], file="middle.png")
+    for suffix in ("html", "ply", "spz"):
+        ask(f"export {suffix}", "export", folder, file=f"scene.{suffix}")
+    for file in (f"{out}/scene.ply", f"{out}/scene.spz", f"{folder}/gaussians.npz"):
+        ask(f"inspect {Path(file).suffix}", "inspect", file)
+    ask("render ply", "render", f"{out}/scene.ply", "--camera", cameras, file="ply.png")
+
+
+def killed(recorder: Recorder, _data: Path | None) -> None:
+    """A run killed in the middle, resumed; a damaged store; equal to one that nothing met."""
+    base = recorder.work / "killed"
+    config = write_rooms(base / "rooms", 4)
+    arguments = ["run", str(config), "--store", "killed/store", "-o", "killed/out"]
+    process = subprocess.Popen(
+        [*recorder.program, *arguments],
+        cwd=recorder.work,
+        env=recorder.env,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    gaussians = base / "store" / "gaussians"
+    wait_until(lambda: gaussians.is_dir() and len(list(gaussians.iterdir())) >= 2, process)
+    os.killpg(process.pid, signal.SIGKILL)
+    recorder.record("run killed", arguments, process.wait())
+    recorder.run("run resumed", *arguments, out="killed/out")
+    for file in sorted((base / "store").glob("objects/*.parquet"))[:2]:
+        file.write_bytes(file.read_bytes()[:100])
+    recorder.run("run with damage", *arguments, out="killed/out")
+    whole = ["run", str(config), "--store", "killed/whole", "-o", "killed/undisturbed"]
+    recorder.run("run undisturbed", *whole, out="killed/undisturbed")
+
+
+GROUPS: dict[str, Callable[[Recorder, Path | None], None]] = {
+    "help": helps,
+    "demo": demo,
+    "fields": fields,
+    "corpus": corpus,
+    "runners": runners,
+    "killed": killed,
+    "office": office,
+}
+
+
+def check(results: dict[str, Result]) -> list[str]:
+    """Return what must hold within one recording and does not: statuses, and equal files."""
+    wrong = [
+        f"{name}: exit status {result.status}"
+        for name, result in results.items()
+        if result.status not in EXPECTED.get(name.split(" fields/")[0], (0,))
+    ]
+    for group in EQUAL:
+        members = [name for name in group if name in results]
+        for other in members[1:]:
+            for path in differing(results[members[0]].files, results[other].files):
+                wrong.append(f"{other}: {path} is not as of {members[0]!r}")
+    return wrong
+
+
+EXPECTED = {
+    "query": (0, 3),
+    "query absent": (0, 3),
+    "query unknown": (1, 2, 3),
+    "query like": (0, 3),
+    "query taught": (0, 3),
+    "run killed": (-signal.SIGKILL,),
+}
+"""Exit statuses that a command may have where it is not 0 alone."""
+
+EQUAL = (
+    ("run threads", "run processes", "run dask", "run ray", "run bucket"),
+    ("run undisturbed", "run resumed", "run with damage"),
+    ("demo", "demo again"),
+)
+"""Commands whose files are to be the same."""
+
+
+def differing(one: dict[str, str], other: dict[str, str]) -> list[str]:
+    """Return the paths whose digests differ, or that only one has."""
+    return sorted(p for p in one.keys() | other.keys() if one.get(p) != other.get(p))
+
+
+def differences(before: dict[str, Result], after: dict[str, Result]) -> list[str]:
+    """Return a line for each difference of two recordings."""
+    lines = [f"{name}: only before" for name in before if name not in after]
+    lines += [f"{name}: only after" for name in after if name not in before]
+    for name in (name for name in before if name in after):
+        one, other = before[name], after[name]
+        if one.status != other.status:
+            lines.append(f"{name}: exit status {one.status}, then {other.status}")
+        if one.stdout != other.stdout:
+            lines.append(f"{name}: standard output differs")
+        for path in differing(one.files, other.files):
+            state = {(True, True): "differs", (True, False): "is gone", (False, True): "is new"}
+            lines.append(f"{name}: {path} {state[path in one.files, path in other.files]}")
+    return lines
+
+
+@contextmanager
+def serving(log: Path, env: dict[str, str], *command: object) -> Iterator[None]:
+    """Run a server in a process group of its own, and end the group."""
+    with log.open("ab") as file:
+        process = subprocess.Popen(
+            [str(word) for word in command],
+            stdout=file,
+            stderr=file,
+            env=env,
+            start_new_session=True,
+        )
+    try:
+        yield
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@contextmanager
+def dask_cluster(python: Path, work: Path, env: dict[str, str]) -> Iterator[str]:
+    """Start a scheduler and a worker of Dask as an operator does; yield the runner's name."""
+    port, log = free_port(), work / "dask.log"
+    place = f"{HOST}:{port}"
+    with ExitStack() as stack:
+        scheduler = [python / "dask", "scheduler", "--host", HOST, "--port", port, "--no-dashboard"]
+        stack.enter_context(serving(log, env, *scheduler))
+        wait_until(lambda: listens(port))
+        worker = [python / "dask", "worker", f"tcp://{place}", "--nworkers", 2, "--nthreads", 1]
+        folder = ["--no-dashboard", "--local-directory", work / "dask"]
+        stack.enter_context(serving(log, env, *worker, *folder))
+        yield f"dask://{place}"
+
+
+@contextmanager
+def ray_cluster(python: Path, work: Path, env: dict[str, str]) -> Iterator[str]:
+    """Start a head of Ray as an operator does; yield the runner's name."""
+    port = free_port()
+    options = ["--node-ip-address", HOST, "--port", free_port(), "--ray-client-server-port", port]
+    options += ["--num-cpus", 2, "--include-dashboard", "false", "--disable-usage-stats"]
+    options += ["--object-store-memory", 80_000_000]
+    # Without it, some servers that the head forks for its clients die at once.
+    env = {**env, "GRPC_ENABLE_FORK_SUPPORT": "0"}
+    with serving(work / "ray.log", env, python / "ray", "start", "--head", "--block", *options):
+        wait_until(lambda: listens(port))
+        yield f"ray://{HOST}:{port}"
+
+
+@contextmanager
+def s3_bucket(
+    python: Path, work: Path, env: dict[str, str]
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Start moto's server; yield the URL of a new bucket, and the environment that reaches it."""
+    port = free_port()
+    variables = {
+        "AWS_ENDPOINT_URL": f"http://{HOST}:{port}",
+        "AWS_ACCESS_KEY_ID": "AKIAEXAMPLE",
+        "AWS_SECRET_ACCESS_KEY": "secret",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+        "SLGAUSSIAN_CACHE": str(work / "copies"),
+    }
+    with serving(work / "moto.log", env, python / "moto_server", "-H", HOST, "-p", port):
+        wait_until(lambda: listens(port))
+        bucket = f"slg-{uuid.uuid4().hex[:12]}"
+        request = urllib.request.Request(f"http://{HOST}:{port}/{bucket}", method="PUT")
+        urllib.request.urlopen(request, timeout=30).close()
+        yield f"s3://{bucket}", variables
+
+
+def free_port() -> int:
+    """Return a port of loopback that nothing listens on."""
+    with socket.create_server((HOST, 0)) as server:
+        return server.getsockname()[1]
+
+
+def listens(port: int) -> bool:
+    """Whether a server accepts connections at this port of loopback."""
+    with socket.socket() as client:
+        return client.connect_ex((HOST, port)) == 0
+
+
+def wait_until(happens: Callable[[], bool], process: subprocess.Popen | None = None) -> None:
+    """Wait for a condition; raise ``SystemExit`` if ``process`` ends before, or after an hour."""
+    end = time.monotonic() + LIMIT
+    while not happens():
+        if time.monotonic() > end or (process is not None and process.poll() is not None):
+            raise SystemExit("what a step waits for did not come; see its logs")
+        time.sleep(0.05)
+
+
+def installed(work: Path) -> list[str]:
+    """Install the checkout plainly, with the runners' extras, and return the program."""
+    python = work / "venv" / "bin" / "python"
+    if not python.exists():
+        subprocess.run([sys.executable, "-m", "venv", work / "venv"], check=True)
+        packages = [f"{ROOT}[dask,ray,s3]", "moto[s3]", "flask", "flask-cors"]
+        pip = [python, "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", *packages]
+        subprocess.run(pip, check=True)
+    return [str(work / "venv" / "bin" / "slgaussian")]
+
+
+def recorded(
+    program: list[str], work: Path, data: Path | None, groups: list[str]
+) -> dict[str, Result]:
+    """Run the groups of these names in the folder ``work``; return their results by step."""
+    ours = ("PREFECT_", "SLGAUSSIAN_", "PYTHONPATH", "COLUMNS")
+    env = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+    env |= {"COLUMNS": "100", "DO_NOT_TRACK": "1", "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
+    recorder = Recorder(program, work, env)
+    for name in groups:
+        (work / name).mkdir(exist_ok=True)
+        GROUPS[name](recorder, data)
+    return recorder.results
+
+
+def main() -> None:
+    """Record, or compare two recordings; the exit status is 1 if something is wrong or differs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(required=True, dest="command")
+    record = commands.add_parser("record", help="run everything, and write a recording")
+    record.add_argument("work", type=Path, help="an empty folder for all files")
+    record.add_argument("out", type=Path, help="the recording, JSON")
+    record.add_argument("--data", type=Path, help="folder with office and office_walk")
+    record.add_argument("--program", nargs="+", help="a program that is installed already")
+    record.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS))
+    diff = commands.add_parser("diff", help="list the differences of two recordings")
+    diff.add_argument("before", type=Path)
+    diff.add_argument("after", type=Path)
+    asked = parser.parse_args()
+    if asked.command == "diff":
+        before, after = (
+            {name: Result(**result) for name, result in json.loads(path.read_text()).items()}
+            for path in (asked.before, asked.after)
+        )
+        lines = differences(before, after)
+    else:
+        work = asked.work.resolve()
+        work.mkdir(parents=True, exist_ok=True)
+        data = asked.data.resolve() if asked.data else None
+        results = recorded(asked.program or installed(work), work, data, asked.only)
+        asked.out.write_text(json.dumps({k: vars(v) for k, v in results.items()}, indent=1))
+        lines = check(results)
+    print("\n".join(lines) or "nothing")
+    sys.exit(bool(lines))
+
+
+if __name__ == "__main__":
+    main()
