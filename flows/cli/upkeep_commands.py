@@ -14,44 +14,25 @@ commands = App()
 
 
 @commands.command(rich_help_panel=UPKEEP)
-@with_options("store", "runner", *FILES, "clip.precision", common=COMMON["doctor"])
-def doctor(
-    settings: dict,
-    places: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="PLACE", help="With --models: folder, file or name of a model."),
-    ] = None,
-    models: Annotated[
-        bool, typer.Option("--models", help="Load models of CLIP, SAM and SAM 2, and try them.")
-    ] = False,
-) -> None:
+@with_options("store", "runner", *FILES, common=COMMON["doctor"])
+def doctor(settings: dict) -> None:
     """Check what a run needs, and say what to do about it.
 
-    Looks at packages, threads, the store, the Prefect server and the files that options name, and
-    says of each: ok, BAD with what to do, or -- for what is missing and need not be there. Nothing
-    is downloaded. The exit status is 1 if anything is BAD. With --models, it loads those of the
-    PLACEs and options, or all in the hub's cache, and asks each what any real one knows.
+    Looks at packages, threads, the store, the Prefect server and the files and models that options
+    name, and says of each: ok, BAD with what to do, or -- for what is missing and need not be
+    there. A model is known by its digest where the hub has one, and otherwise loaded and tried.
+    Nothing is downloaded. The exit status is 1 if anything is BAD.
 
     \b
     slgaussian doctor
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
     slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
-    slgaussian doctor --models models/clip-vit-b-16 facebook/sam-vit-base
     """
+    from flows.cli.doctor import examine
     from flows.settings import make_settings
 
-    if places and not models:
-        raise InputError(f"doctor: found {places[0]!r}, which is for --models; add that, or a part")
-    if models:
-        from flows.cli.model_checks import examine_models
-
-        found = examine_models(places or [], settings)
-    else:
-        from flows.cli.doctor import examine
-
-        found = examine(make_settings(settings, "doctor"), "runner" in settings)
     healthy = True
-    for finding in found:
+    for finding in examine(make_settings(settings, "doctor"), "runner" in settings):
         healthy &= finding.good is not False
         mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
         typer.echo(f"{mark}  {finding.name:<12} {finding.said}")

@@ -1,91 +1,115 @@
-"""Whether the weights of a model are whole: of the size, the content and the numbers they must be.
-
-A download that was cut short leaves a file that is too short, or zeros where the rest belongs; a
-bad disk or an early halt of the program that wrote it leaves others.
-"""
+"""Checks of the files of a part: by the hub's digest of them, or by loading and trying them."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slgaussian.errors import InputError
+from slgaussian.parts.hub_cache import local_place
+from slgaussian.parts.part import Part
+from slgaussian.parts.pretrained import find_model, model_digest
+from slgaussian.parts.registry import find_part
+from slgaussian.parts.settings import settings_of
 
 SHA256 = re.compile("[0-9a-f]{64}")
-
 AGAIN = "get it again"
 
-LONGEST = 100_000_000
-"""Bytes of the longest header that the safetensors format allows."""
 
+def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
+    """Check the files of a part, and download nothing.
 
-def check_whole(file: Path) -> str:
-    """The SHA-256 of a file of a model, hexadecimal, if nothing of the file is missing.
+    A model whose files are those that the hub knows is fine. Anything else is loaded, by which its
+    configuration, names and shapes are compared; then neither its weights nor what it makes of one
+    grey image may be NaN or infinite.
 
-    The length of a ``.safetensors`` file is told by its header. The hub's cache keeps a large file
-    under the SHA-256 that the hub knows it by.
+    Parameters
+    ----------
+    kind, name : str
+        As :func:`slgaussian.parts.registry.find_part` takes them.
+    values : mapping
+        Settings of the part.
+
+    Returns
+    -------
+    str
+        A sentence about the files; empty of a part that has none.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is shorter or longer than its header says, or is not the one
-        that the hub's cache took it for.
+        If a file is missing, damaged, or not what the part needs.
     """
+    part, places, whole = find_part(kind, name), dict(values), list[bool]()
+    declared = {k: s for k, s in settings_of(part).items() if s.content is not None}
+    for key, setting in declared.items():
+        place = places.get(key)
+        if place is None and not setting.optional:
+            raise InputError(f"its {key} is not given; give --{name}-{key} PLACE")
+        if place is not None and not setting.is_path:
+            places[key] = local_place(place)
+        if place is not None and setting.content is model_digest:
+            weights = [f for f in find_model(places[key]).files if f.suffix != ".json"]
+            whole += map(is_of_hub, weights)
+    shown = ", ".join(f"{key} {places[key]}" for key in declared if places.get(key) is not None)
+    if not shown:
+        return ""
+    known = Part.of(kind, name, places)
+    if whole and all(whole):
+        return f"{shown}: is what the hub has, by its SHA-256"
+    check_numbers(known.load(), shown)
+    return f"{shown}: can be loaded and used"
+
+
+def is_of_hub(file: Path) -> bool:
+    """Return whether the hub's cache keeps a file under its SHA-256.
+
+    Raises
+    ------
+    InputError
+        If it is kept under another one, or cannot be read.
+    """
+    stored = file.resolve()
+    if not SHA256.fullmatch(stored.name):
+        return False
     try:
-        if file.suffix == ".safetensors":
-            _check_length(file)
         with file.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); {AGAIN}") from error
-    stored = file.resolve()
-    if SHA256.fullmatch(stored.name) and stored.name != digest:
+    if stored.name != digest:
         raise InputError(
             f"{file}: is damaged: its SHA-256 begins with {digest[:8]}, and of the file on the hub "
             f"with {stored.name[:8]}; delete {stored} and {AGAIN}"
         )
-    return digest
+    return True
 
 
-def check_numbers(network: Any, source: str) -> None:
-    """InputError if a weight of a network of PyTorch is NaN or infinite."""
+def check_numbers(part: Any, source: str) -> None:
+    """Raise InputError if weights of a loaded part, or what it makes of an image, are no numbers.
+
+    Encoders and proposers are asked about one grey image; other parts have their weights checked.
+    """
+    network = getattr(part, "network", None)
+    if network is None:
+        return
     for name, tensor in network.named_parameters():
         if not tensor.isfinite().all():
-            raise InputError(f"model {source}: {name} holds NaN or infinity; {AGAIN}")
+            raise InputError(f"{source}: {name} holds NaN or infinity; {AGAIN}")
+    image, results = np.full((64, 64, 3), 128, np.uint8), []
+    if hasattr(part, "encode_regions"):
+        results = [part.encode_regions(image, np.ones((1, 64, 64), bool))]
+        results.append(part.encode_text(["object"]))
+    elif hasattr(part, "encode"):
+        import torch
 
-
-def zero_matrices(network: Any) -> tuple[list[str], float]:
-    """The matrices of a network that are zero all over, and their share of all its weights.
-
-    One or the other may be so by right; where a download stopped, many are.
-    """
-    sizes = {name: tensor.numel() for name, tensor in network.named_parameters()}
-    zero = [
-        name
-        for name, tensor in network.named_parameters()
-        if tensor.ndim > 1 and tensor.numel() > 1 and not tensor.any()
-    ]
-    return zero, sum(sizes[name] for name in zero) / max(1, sum(sizes.values()))
-
-
-def _check_length(file: Path) -> None:
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        length = int.from_bytes(stream.read(8), "little")
-        if not 0 < length <= LONGEST:
-            raise InputError(f"{file}: is damaged, or no safetensors file; {AGAIN}")
-        header = stream.read(length)
-    if size < 8 + length:
-        raise InputError(f"{file}: is cut short within its header, at {size:,} bytes; {AGAIN}")
-    try:
-        told = json.loads(header)
-        ends = [t["data_offsets"][1] for name, t in told.items() if name != "__metadata__"]
-        whole = 8 + length + max(ends, default=0)
-    except (ValueError, TypeError, LookupError, AttributeError):
-        raise InputError(f"{file}: is damaged, or no safetensors file; {AGAIN}") from None
-    if size != whole:
-        what = "is cut short" if size < whole else "is too long"
-        raise InputError(f"{file}: {what}: found {size:,} bytes, expected {whole:,}; {AGAIN}")
+        with torch.inference_mode():
+            points = np.array([[32.0, 32.0]])
+            results = [tensor.cpu().numpy() for tensor in part.encode(image).segment(points)]
+    if not all(np.isfinite(result).all() for result in results):
+        raise InputError(f"{source}: makes NaN or infinity of a grey image; {AGAIN}")

@@ -1,76 +1,105 @@
-"""Files of weights that are cut short, too long, damaged or not those of the hub."""
+"""Models are what the hub has, or can be loaded and hold numbers; anything else is one sentence."""
 
 import hashlib
+import shutil
 
 import numpy as np
 import pytest
-import torch
-from safetensors.numpy import save_file
+from safetensors.numpy import load_file, save_file
 
 from slgaussian.errors import InputError
-from slgaussian.parts.intact import check_numbers, check_whole, zero_matrices
+from slgaussian.parts.intact import check_part
+from slgaussian.parts.pretrained import WEIGHTS
+
+pytest.importorskip("transformers")
+
+from tests.language.small_clip import save_clip
+from tests.masks.small_models import save_sam, save_sam2
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+KINDS = {"clip": "encoder", "sam": "proposer", "sam2": "proposer"}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("models")
+    saved = {"clip": save_clip, "sam": save_sam, "sam2": save_sam2}
+    return {name: save(root / name) for name, save in saved.items()}
 
 
 @pytest.fixture
-def file(tmp_path):
-    place = tmp_path / "model.safetensors"
-    save_file({"a": np.arange(64, dtype=np.float32), "b": np.ones((3, 3))}, place)
-    return place
+def copy(folders, tmp_path):
+    return lambda name: shutil.copytree(folders[name], tmp_path / name)
 
 
-def test_a_whole_file_is_known_by_its_digest(file):
-    assert check_whole(file) == hashlib.sha256(file.read_bytes()).hexdigest()
+def refused(name, place) -> str:
+    with pytest.raises(InputError) as error:
+        check_part(KINDS[name], name, {"model": place})
+    assert "\n" not in str(error.value) and str(place) in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_model_that_nobody_knows_is_loaded_and_tried(name, copy):
+    place = copy(name)
+    said = check_part(KINDS[name], name, {"model": place})
+    assert said == f"model {place}: can be loaded and used"
+    tensors = load_file(place / WEIGHTS)
+    key = max(tensors, key=lambda key: tensors[key].size)
+    tensors[key].flat[0] = np.nan
+    save_file(tensors, place / WEIGHTS)
+    assert "holds NaN or infinity; get it again" in refused(name, place)
+    save_file({k: tensors[k] for k in tensors if k != key}, place / WEIGHTS)
+    assert "lacks " in refused(name, place)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_weights_that_overflow_in_use_are_found(name, copy):
+    place = copy(name)
+    tensors = load_file(place / WEIGHTS)
+    huge = {k: np.full_like(t, 3e38) if t.ndim > 1 else t for k, t in tensors.items()}
+    save_file(huge, place / WEIGHTS)
+    assert "makes NaN or infinity of a grey image" in refused(name, place)
 
 
 @pytest.mark.parametrize(
-    ("damaged", "says"),
+    "damage",
     [
-        (lambda whole: whole[:-1], r"is cut short: found 4\d\d bytes, expected 4\d\d; get it"),
-        (lambda whole: whole + b"\0", "is too long"),
-        (lambda whole: whole[:40], "is cut short within its header, at 40 bytes"),
-        (lambda whole: whole[:3], "is cut short within its header, at 3 bytes"),
-        (lambda whole: b"", "is damaged, or no safetensors file"),
-        (lambda whole: b"version https://git-lfs.github.com/spec/v1\n" * 3, "no safetensors file"),
-        (lambda whole: whole.replace(b"data_offsets", b"data_offsats"), "no safetensors file"),
-        (lambda whole: whole[:8] + b"x" + whole[9:], "no safetensors file"),
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: b"",
+        lambda whole: b"version https://git-lfs.github.com/spec/v1\n" * 3,
+        lambda whole: whole[:8] + b"x" + whole[9:],
     ],
 )
-def test_what_is_not_whole_is_named(file, damaged, says):
-    file.write_bytes(damaged(file.read_bytes()))
-    with pytest.raises(InputError, match=says) as error:
-        check_whole(file)
-    assert str(file) in str(error.value) and "\n" not in str(error.value)
-
-
-def test_a_file_of_the_hub_is_held_against_its_name(file):
-    content = file.read_bytes()
-    blob = file.parent / "blobs" / hashlib.sha256(content).hexdigest()
-    blob.parent.mkdir()
-    blob.write_bytes(content)
+def test_damaged_and_missing_weights_are_named(damage, copy):
+    place = copy("sam")
+    file = place / WEIGHTS
+    file.write_bytes(damage(file.read_bytes()))
+    refused("sam", place)
     file.unlink()
-    file.symlink_to(blob)
-    assert check_whole(file) == blob.name
+    assert f"has no {WEIGHTS}" in refused("sam", place)
+
+
+@pytest.mark.parametrize(("model", "name"), [("sam", "clip"), ("clip", "sam"), ("sam2", "sam")])
+def test_a_model_of_another_kind_is_refused(folders, model, name):
+    refused(name, folders[model])
+
+
+def test_a_file_of_the_hub_is_known_by_its_digest(copy):
+    place = copy("sam")
+    content = (place / WEIGHTS).read_bytes()
+    blob = place.parent / hashlib.sha256(content).hexdigest()
+    blob.write_bytes(content)
+    (place / WEIGHTS).unlink()
+    (place / WEIGHTS).symlink_to(blob)
+    said = check_part("proposer", "sam", {"model": place})
+    assert said == f"model {place}: is what the hub has, by its SHA-256"
     blob.write_bytes(content[:-4] + b"oops")
-    with pytest.raises(InputError, match="is damaged: its SHA-256 begins with") as error:
-        check_whole(file)
-    assert f"delete {blob}" in str(error.value)
+    message = refused("sam", place)
+    assert "is damaged: its SHA-256 begins with" in message and f"delete {blob}" in message
 
 
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match=r"none\.bin: cannot be read"):
-        check_whole(tmp_path / "none.bin")
-
-
-def test_weights_must_be_numbers_and_zero_matrices_are_listed():
-    network = torch.nn.Sequential(torch.nn.Linear(3, 2), torch.nn.Linear(2, 2))
-    check_numbers(network, "m")
-    with torch.no_grad():
-        network[1].bias.zero_()  # which an untouched bias may well be
-    assert zero_matrices(network) == ([], 0)
-    with torch.no_grad():
-        network[1].weight.zero_()
-    assert zero_matrices(network) == (["1.weight"], 4 / 14)
-    with torch.no_grad():
-        network[0].bias[1] = float("nan")
-    with pytest.raises(InputError, match=r"model m: 0\.bias holds NaN"):
-        check_numbers(network, "m")
+def test_a_name_that_is_not_here_is_not_downloaded():
+    with pytest.raises(InputError, match="`hf download no-such-owner/no-such-model`"):
+        check_part("encoder", "clip", {"model": "no-such-owner/no-such-model"})
