@@ -104,7 +104,8 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
         for target in scene.targets:
             frame = Path(target).stem
             asked[frame] = categories_of(scene.labels, target)
-            for file in datasets.files(scene.format, scene.path, [target], **scene.options):
+            files, _ = datasets.inputs(scene.format, scene.path, [target], **scene.options)
+            for file in files:
                 if file.stem == frame and (size := stored_size(file)):
                     sizes[frame] = size
         frames = frame_names(scene.labels)

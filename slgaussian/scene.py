@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -358,6 +359,10 @@ class Sample:
         )
 
 
+def _no_sources(name: str) -> Sequence[Path]:
+    return ()
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A set of posed photographs, read one by one when asked for.
@@ -373,6 +378,8 @@ class Scene:
         What each true instance id is called, where known.
     found : mapping
         As :class:`Sample` has it.
+    sources : callable str -> sequence of Path
+        Names the files that a view and its camera are read from, by view name. One may be missing.
     """
 
     name: str
@@ -380,6 +387,7 @@ class Scene:
     read: Callable[[str], View]
     phrases: Mapping[int, str] = field(default_factory=dict)
     found: Mapping[str, Any] = field(default_factory=dict)
+    sources: Callable[[str], Sequence[Path]] = _no_sources
 
     __repr__ = brief
 

@@ -5,22 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import fsspec
+from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.parts.identity import CHANGED, KnownFile
+from slgaussian.parts.identity import CHANGED, KnownFile, file_stamp
 from slgaussian.storage.remote import explained, troubles
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.stage import Worksite
-
-SETTLED = 2.0
-"""Seconds after which a file's time stamp tells that it was changed: clocks of file systems tick
-this slowly, and a chunk may be written twice within a tick."""
 
 STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
 """Where file systems of fsspec say which version of a file it is."""
@@ -29,8 +25,8 @@ STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
 def digest_of(store: ArtifactStore, file: str) -> str:
     """SHA-256 of a file's content, hexadecimal, read once for each path, size and time stamp.
 
-    The store remembers it under ``digests/``; a file changed within the last :data:`SETTLED`
-    seconds, or without a time stamp, is read every time.
+    The store remembers it under ``digests/``; a file that was changed within the last
+    :data:`slgaussian.parts.identity.SETTLED` seconds, or has no time stamp, is read every time.
 
     Parameters
     ----------
@@ -44,10 +40,9 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     """
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
     try:
-        info = fs.info(path)
-        stamp = next((str(info[name]) for name in STAMPS if info.get(name) is not None), None)
+        stamp = _stamp(fs, path)
         name = fs.unstrip_protocol(path)  # whole, so that no other folder has the same
-        known = {"path": name, "size": info.get("size"), "stamp": stamp}
+        known = {"path": name, "stamp": stamp}
         uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
         remembered = _remembered(store, uri)
         if stamp is not None and remembered.items() >= known.items():
@@ -56,9 +51,19 @@ def digest_of(store: ArtifactStore, file: str) -> str:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except troubles() as error:
         raise InputError(f"{file}: cannot be read ({explained(error, path)})") from error
-    if "mtime" not in info or time.time() - info["mtime"] > SETTLED:
+    if stamp is not None:
         store.write(uri, json.dumps({**known, "sha256": digest}).encode())
     return digest
+
+
+def _stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[Any] | None:
+    """Numbers and texts that change whenever a file does; None if nothing tells that it did."""
+    if isinstance(fs, LocalFileSystem):
+        local = file_stamp(path)
+        return None if local is None else list(local)
+    info = fs.info(path)
+    stamps = [str(info[name]) for name in STAMPS if info.get(name) is not None]
+    return [info.get("size"), *stamps] if stamps else None
 
 
 def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +17,13 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.datasets import licences
 from slgaussian.errors import InputError
+from slgaussian.parts.identity import CHANGED, file_digest
 from slgaussian.predict.links import usable
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying
-from slgaussian.storage.store import ArtifactRef, sha256_of
+from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_to_arrays
+from tasks.keys import canonical
 from tasks.stage import Worksite, stage
 
 COPY = 1.0
@@ -57,26 +62,28 @@ class Photographs:
     judged: tuple[int, int] | str | None = None
 
     @cached_property
-    def files(self) -> dict[str, str]:
-        """SHA-256 of every file that the views are read from, by its path below ``path``.
+    def inputs(self) -> dict[str, Any]:
+        """What is known now of the data, as :func:`known_by` has it.
 
-        What is missing or unreadable is left out: reading the scene says so better.
+        Raises
+        ------
+        InputError
+            As :meth:`read`, if the scene cannot be read, or has no such view.
         """
+        return self.look()
+
+    def look(self) -> dict[str, Any]:
+        """Look at the data again; see :attr:`inputs`."""
         if self.path is None:
-            return {}
-        folder = self.path if self.path.is_dir() else self.path.parent
+            return known_by([], {}, Path())
         views = [*self.context, *self.targets]
-        try:
-            files = datasets.files(self.format, self.path, views, **self.options)
-        except InputError:
-            return {}
-        return digests_of(files, folder)
+        return known_by(*datasets.inputs(self.format, self.path, views, **self.options), self.path)
 
     def identity(self) -> dict[str, Any]:
         """What the sample depends on: not where the files are, but what is in them."""
-        return {name: value for name, value in vars(self).items() if name != "path"} | {
-            "files": self.files
-        }
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        del settings["path"]
+        return settings | self.inputs
 
     def read(self) -> Sample:
         """The sample; InputError if it cannot be read, or a target is not held out.
@@ -99,9 +106,11 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
     ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
-    and why.
+    and why. InputError if the data were changed meanwhile.
     """
     sample, useless = usable(photographs.read())
+    if photographs.look() != photographs.inputs:
+        raise InputError(f"{photographs.path}: {CHANGED}")
     left_out = {**sample.found.get("left_out", {}), **useless}
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
     meta = {"cameras": told_of(cameras), "left_out": left_out}
@@ -142,16 +151,43 @@ def _same_picture(target: View, view: View) -> bool:
     return float(np.abs(alike).mean()) < COPY
 
 
-def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that is there, by its path below a folder."""
-    there = [file for file in files if file.is_file()]
+def known_by(files: Iterable[Path], cameras: Mapping[str, Camera], path: Path) -> dict[str, Any]:
+    """Describe data of a scene by content, for a cache key.
+
+    Parameters
+    ----------
+    files, cameras
+        As :func:`slgaussian.datasets.inputs` finds them.
+    path : Path
+        Folder or file of the data.
+
+    Returns
+    -------
+    dict
+        ``files``: their SHA-256 by path below the folder, as :func:`digests_of` gives it.
+        ``cameras``: one over the cameras, in order and with their names. ``licence``: as a file
+        beside the data says it.
+    """
+    folder = path if path.is_dir() else path.parent
+    numbers = [
+        (name, vars(camera) | {"K": camera.K.tolist(), "c2w": camera.c2w.tolist()})
+        for name, camera in cameras.items()
+    ]
+    text = json.dumps(canonical(numbers), sort_keys=True)
     return {
-        os.path.relpath(file, folder): _digest(file, file.stat().st_mtime_ns, file.stat().st_size)
-        for file in there
+        "files": digests_of(files, folder),
+        "cameras": hashlib.sha256(text.encode()).hexdigest(),
+        "licence": licences.stated(path),
     }
 
 
-@lru_cache(maxsize=1024)
-def _digest(file: Path, changed: int, size: int) -> str:
-    """SHA-256 of a file that many scenes may share, as a chunk or a model."""
-    return sha256_of(file)
+def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
+    """SHA-256 of every file by its path below a folder.
+
+    Files that are missing or cannot be read are left out: reading them says so better.
+    """
+    digests = {}
+    for file in files:
+        with suppress(OSError, ValueError):  # which names from outside may raise
+            digests[os.path.relpath(file, folder)] = file_digest(file)
+    return digests

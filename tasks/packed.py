@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from slgaussian import datasets
-from slgaussian.datasets import licences, re10k, unposed
-from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
+from slgaussian.datasets import licences, re10k
+from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
-from tasks.ingest import digests_of, told_of
+from tasks.ingest import known_by, told_of
 from tasks.stage import Worksite, stage
 
 
@@ -38,12 +38,13 @@ class PosedFolder:
     def identity(self) -> dict[str, Any]:
         """What it is known by: its name, and what is in its files."""
         format, place = recognise(self.path)
-        if format == "photographs":
-            files = list(unposed.named([place]).values())
+        if format == "photographs":  # whose cameras take long to find
+            inputs = known_by(datasets.inputs(format, place, ())[0], {}, place)
         else:
-            files = datasets.files(format, place, list(cameras_in(place)))
-        folder = place if place.is_dir() else place.parent
-        return {"name": self.name, "format": format, "files": digests_of(files, folder)}
+            scene, _ = posed_scene(self.path)
+            files = [file for name in scene.cameras for file in scene.sources(name)]
+            inputs = known_by(dict.fromkeys(files), scene.cameras, place)
+        return {"name": self.name, "format": format, **inputs}
 
     def scene(self) -> Scene:
         """The scene; InputError if there is none."""

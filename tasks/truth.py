@@ -10,8 +10,9 @@ from typing import Any
 from slgaussian.benchmark.annotations import Truth, label_files, read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.scene import Sample
-from slgaussian.storage.store import ArtifactRef, sha256_of
+from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
+from tasks.ingest import digests_of
 from tasks.stage import Worksite, stage
 
 
@@ -32,11 +33,12 @@ class Labels:
         if self.folder is None:
             return {}
         files = [file for target in self.targets for file in label_files(self.folder, target)]
-        return {f.relative_to(self.folder).as_posix(): sha256_of(f) for f in files if f.is_file()}
+        return digests_of(files, self.folder)
 
     def identity(self) -> dict[str, Any]:
         """What truth depends on: not where the files are, but what is in them."""
-        return {"categories": self.categories, "files": self.files}
+        drawn = self.folder is not None
+        return {"categories": self.categories, "drawn": drawn, "files": self.files}
 
     def read(self, sample: Sample) -> Truth:
         """What should be found in the targets of a sample; InputError if labels cannot be read."""

@@ -33,10 +33,11 @@ from flows.corpus_settings import CorpusSettings, make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
+from slgaussian.parts.identity import SETTLED
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import SETTLED, Framing, known_chunk
+from tasks.chunks import Framing, known_chunk
 from tasks.stage import Stage
 
 CLIPS = 14

@@ -385,8 +385,10 @@ def make_photographs(folder: Path) -> None:
 
 
 def read_nerfstudio(folder: Path) -> None:
-    nerfstudio.files(folder, ["a"])
-    all_views(nerfstudio.read(folder))
+    scene = nerfstudio.read(folder)
+    for name in scene.cameras:
+        scene.sources(name)
+    all_views(scene)
 
 
 def make_alone(folder: Path) -> None:

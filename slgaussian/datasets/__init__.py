@@ -12,9 +12,9 @@ from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
     from slgaussian.datasets.training_set import TrainingSet
-    from slgaussian.scene import Scene
+    from slgaussian.scene import Camera, Scene
 
-__all__ = ["TrainingSet", "check_format", "files", "load", "scenes"]
+__all__ = ["TrainingSet", "check_format", "inputs", "load", "scenes"]
 
 READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
@@ -29,20 +29,8 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
-FILES = {
-    name: READERS[name].replace(":read", ":files")
-    for name in (
-        "nerfstudio",
-        "colmap",
-        "llff",
-        "lerf_ovs",
-        "ovs3d",
-        "re10k",
-        "re10k_text",
-        "photographs",
-    )
-}
-"""What says which files a format reads, by format."""
+FILES = {name: READERS[name].replace(":read", ":files") for name in ("re10k", "photographs")}
+"""What lists the files of a scene that takes long to read, by format."""
 
 SETS = {name: READERS[name].replace(":read", ":scenes") for name in ("lerf_ovs", "ovs3d", "re10k")}
 """What lists the scenes of a folder that holds several, by format."""
@@ -72,22 +60,44 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
     return read(*args, **settings)
 
 
-def files(format: str, path: str | Path, views: Sequence[str], **settings: Any) -> list[Path]:
-    """The files that views of a scene are read from: a few too many rather than one too few.
+def inputs(
+    format: str, path: str | Path, views: Sequence[str], **settings: Any
+) -> tuple[list[Path], dict[str, Camera]]:
+    """Find all that views of a scene depend on; no photograph is decoded.
 
-    Views may be named as :meth:`slgaussian.scene.Scene.find` knows them, settings are the reader's
-    own. A file that is named may not be there. Formats that read no file have none.
+    What a reader listed, looked for or measured besides shows in the cameras: LLFF's follow the
+    names of all photographs, others the size of the first one that is there.
+
+    Parameters
+    ----------
+    format, path, **settings
+        As :func:`load` takes them.
+    views : sequence of str
+        As :meth:`slgaussian.scene.Scene.find` knows them.
+
+    Returns
+    -------
+    files : list of Path
+        Those that the views are read from: a few too many rather than one too few. Some may be
+        missing.
+    cameras : dict str -> Camera
+        Those of the views by full name; none where they follow from the files alone.
 
     Raises
     ------
     InputError
-        If the format does not take these settings, or what lists the files cannot be read.
+        As :func:`load`, or if there is no such view.
     """
-    if format not in FILES:
-        return []
-    listing = resolve("data format", FILES, format)
-    _check(format, listing, (path, views), settings)
-    return listing(path, views, **settings)
+    if format in SOURCES:
+        return [], {}
+    if format in FILES:
+        listing = resolve("data format", FILES, format)
+        _check(format, listing, (path,), settings)
+        return listing(path, **settings), {}
+    scene = load(format, path, **settings)
+    names = [scene.find(name) for name in scene.placed(views)]
+    files = [file for name in names for file in scene.sources(name)]
+    return list(dict.fromkeys(files)), {name: scene.cameras[name] for name in names}
 
 
 def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
@@ -111,8 +121,9 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
 def check_format(format: str) -> None:
     """InputError, with the formats that there are, if this is none that reads a folder."""
     resolve("data format", READERS, format)
-    if format not in FILES:
-        raise InputError(f"data format {format!r} reads no folder; expected {', '.join(FILES)}")
+    if format in SOURCES:
+        expected = ", ".join(name for name in READERS if name not in SOURCES)
+        raise InputError(f"data format {format!r} reads no folder; expected {expected}")
 
 
 def _check(format: str, function: Callable, args: tuple, settings: dict[str, Any]) -> None:

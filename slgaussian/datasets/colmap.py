@@ -7,7 +7,7 @@ read that has a focal length; photographs without distortion do not need it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,16 +93,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     if not cameras:
         raise InputError(f"{source}: has no posed image; reconstruct again")
     reader = _Reader(source, folder, files, cameras, by_view)
-    return Scene(path.resolve().name or "scene", cameras, reader.read)
-
-
-def files(path: str | Path, views: Sequence[str], images: str | None = None) -> list[Path]:
-    """The files that those views are read from: the model's, and photographs of such names."""
-    path = Path(path)
-    stems = {Path(view).stem for view in views}
-    folder = image_folder(path, images)
-    photographs = (file for file in folder.rglob("*") if file.suffix in EXTENSIONS)
-    return [*model_files(_place(path)), *sorted(p for p in photographs if p.stem in stems)]
+    name = path.resolve().name or "scene"
+    return Scene(name, cameras, reader.read, sources=reader.sources)
 
 
 def _place(path: Path) -> Path:
@@ -169,6 +161,11 @@ class _Reader:
             gone = (o for o, found in self.files.items() if found is None and o != name)
             raise absent(self.folder / name, str(self.source), gone, len(self.files))
         return posed_view(file, name, self.cameras[name], self.lenses[name].maps)
+
+    def sources(self, name: str) -> list[Path]:
+        """List the files of the model and the photograph of a view, if it is there."""
+        file = self.files[name]
+        return [*model_files(self.source), *([] if file is None else [file])]
 
 
 def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path | None]) -> dict[int, _Lens]:

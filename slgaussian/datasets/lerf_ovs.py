@@ -7,7 +7,6 @@ labelled frames are training views; here they are held out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +84,6 @@ def read(path: str | Path, scene: str) -> Scene:
         If there is no such scene, or it cannot be read.
     """
     return colmap.read(find_scene(path, scene, scenes(path)))
-
-
-def files(path: str | Path, views: Sequence[str], scene: str) -> list[Path]:
-    """The files that those views of a scene are read from."""
-    return colmap.files(Path(path) / scene, views)
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ principal point in the middle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,14 +61,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         except InputError as bad:
             raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
     name = file.resolve().parent.name or "scene"
-    return Scene(name, cameras, _Reader(file, files, cameras).read)
-
-
-def files(path: str | Path, views: Sequence[str], images: str | None = None) -> list[Path]:
-    """The files that those views are read from: the poses, and photographs of such names."""
-    stems = {Path(view).stem for view in views}
-    photographs = photographs_in(image_folder(Path(path), images))
-    return [Path(path) / FILE, *(file for file in photographs if file.stem in stems)]
+    reader = _Reader(file, files, cameras)
+    return Scene(name, cameras, reader.read, sources=reader.sources)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +76,10 @@ class _Reader:
         if name not in self.files:
             raise InputError(f"{self.file}: no photograph is called {name!r}")
         return posed_view(self.files[name], name, self.cameras[name])
+
+    def sources(self, name: str) -> list[Path]:
+        """List the poses and the photograph of a view."""
+        return [self.file, self.files[name]]
 
 
 def _rows(file: Path) -> np.ndarray:

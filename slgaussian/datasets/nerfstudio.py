@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, overload
 
 import cv2
@@ -93,7 +93,8 @@ def read(path: str | Path) -> Scene:
     size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
     name = file.resolve().parent.name or "scene"
-    return Scene(name, cameras, _Reader(file, frames, cameras).read, found=found)
+    reader = _Reader(file, frames, cameras)
+    return Scene(name, cameras, reader.read, found=found, sources=reader.sources)
 
 
 def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> None:
@@ -173,22 +174,6 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     return dict(read(path).cameras)
 
 
-def files(path: str | Path, views: Sequence[str]) -> list[Path]:
-    """The files that those views are read from: the camera file, and all that it names for them."""
-    path = Path(path)
-    file = path / FILE if path.is_dir() else path
-    stems = {PurePosixPath(view).stem for view in views}
-    named = [file]
-    for entry in _load(file)["frames"]:
-        own = entry if isinstance(entry, dict) else {}
-        places = {key: value for key, value in own.items() if key.endswith("file_path")}
-        if PurePosixPath(str(places.get("file_path"))).stem in stems:
-            photograph = file.parent / places["file_path"]
-            named += [file.parent / str(place) for place in places.values()]
-            named += [Path(f"{photograph}{end}") for end in EXTENSIONS]
-    return named
-
-
 @dataclass(frozen=True, eq=False)
 class _Reader:
     file: Path
@@ -210,6 +195,13 @@ class _Reader:
             opaque = straight_mask(opaque, maps)
             image, depth = straightened(image, depth, maps)
         return View(name, camera, image, depth, opaque=opaque)
+
+    def sources(self, name: str) -> list[Path]:
+        """List the camera file, the photograph of a view and all else that is named for it."""
+        frame = self.frames[name]
+        places = [str(value) for key, value in frame.values.items() if key.endswith("_path")]
+        photograph = [] if frame.image_path is None else [frame.image_path]
+        return [self.file, *photograph, *(self.file.parent / place for place in places)]
 
     def _missing(self, name: str) -> InputError:
         gone = [other for other, frame in self.frames.items() if frame.image_path is None]

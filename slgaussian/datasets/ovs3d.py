@@ -7,7 +7,6 @@ A scene is a folder with ``images``, ``sparse`` or ``poses_bounds.npy`` or both,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -77,14 +76,6 @@ def read(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
     """
     folder = find_scene(path, scene, scenes(path))
     return _reader(folder, cameras).read(folder)
-
-
-def files(
-    path: str | Path, views: Sequence[str], scene: str, cameras: str | None = None
-) -> list[Path]:
-    """The files that those views of a scene are read from."""
-    folder = Path(path) / scene
-    return _reader(folder, cameras).files(folder, views)
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:

@@ -147,19 +147,24 @@ def read(path: str | Path, key: str) -> Scene:
     InputError
         If the index or the chunk cannot be read, there is no such clip, or it cannot be used.
     """
+    chunk = _chunk_of(path, key)
+    for clip in read_chunk(chunk):
+        if clip.key == key:
+            return clip.scene(chunk)
+    raise InputError(f"{chunk}: has no clip {key!r}, though {INDEX} says so")
+
+
+def files(path: str | Path, key: str) -> list[Path]:
+    """Name the file that a clip is read from, its chunk; InputError if there is no such clip."""
+    return [Path(_chunk_of(path, key))]
+
+
+def _chunk_of(path: str | Path, key: str) -> str:
     index = read_index(path)
     if key not in index:
         few = ", ".join(list(index)[:3])
         raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {few}")
-    for clip in read_chunk(f"{path}/{index[key]}"):
-        if clip.key == key:
-            return clip.scene(f"{path}/{index[key]}")
-    raise InputError(f"{path}/{index[key]}: has no clip {key!r}, though {INDEX} says so")
-
-
-def files(path: str | Path, views: Sequence[str], key: str) -> list[Path]:
-    """The files that views of a clip are read from: the index of its split, and its chunk."""
-    return [Path(path) / INDEX, Path(path) / read_index(path).get(key, INDEX)]
+    return f"{path}/{index[key]}"
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:

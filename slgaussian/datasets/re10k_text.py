@@ -9,7 +9,7 @@ called as the camera file is: ``train/000c3ab189999a83.txt`` and ``train/000c3ab
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,13 +49,8 @@ def read(path: str | Path) -> Scene:
             f"{file}: found {len(cameras)} of its {len(times)} frames in {folder}, expected two or "
             f"more, called by their times, as {times[0]}.jpg"
         )
-    return Scene(file.stem, cameras, _Reader(photographs, cameras).read)
-
-
-def files(path: str | Path, views: Sequence[str]) -> list[Path]:
-    """The files that those views are read from: the cameras, and photographs of such names."""
-    folder = frames_of(Path(path))
-    return [Path(path), *(folder / Path(view).name for view in views)]
+    reader = _Reader(file, photographs, cameras)
+    return Scene(file.stem, cameras, reader.read, sources=reader.sources)
 
 
 def frames_of(file: Path) -> Path:
@@ -79,9 +74,14 @@ def is_camera_file(file: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Reader:
+    file: Path
     photographs: Mapping[str, Path]
     cameras: Mapping[str, Camera]
 
     def read(self, name: str) -> View:
         """Open one frame."""
         return View(name, self.cameras[name], open_rgb(self.photographs[name]))
+
+    def sources(self, name: str) -> list[Path]:
+        """List the camera file and the photograph of a frame."""
+        return [self.file, self.photographs[name]]

@@ -75,8 +75,8 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     return posed(files, find(files))
 
 
-def files(path: Place, views: Sequence[str], only: Sequence[str] | None = None) -> list[Path]:
-    """The files that those views are read from: every one has its say in where cameras are."""
+def files(path: Place, only: Sequence[str] | None = None) -> list[Path]:
+    """List the photographs of a scene, each of which has its say in where all cameras are."""
     return list(_taken(path, only).values())
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +13,10 @@ from slgaussian.parts.settings import Content
 
 CHANGED = "was changed after the run had begun; start the run again"
 """What is said of a file with another content than a run began with."""
+
+SETTLED = 2.0
+"""Seconds after which a file's times tell that it was changed: clocks of file systems tick this
+slowly, and a file may be written twice within a tick."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +60,31 @@ class KnownFile:
 
 
 def file_digest(place: str | Path) -> str:
-    """SHA-256 of a file, hexadecimal; OSError if it cannot be read."""
+    """SHA-256 of a file, hexadecimal; OSError if it cannot be read.
+
+    A file of gigabytes, or one that many scenes share, is read once for each :func:`file_stamp`.
+    """
+    from slgaussian.storage.store import sha256_of
+
     file = Path(place).resolve()
-    state = file.stat()
-    return _digest_of(file, state.st_size, state.st_mtime_ns)
+    stamp = file_stamp(file)
+    return sha256_of(file) if stamp is None else _digest_of(file, stamp)
 
 
-@lru_cache(maxsize=64)
-def _digest_of(file: Path, size: int, changed: int) -> str:
-    """SHA-256 of a file of gigabytes, taken once for each size and time of change."""
+def file_stamp(file: str | Path) -> tuple[int, ...] | None:
+    """Numbers that change whenever the content of a local file does; OSError if it is not there.
+
+    The time at which the inode changed is among them: unlike that of the content, no program that
+    copies or unpacks files sets it back. None within :data:`SETTLED` seconds of a change.
+    """
+    state = os.stat(file)
+    if time.time() - state.st_mtime < SETTLED:
+        return None
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
+
+
+@lru_cache(maxsize=1024)
+def _digest_of(file: Path, stamp: tuple[int, ...]) -> str:
     from slgaussian.storage.store import sha256_of
 
     return sha256_of(file)

@@ -9,7 +9,7 @@ from PIL import Image
 from posed_folders import HEIGHT, PINHOLE, WIDTH, Shot, picture, write_model, write_pictures
 from scipy.ndimage import map_coordinates
 
-from slgaussian.datasets import colmap, files, load, nerfstudio
+from slgaussian.datasets import colmap, load, nerfstudio
 from slgaussian.datasets.sparse import KINDS, MODELS, read_model
 from slgaussian.errors import InputError
 
@@ -262,11 +262,6 @@ class TestPhotographs:
         write_pictures(scene / "images", ["b.png"], WIDTH // 2, HEIGHT // 2)
         with pytest.raises(InputError, match=r"b\.png: is 48x32, but by its pose file 96x64"):
             colmap.read(scene).read("b.png")
-
-    def test_files_of_views_are_the_model_and_their_photographs(self, scene):
-        names = {p.relative_to(scene).as_posix() for p in files("colmap", scene, ["b", "x/a.png"])}
-        model = {f"sparse/0/{kind}.bin" for kind in KINDS}
-        assert names == model | {"images/b.png", "images/a.png", "images/deep/a.png"}
 
 
 class TestDamage:

@@ -4,7 +4,7 @@ import pytest
 from posed_folders import HEIGHT, WIDTH, Shot, write_model, write_pictures
 
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
-from slgaussian.datasets import files, lerf_ovs, load, scenes
+from slgaussian.datasets import lerf_ovs, load, scenes
 from slgaussian.errors import InputError
 
 NAMES = [f"frame_{i:05d}.jpg" for i in (1, 2, 3)]
@@ -40,12 +40,6 @@ def test_scenes_and_their_labels_are_read(folder):
     labels = folder / lerf_ovs.LABELS / "teatime"
     assert labelled_frames(labels) == {"frame_00002": ("sheep",)}
     assert read_labels(labels, NAMES[1], WIDTH, HEIGHT)["sheep"].any()
-
-
-def test_files_are_those_of_the_scene(folder):
-    found = files("lerf_ovs", folder, ["frame_00002"], scene="ramen")
-    assert all(file.is_relative_to(folder / "ramen") for file in found)
-    assert found[-1] == folder / "ramen/images/frame_00002.jpg"
 
 
 def test_an_unknown_scene_is_said_with_those_there(folder):

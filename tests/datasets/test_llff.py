@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from posed_folders import FOCAL, HEIGHT, WIDTH, llff_row
 
-from slgaussian.datasets import files, llff, load
+from slgaussian.datasets import llff, load
 from slgaussian.errors import InputError
 
 
@@ -117,12 +117,6 @@ class TestDamage:
         scene.read("a.png")
         with pytest.raises(InputError, match=r"b\.png: cannot be read"):
             scene.read("b.png")
-
-
-def test_files_of_views_are_the_poses_and_their_photographs(tmp_path):
-    write(tmp_path, [llff_row()] * 3, ["a.png", "b.png", "c.png"])
-    found = [p.relative_to(tmp_path).as_posix() for p in files("llff", tmp_path, ["c", "x/a.png"])]
-    assert found == ["poses_bounds.npy", "images/a.png", "images/c.png"]
 
 
 def test_a_scene_can_be_sent_to_another_process(tmp_path):

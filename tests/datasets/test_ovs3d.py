@@ -4,7 +4,7 @@ from PIL import Image
 from posed_folders import HEIGHT, WIDTH, Shot, llff_row, write_model, write_pictures
 
 from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
-from slgaussian.datasets import files, load, scenes
+from slgaussian.datasets import load, scenes
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
 
@@ -44,8 +44,6 @@ class TestCameras:
         scene = load("ovs3d", folder, "bed")
         assert list(scene.cameras) == NAMES
         assert scene.cameras["01.jpg"].K[0, 2] == WIDTH / 2
-        found = files("ovs3d", folder, ["01"], scene="bed")
-        assert found == [folder / "bed/poses_bounds.npy", folder / "bed/images/01.jpg"]
 
     def test_are_those_of_the_model_where_it_is_there(self, folder):
         shots = {name: Shot(3 - i, place=(0.1 * i, 0, 0)) for i, name in enumerate(NAMES)}

@@ -37,8 +37,7 @@ def test_a_scene_has_the_frames_that_are_there(clip):
     assert view.image.shape == (20, 40, 3) and (view.image == 100099 % 251).all()
     np.testing.assert_allclose(view.camera.K, [[20, 0, 20], [0, 18, 10], [0, 0, 1]], atol=1e-5)
     np.testing.assert_allclose(view.camera.center, [-0.3, 0, 0], atol=1e-6)
-    files = datasets.files("re10k_text", clip, ["100.png"])
-    assert files == [clip, clip.parent / "0123abcd/100.png"]
+    assert scene.sources("100.png") == [clip, clip.parent / "0123abcd/100.png"]
 
 
 def test_it_is_known_by_its_first_line(clip):

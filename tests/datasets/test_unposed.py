@@ -71,7 +71,8 @@ def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
     assert sample.found == scene.found and sample.resized(50, 75).found == scene.found
     for view in sample.context:
         assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75, (0.0, -1.0, 0.0))
-    assert datasets.files("photographs", folder, ["a.png"]) == [folder / "a.png", folder / "b.png"]
+    files, _ = datasets.inputs("photographs", folder, ["a.png"])
+    assert files == [folder / "a.png", folder / "b.png"]
 
 
 def test_only_those_that_are_named_are_taken_of_a_folder(folder, asked):
@@ -79,7 +80,7 @@ def test_only_those_that_are_named_are_taken_of_a_folder(folder, asked):
     only = ["b.png", "a.png"]
     scene = datasets.load("photographs", folder, only=only)
     assert asked == [only] and list(scene.cameras) == only
-    named = datasets.files("photographs", folder, ["b.png"], only=only)
+    named, _ = datasets.inputs("photographs", folder, ["b.png"], only=only)
     assert named == [folder / "b.png", folder / "a.png"]
     with pytest.raises(InputError, match=r"d\.png"):
         datasets.load("photographs", folder, only=["a.png", "d.png"])

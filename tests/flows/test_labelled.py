@@ -17,14 +17,13 @@ from flows.labelled import labelled_scenes
 from flows.manifest import published_as
 from flows.room_scenes import room_scene
 from flows.settings import SceneSettings, make_settings
-from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
 from slgaussian.datasets import lerf_ovs, re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
-from tasks.ingest import Photographs, ingest
+from tasks.ingest import Photographs, digests_of, ingest
 from tasks.stage import Worksite
 from tasks.truth import truth
 
@@ -345,7 +344,7 @@ class TestFileHashes:
 
         def hashes():
             options, views = {"scene": "ramen"}, ("frame_00002", "4")
-            return Photographs("ramen", "lerf_ovs", lerf, options, views).files
+            return Photographs("ramen", "lerf_ovs", lerf, options, views).inputs["files"]
 
         before = hashes()
         assert set(before) == {
@@ -357,5 +356,6 @@ class TestFileHashes:
         assert hashes() != before
 
     def test_of_what_cannot_be_read_are_left_out(self, tmp_path):
-        for name in (*datasets.FILES, "procedural", "stereo"):
-            assert Photographs("a", name, tmp_path, {}, ("a",)).files == {}
+        (tmp_path / "folder").mkdir()
+        places = [tmp_path / "absent", tmp_path / "folder", tmp_path / "nul\0"]
+        assert digests_of(places, tmp_path) == {}
