@@ -71,7 +71,7 @@ def _answered(
 ) -> tuple[ArtifactRef, ArtifactRef, ArtifactRef, ArtifactRef, ArtifactRef]:
     """Build the field of a scene and ask it: sample, truth, Gaussians, label maps and field."""
     sample = ingest(photographs)
-    known = truth(sample, labels)
+    known = truth(sample, labels.of_views(sample.meta["targets"]))
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = masks(sample, base, method.proposer, method.tracker, method.replicas)
     bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed, method.bank)

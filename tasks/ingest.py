@@ -100,20 +100,22 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=7)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=8)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
     ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
-    and why. InputError if the data were changed meanwhile.
+    and why; ``meta["targets"]`` the full names of the targets. InputError if the data were changed
+    meanwhile.
     """
     sample, useless = usable(photographs.read())
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED}")
     left_out = {**sample.found.get("left_out", {}), **useless}
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
-    meta = {"cameras": told_of(cameras), "left_out": left_out}
+    targets = [view.name for view in sample.targets]
+    meta = {"cameras": told_of(cameras), "left_out": left_out, "targets": targets}
     source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
     if photographs.path is not None:
         licence = licence or licences.stated(photographs.path)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,10 @@ class Labels:
     folder: Path | None
     targets: tuple[str, ...]
     categories: tuple[str, ...]
+
+    def of_views(self, names: Sequence[str]) -> Labels:
+        """Take full names of targets, which decide in which folder their labels are looked for."""
+        return replace(self, targets=tuple(names))
 
     @cached_property
     def files(self) -> dict[str, str]:

@@ -6,6 +6,7 @@ import hashlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -33,8 +34,10 @@ def folder_digest(folder: Path | str) -> str:
     """What a folder of id maps is known by: SHA-256, hexadecimal, of their names and contents."""
     folder = Path(folder)
     digest = hashlib.sha256()
-    for file in sorted(file for file in folder.rglob("*") if file.suffix in SUFFIXES):
-        digest.update(f"{file.relative_to(folder).as_posix()} {file_digest(file)}\n".encode())
+    # Folders that are links are gone into, as views may be named through them.
+    names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
+    for name in sorted(name for name in names if name.endswith(SUFFIXES)):
+        digest.update(f"{Path(name).as_posix()} {file_digest(folder / name)}\n".encode())
     return digest.hexdigest()
 
 

@@ -1,0 +1,211 @@
+"""A cached result is what an empty store gives, whatever happened to the data since."""
+
+import gc
+import json
+import os
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from data_folders import ASKED, WRITERS, save, write_folder
+from PIL import Image
+from test_unposed import made_up
+
+from slgaussian import datasets
+from slgaussian.datasets import unposed
+from slgaussian.errors import InputError
+from slgaussian.storage.store import ArtifactStore
+from tasks.ingest import Photographs, ingest
+from tasks.packed import PosedFolder, packed
+from tasks.stage import Worksite, at
+from tasks.truth import Labels, truth
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick():
+    """Spare seconds: cameras of photographs are made up, and old objects not collected."""
+    gc.freeze()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(unposed, "find_cameras", made_up)
+        unposed._find.cache_clear()
+        yield
+    unposed._find.cache_clear()
+    gc.unfreeze()
+
+
+def answer(stage, arguments, store):
+    """What a stage makes in a store, or why it refuses; and whether it was there."""
+    site = Worksite(ArtifactStore(str(store)))
+    try:
+        with at(site):
+            cached = stage.task.fn(arguments) is not None
+    except InputError as error:
+        return str(error), False
+    ref = site.made[stage.name]
+    return (ref.digest, ref.meta.get("cameras"), ref.meta.get("left_out")), cached
+
+
+def photographs(folder, store):
+    one = Photographs("s", folder.format, folder.path, folder.options, folder.asked)
+    return answer(ingest, {"photographs": one}, store)
+
+
+def posed(folder, store):
+    return answer(packed, {"source": PosedFolder("s", folder.path)}, store)
+
+
+def compare(tmp_path, write, ask):
+    """Ask after every change to data, with the results of all before and with none."""
+    root, store = tmp_path / "data", tmp_path / "store"
+    data = write(root)
+    first, _ = ask(data, store)
+    assert not isinstance(first, str)
+    assert ask(write(tmp_path / "copied"), store) == (first, True)
+    assert len(data.changes()) >= 10
+    others = 0
+    for number, what in enumerate(data.changes()):
+        shutil.rmtree(root)
+        data = write(root)
+        data.changes()[what](data)
+        resumed, cached = ask(data, store)
+        fresh, _ = ask(data, tmp_path / f"empty{number}")
+        assert resumed == fresh, (what, cached)
+        others += fresh != first
+    assert others >= 5
+
+
+POSED = ("nerfstudio", "colmap", "llff", "re10k_text", "photographs")
+
+
+@pytest.mark.parametrize(
+    ("name", "ask"), [(n, photographs) for n in WRITERS] + [(n, posed) for n in POSED]
+)
+def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, name, ask):
+    compare(tmp_path, lambda root: write_folder(name, root), ask)
+
+
+def test_every_reader_is_tried():
+    assert set(datasets.READERS) - set(datasets.SOURCES) <= set(WRITERS)
+
+
+class Labelled:
+    """A scene with a label file or a folder of masks for each of two targets."""
+
+    def __init__(self, root, masks):
+        self.scene, self.labels = write_folder("nerfstudio", root / "scene"), root / "labels"
+        self.folder, self.masks = self.labels, masks
+        self.labels.mkdir()
+        for name in ASKED:
+            self.draw(name)
+        if masks:
+            (self.labels / "classes.txt").write_text("ball\ncup\n")
+
+    def draw(self, name, at=8, info=None):
+        if self.masks:
+            for category in ("ball", "cup"):
+                mask = np.zeros((64, 96), np.uint8)
+                mask[at : at + 20, at : at + 20] = 255
+                (self.labels / name).mkdir(exist_ok=True)
+                Image.fromarray(mask).save(self.labels / name / f"{category}.png", compress_level=0)
+            return
+        box = [[at, at], [at + 20, at], [at + 20, at + 20], [at, at + 20]]
+        ball = {"category": "ball", "segmentation": box, "bbox": [box[0], box[2]]}
+        info = {"name": info or f"{name.rpartition('/')[2]}.png", "width": 96, "height": 64}
+        file = self.labels / f"{name}.json"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(json.dumps({"info": info, "objects": [ball]}))
+
+    def edit_in_place(self):
+        file = self.labels / ("view_2/ball.png" if self.masks else "view_2.json")
+        before = file.stat()
+        self.draw("view_2", at=9)
+        os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+        assert file.stat().st_size == before.st_size
+
+    def leave_out(self):
+        self.folder = None
+
+    def changes(self):
+        ending = "" if self.masks else ".json"
+        one, two = (self.labels / f"{name}{ending}" for name in ASKED)
+        inside = self.labels / "images"
+        classes = self.labels / "classes.txt"
+        return {
+            "one is edited, its size and time as before": lambda _: self.edit_in_place(),
+            "one is cut short": lambda _: os.truncate(
+                one / "ball.png" if self.masks else one, 20
+            ),
+            "one is of another frame": lambda _: self.draw("view_2", info="view_3.png"),
+            "one is renamed": lambda _: one.rename(self.labels / f"view_3{ending}"),
+            "one is removed": lambda _: one.rename(self.labels.parent / "removed"),
+            "two are swapped": lambda _: (
+                one.rename(self.labels / "x"), two.rename(one), (self.labels / "x").rename(two)
+            ),
+            "one is added": lambda _: self.draw("view_3"),
+            "one is added in a folder": lambda _: (inside.mkdir(), self.draw("images/view_2", 30)),
+            "one is a link that points elsewhere": lambda _: (
+                two.rename(self.labels / "x"), two.symlink_to(one)
+            ),
+            "a class is added": lambda _: classes.write_text("ball\ncup\nbox\n"),
+            "classes are another": lambda _: classes.write_text("cup\n"),
+            "classes are in another order": lambda _: classes.write_text("cup\nball\n"),
+            "the folder is removed": lambda _: self.labels.rename(self.labels.parent / "removed"),
+            "none are asked for": lambda _: self.leave_out(),
+            "photographs are edited": lambda _: save(self.scene.photograph(1), 60),
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize("masks", [False, True])
+def test_truth_is_read_anew_when_labels_change(tmp_path, masks):
+    def ask(data, store):
+        folder = data.scene
+        asked = Photographs("s", folder.format, folder.path, {}, ("view_10", "view_30"), ASKED)
+        site = Worksite(ArtifactStore(str(store)))
+        with at(site):
+            ingest.task.fn({"photographs": asked})
+        sample = site.made["ingest"]
+        labels = Labels(data.folder, ASKED, ("ball", "box")).of_views(sample.meta["targets"])
+        return answer(truth, {"sample": sample, "labels": labels}, store)
+
+    compare(tmp_path, lambda root: Labelled(root, masks), ask)
+
+
+opened = None
+
+
+def listen(event, arguments):
+    if opened is not None and event == "open" and isinstance(arguments[0], str | os.PathLike):
+        opened.add(os.path.realpath(arguments[0]))
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "llff file"])
+def test_a_reader_names_every_file_that_it_opens(tmp_path, name):
+    global opened
+    folder = write_folder(name, tmp_path)
+    sys.addaudithook(listen)
+    opened = set()
+    scene = datasets.load(folder.format, folder.path, **folder.options)
+    views = list(scene.cameras)
+    for view in views:
+        scene.read(view)
+    paths, opened = opened, None
+    files, _ = datasets.inputs(folder.format, folder.path, views, **folder.options)
+    read = {path for path in paths if path.startswith(f"{tmp_path}/")}
+    assert len(read) >= 2
+    # Which chunk a clip is in is all that the index decides.
+    assert read - {str(tmp_path / "index.json")} <= {os.path.realpath(file) for file in files}
+
+
+def test_data_that_change_while_they_are_read_are_refused(tmp_path, monkeypatch):
+    folder = write_folder("llff", tmp_path / "data")
+    read = Photographs.read
+
+    def slowly(self):
+        save(folder.photograph(1), 99)
+        return read(self)
+
+    monkeypatch.setattr(Photographs, "read", slowly)
+    assert "was changed after the run had begun" in photographs(folder, tmp_path / "store")[0]
+    monkeypatch.undo()
+    assert not isinstance(photographs(folder, tmp_path / "store")[0], str)
