@@ -69,17 +69,17 @@ def compare(tmp_path, write, ask):
         data = write(root)
         data.changes()[what](data)
         resumed, cached = ask(data, store)
-        fresh, _ = ask(data, tmp_path / f"empty{number}")
-        assert resumed == fresh, (what, cached)
-        others += fresh != first
+        if cached:  # else it was made just now
+            fresh, _ = ask(data, tmp_path / f"empty{number}")
+            assert resumed == fresh, what
+        others += resumed != first
     assert others >= 5
 
 
-POSED = ("nerfstudio", "colmap", "llff", "re10k_text", "photographs")
-
-
 @pytest.mark.parametrize(
-    ("name", "ask"), [(n, photographs) for n in WRITERS] + [(n, posed) for n in POSED]
+    ("name", "ask"),
+    [(name, photographs) for name in WRITERS]
+    + [(name, posed) for name in ("nerfstudio", "llff", "photographs")],
 )
 def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, name, ask):
     compare(tmp_path, lambda root: write_folder(name, root), ask)

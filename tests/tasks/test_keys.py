@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactRef
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.keys import cache_key, canonical
+from tasks.stage import Worksite, at, stage
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
 B = ArtifactRef("labels", "labels/bb/bb.npz", "bb")
@@ -98,3 +99,19 @@ def test_a_generator_is_not_consumed_by_the_refusal():
     with pytest.raises(InputError):
         key({"thing": numbers})
     assert list(numbers) == [0, 1, 2]
+
+
+def test_a_stage_of_another_version_works_anew(tmp_path):
+    versions = []
+
+    def of_version(version):
+        def work(site, number):
+            versions.append(version)
+            return site.store.put("sheet", {"png": np.full(3, number, np.uint8)})
+
+        return stage("sheet", version)(work)
+
+    for version in (1, 1, 2, 2, 1):
+        with at(Worksite(ArtifactStore(str(tmp_path)))):
+            of_version(version).task.fn({"number": 4})
+    assert versions == [1, 2]
