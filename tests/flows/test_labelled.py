@@ -343,7 +343,7 @@ class TestFileHashes:
         folder = lerf / "ramen"
 
         def hashes():
-            options, views = {"scene": "ramen"}, ("frame_00002", "4")
+            options, views = {"scene": "ramen"}, ("frame_00002",)
             return Photographs("ramen", "lerf_ovs", lerf, options, views).inputs["files"]
 
         before = hashes()
