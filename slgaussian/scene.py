@@ -20,6 +20,7 @@ import numpy as np
 from slgaussian.errors import InputError, listed
 from slgaussian.formats.brief import brief
 from slgaussian.formats.images import MOST_PIXELS
+from slgaussian.formats.resampling import Fit, Window
 from slgaussian.kernels.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
@@ -224,6 +225,8 @@ class View:
         True object ids, 0 where none. For evaluation only.
     opaque : bool [H, W] or None
         False where the photograph is transparent: nothing is there. None where all is opaque.
+    window : Window or None
+        Part of the photograph that is shown, where it was resized or cropped; None for all of it.
     """
 
     name: str
@@ -232,6 +235,7 @@ class View:
     depth: np.ndarray | None = None
     instances: np.ndarray | None = None
     opaque: np.ndarray | None = None
+    window: Window | None = None
 
     __repr__ = brief
 
@@ -247,6 +251,11 @@ class View:
             if truth is not None and truth.shape != size:
                 raise InputError(f"view {self.name!r}: {name} is {truth.shape}, expected {size}")
 
+    @property
+    def shown(self) -> Window:
+        """Part of the photograph that is shown."""
+        return self.window or Window.whole(self.camera.width, self.camera.height)
+
     @cached_property
     def grey(self) -> np.ndarray:
         """The photograph without colour, uint8 [H, W]."""
@@ -258,34 +267,24 @@ class View:
         return cv2.cvtColor(self.image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
 
     def resized(self, height: int, width: int) -> View:
-        """Scale to cover ``height`` x ``width``, then crop the centre; the camera follows.
+        """Scale to cover ``height`` x ``width``, then crop the centre; camera and truths follow.
 
-        The image is area-averaged when shrunk; truths take the nearest pixel.
+        See :mod:`slgaussian.formats.resampling`.
         """
         camera = self.camera
         if (camera.height, camera.width) == (height, width):
             return self
-        scale = max(height / camera.height, width / camera.width)
-        full_w = max(width, round(camera.width * scale))
-        full_h = max(height, round(camera.height * scale))
-        left, top = (full_w - width) // 2, (full_h - height) // 2
-        window = np.s_[top : top + height, left : left + width]
-
-        def fit(array: np.ndarray, how: int) -> np.ndarray:
-            return np.ascontiguousarray(
-                cv2.resize(array, (full_w, full_h), interpolation=how)[window]
-            )
-
-        smooth = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        fit = Fit.cover(camera.width, camera.height, width, height)
+        part, size = Window.whole(camera.width, camera.height).cropped(fit), (height, width)
+        full = camera.resized(fit.full_width, fit.full_height)
         return replace(
             self,
-            camera=camera.resized(full_w, full_h).cropped(left, top, width, height),
-            image=fit(self.image, smooth),
-            depth=None if self.depth is None else fit(self.depth, cv2.INTER_NEAREST),
-            instances=None if self.instances is None else fit(self.instances, cv2.INTER_NEAREST),
-            opaque=None
-            if self.opaque is None
-            else fit(self.opaque.astype(np.uint8), cv2.INTER_NEAREST).astype(bool),
+            camera=full.cropped(fit.left, fit.top, width, height),
+            image=fit.photograph(self.image),
+            depth=None if self.depth is None else part.depth(self.depth, *size),
+            instances=None if self.instances is None else part.ids(self.instances, *size),
+            opaque=None if self.opaque is None else part.mask(self.opaque, *size),
+            window=self.shown.cropped(fit),
         )
 
 

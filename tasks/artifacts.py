@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.images import opened
+from slgaussian.formats.resampling import Window
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
 from slgaussian.storage.field_folder import About
@@ -80,6 +81,8 @@ def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
         full = np.ones(first.image.shape[:2], bool)
         masks = [full if view.opaque is None else view.opaque for view in views]
         arrays["opaque"] = np.stack(masks).astype(np.uint8)
+    if any(view.window is not None for view in views):
+        arrays["window"] = np.array([astuple(view.shown) for view in views], np.float64)
     estimated = [view.camera.estimated for view in views]
     if any(one is not None for one in estimated):
         said = ["" if one is None else json.dumps(asdict(one)) for one in estimated]
@@ -98,6 +101,12 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
         said = str(arrays["estimated"][index]) if "estimated" in arrays else ""
         return Estimated.of(json.loads(said)) if said else None
 
+    def window(index: int) -> Window | None:
+        if "window" not in arrays:
+            return None
+        photo_width, photo_height, *edges = arrays["window"][index].tolist()
+        return Window(int(photo_width), int(photo_height), *edges)
+
     return tuple(
         View(
             name=str(name),
@@ -114,6 +123,7 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
             depth=truth("depth", i),
             instances=truth("instances", i),
             opaque=None if "opaque" not in arrays else arrays["opaque"][i] > 0,
+            window=window(i),
         )
         for i, name in enumerate(arrays["names"])
     )

@@ -23,7 +23,7 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("baselines", version=4)
+@stage("baselines", version=5)
 def baselines(
     site: Worksite,
     sample: ArtifactRef,

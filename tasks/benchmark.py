@@ -24,7 +24,7 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("benchmark", version=8)
+@stage("benchmark", version=9)
 def benchmark(
     site: Worksite,
     sample: ArtifactRef,

@@ -27,7 +27,7 @@ class Frames:
     targets: tuple[int, ...]
 
 
-@stage("framed", version=1)
+@stage("framed", version=2)
 def framed(
     site: Worksite, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
 ) -> ArtifactRef:

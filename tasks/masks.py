@@ -10,7 +10,7 @@ from tasks.geometry import read_geometry
 from tasks.stage import Worksite, stage
 
 
-@stage("masks", version=5)
+@stage("masks", version=6)
 def masks(
     site: Worksite,
     sample: ArtifactRef,

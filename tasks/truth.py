@@ -52,7 +52,7 @@ class Labels:
         return read_truth(self.folder, self.categories, sample.targets)
 
 
-@stage("truth", version=2)
+@stage("truth", version=3)
 def truth(site: Worksite, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     """What should be found in the targets: spec ``truth``."""
     shown = site.read(sample, sample_from_arrays)

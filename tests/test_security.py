@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from slgaussian.benchmark import class_masks
-from slgaussian.benchmark.annotations import read_labels
+from slgaussian.benchmark.annotations import read_labels, read_truth
 from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.datasets.photographs import open_rgb, stored_size
@@ -26,7 +26,7 @@ from slgaussian.formats.images import MOST_PIXELS, TooLargeError, check_size, op
 from slgaussian.formats.strict_json import parse
 from slgaussian.masks.precomputed import read_ids
 from slgaussian.predict.mvsplat.checkpoint import read_state
-from slgaussian.scene import Camera
+from slgaussian.scene import Camera, View
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 ROOT = Path(__file__).parent.parent
@@ -185,8 +185,9 @@ class TestLargeImages:
         (tmp_path / "a.json").write_text(
             '{"info": {"name": "a", "width": 1, "height": 80000000}, "objects": []}'
         )
-        with pytest.raises(InputError, match=r"a\.json: labels of 1x80000000 .* another shape"):
-            read_labels(tmp_path, "a", 8, 8)
+        view = View("a", Camera(np.eye(3), np.eye(4), 8, 8), np.zeros((8, 8, 3), np.uint8))
+        with pytest.raises(InputError, match=r"a\.json: is 1x80000000, of another shape than"):
+            read_truth(tmp_path, ["it"], [view])
 
     def test_an_array_that_says_more_than_its_file_has_is_not_allocated(self, tmp_path):
         with open(tmp_path / "a.npy", "wb") as file:

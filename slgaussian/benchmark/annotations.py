@@ -26,11 +26,11 @@ import cv2
 import numpy as np
 
 from slgaussian.benchmark import class_masks
-from slgaussian.benchmark.placement import Placement
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.formats.brief import brief
 from slgaussian.formats.images import TooLargeError, check_size
+from slgaussian.formats.resampling import Window
 from slgaussian.scene import View
 
 
@@ -55,23 +55,30 @@ class Truth:
 
 
 def read_labels(
-    folder: str | Path, view_name: str, width: int, height: int
+    folder: str | Path, view_name: str, width: int, height: int, shown: Window | None = None
 ) -> dict[str, np.ndarray]:
-    """Read the class masks of one frame, bool [height, width] by category.
+    """Read the class masks of one view, bool [height, width] by category.
 
     Polygons are drawn at the labelled size as LangSplat's evaluation does (points truncated to
-    int32, then ``cv2.fillPoly``), and masks brought to ``width`` x ``height`` as
-    :class:`slgaussian.benchmark.placement.Placement` does: a category that is cropped away has an
-    empty one.
+    int32, then ``cv2.fillPoly``), and masks brought once to ``width`` x ``height`` by
+    :meth:`slgaussian.formats.resampling.Window.mask`: a category that is cropped away has an empty
+    one.
+
+    Parameters
+    ----------
+    shown : Window, optional
+        Part of the photograph that the view shows; by default the part that is left when the
+        labelled frame is scaled to cover the view and cropped about the centre.
 
     Raises
     ------
     InputError
-        If the labels of the frame are missing, damaged, or were drawn on another frame.
+        If the labels of the view are missing, damaged, were drawn on another frame or have another
+        shape than its photograph.
     """
     if class_masks.are_in(folder):
-        return class_masks.read(folder, view_name, width, height)
-    return _read_frame(Path(folder), view_name, width, height)[0]
+        return class_masks.read(folder, view_name, width, height, shown)
+    return _read_frame(Path(folder), view_name, width, height, shown)[0]
 
 
 def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[View]) -> Truth:
@@ -87,12 +94,12 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     found_boxes: dict[str, np.ndarray] = {}
     dense = class_masks.are_in(folder)
     for view in targets:
-        width, height = view.camera.width, view.camera.height
+        place = view.name, view.camera.width, view.camera.height, view.shown
         if dense:
-            found = class_masks.read(folder, view.name, width, height)
+            found = class_masks.read(folder, *place)
         else:
-            found, found_boxes = _read_frame(Path(folder), view.name, width, height)
-        nothing = np.zeros((height, width), bool)
+            found, found_boxes = _read_frame(Path(folder), *place)
+        nothing = np.zeros(view.image.shape[:2], bool)
         masks[view.name] = {name: found.get(name, nothing) for name in categories}
         boxes[view.name] = {name: found_boxes.get(name, np.zeros((0, 4))) for name in categories}
     return Truth(masks, {} if dense else boxes)
@@ -162,33 +169,30 @@ def _label_file(folder: Path, view_name: str) -> Path:
 
 
 def _read_frame(
-    folder: Path, view_name: str, width: int, height: int
+    folder: Path, view_name: str, width: int, height: int, shown: Window | None
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     path = _label_file(folder, view_name)
     name, full_w, full_h, objects = _read_record(path)
     if Path(name).stem != Path(view_name).stem:
         # A labels folder shifted by one frame still scores, only wrongly.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
+    part = shown or Window.covering(full_w, full_h, width, height)
+    part.check_shape(path, full_w, full_h)
     drawings: dict[str, list[list[np.ndarray]]] = {}
     boxes: dict[str, list[np.ndarray]] = {}
     for number, entry in enumerate(objects):
         category, polygons, box = _read_object(entry, f"{path}: objects[{number}]")
         drawings.setdefault(category, []).append([p.astype(np.int32) for p in polygons])
         boxes.setdefault(category, []).append(box)
-    try:
-        at = Placement.of(full_w, full_h, width, height)
-    except InputError as bad:
-        raise InputError(f"{path}: {bad}") from None
-    stretch = np.array([at.wide / full_w, at.high / full_h] * 2)
     masks = {}
     for category, outlines in drawings.items():  # one whole frame in memory at a time
         drawn = np.zeros((full_h, full_w), np.uint8)
         for polygons in outlines:
             # Pixels within an even number of the polygons are left as they are.
             cv2.fillPoly(drawn, polygons, 1)
-        masks[category] = at.fit(drawn) > 0
+        masks[category] = part.mask(drawn, height, width)
     return masks, {
-        name: np.stack(rows) * stretch - [at.left, at.top, at.left, at.top]
+        name: part.boxes(np.stack(rows), (full_h, full_w), (height, width))
         for name, rows in boxes.items()
     }
 

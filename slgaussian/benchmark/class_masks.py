@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from slgaussian.benchmark.placement import Placement
 from slgaussian.errors import InputError
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import read_mask
+from slgaussian.formats.resampling import Window
 
 FILE = "classes.txt"
 INSIDE = 255
@@ -52,37 +52,31 @@ def files(folder: str | Path, view_name: str) -> list[Path]:
     return [Path(folder) / FILE, *(own / f"{name}.png" for name in classes(folder))]
 
 
-def read(folder: str | Path, view_name: str, width: int, height: int) -> dict[str, np.ndarray]:
-    """The masks of a frame, bool [height, width] by class, scaled and cropped as its photograph is.
+def read(
+    folder: str | Path, view_name: str, width: int, height: int, shown: Window | None = None
+) -> dict[str, np.ndarray]:
+    """Read the masks of a view, bool [height, width] by class.
 
-    A class that is cropped away, or not in the frame, has an empty mask.
+    They are brought to its size, and to the part ``shown`` of the photograph, as
+    :func:`slgaussian.benchmark.annotations.read_labels` does. A class that is cropped away, or not
+    in the frame, has an empty mask.
 
     Raises
     ------
     InputError
-        If a file is missing or damaged, or has none but other grey levels than 0 and 255.
+        If a file is missing or damaged, has none but other grey levels than 0 and 255, or has
+        another shape than the photograph.
     """
     names = classes(folder)
-    found = {}
+    masks = {}
     for name, file in zip(names, files(folder, view_name)[1:], strict=True):
-        try:
-            with opened(file) as image:
-                grey = np.asarray(image.convert("L"))
-        except FileNotFoundError:
+        if not file.is_file():
             raise InputError(
                 f"{file}: no such mask; every labelled frame needs one for each class of {FILE}, "
                 "black where it does not show it"
-            ) from None
-        except (OSError, ValueError) as bad:
-            raise InputError(f"{file}: cannot be read as an image ({bad})") from None
-        inside = grey == INSIDE
-        if grey.any() and not inside.any():
-            raise InputError(
-                f"{file}: its brightest pixel is {grey.max()}, expected {INSIDE} where the class is"
             )
-        try:
-            at = Placement.of(grey.shape[1], grey.shape[0], width, height)
-        except InputError as bad:
-            raise InputError(f"{file}: {bad}") from None
-        found[name] = at.fit(inside.astype(np.uint8)) > 0
-    return found
+        mask = read_mask(file, INSIDE)
+        part = shown or Window.covering(*mask.shape[::-1], width, height)
+        part.check_shape(file, *mask.shape[::-1])
+        masks[name] = part.mask(mask, height, width)
+    return masks

@@ -24,7 +24,7 @@ from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tabl
 from slgaussian.benchmark.showcase import key_of, leading
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.errors import InputError
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import read_mask
 from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
@@ -352,7 +352,6 @@ def _mask(folder: Path, row: Row) -> np.ndarray | None:
     """The mask of a row; None if it is not there."""
     try:
         data = (folder / "predictions" / mask_place(row)).read_bytes()
-        with opened(io.BytesIO(data)) as image:
-            return np.asarray(image.convert("L")) > 127
-    except (OSError, ValueError):
+        return read_mask(io.BytesIO(data))
+    except (OSError, InputError):
         return None

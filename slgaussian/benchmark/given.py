@@ -35,7 +35,7 @@ from slgaussian.benchmark.scores import scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle, strict_json
 from slgaussian.formats.brief import brief
-from slgaussian.formats.images import opened, unreadable
+from slgaussian.formats.images import read_mask
 from slgaussian.storage.specs import load_spec
 
 NOT_GIVEN = "no mask was given"
@@ -43,9 +43,6 @@ NOT_GIVEN = "no mask was given"
 
 GIVEN = tuple(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
 """The protocols by which masks can be scored."""
-
-FULL = 127
-"""Grey level above which a pixel of a PNG file was found."""
 
 Key = tuple[str, ...]
 
@@ -371,18 +368,8 @@ def _check_size(where: str, found: Sequence[int], height: int, width: int) -> No
 
 def _png(file: Path) -> Callable[[int, int], np.ndarray]:
     def read(height: int, width: int) -> np.ndarray:
-        try:
-            with opened(file, kinds=("PNG",)) as image:
-                grey = np.asarray(image.convert("L"))
-        except (OSError, ValueError) as bad:
-            raise unreadable(file, bad) from None
-        _check_size(str(file), grey.shape, height, width)
-        mask = grey > FULL
-        if grey.any() and not mask.any():
-            raise InputError(
-                f"{file}: its brightest pixel is {grey.max()}, expected 255 where something was "
-                "found"
-            )
+        mask = read_mask(file, kinds=("PNG",))
+        _check_size(str(file), mask.shape, height, width)
         return mask
 
     return read

@@ -296,13 +296,13 @@ def _stretched_rescaled(rules: Rules, width: int) -> How:
 PROTOCOLS: Mapping[str, ScoringProtocol] = {
     protocol.name: protocol
     for protocol in (
-        ScoringProtocol("slgaussian", 1, _by_rules, _slgaussian, _slgaussian_given),
-        ScoringProtocol("langsplat", 1, _stretched, _langsplat, _langsplat_given),
-        ScoringProtocol("langsplat-rescaled", 1, _stretched_rescaled, _langsplat, _langsplat_given),
+        ScoringProtocol("slgaussian", 2, _by_rules, _slgaussian, _slgaussian_given),
+        ScoringProtocol("langsplat", 2, _stretched, _langsplat, _langsplat_given),
+        ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat, _langsplat_given),
         ScoringProtocol(
-            "3d-ovs", 1, lambda rules, width: How("arg-max"), _three_d_ovs, _three_d_ovs_given
+            "3d-ovs", 2, lambda rules, width: How("arg-max"), _three_d_ovs, _three_d_ovs_given
         ),
-        ScoringProtocol("threshold-free", 1, lambda rules, width: How("none"), _threshold_free),
+        ScoringProtocol("threshold-free", 2, lambda rules, width: How("none"), _threshold_free),
     )
 }
 """All protocols by name."""

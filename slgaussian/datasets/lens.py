@@ -9,6 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from slgaussian.formats.resampling import sample_depth
+
 OUTSIDE = -1e4
 """Column and row of what the lens did not see, which makes it black."""
 
@@ -30,20 +32,22 @@ def straightened(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """A photograph uint8 [H, W, 3] and its depth float32 [H, W] or None, both straight.
 
-    Colours are interpolated, depths taken from the nearest pixel; what the lens did not see is
-    black, with depth 0.
+    Colours are interpolated, depths as :func:`slgaussian.formats.resampling.sample_depth` has it;
+    what the lens did not see is black, with depth 0.
     """
-    maps = unfolded(*maps)
-    image = cv2.remap(image, *maps, cv2.INTER_LINEAR)
-    return image, None if depth is None else cv2.remap(depth, *maps, cv2.INTER_NEAREST)
+    columns, rows = unfolded(*maps)
+    image = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)
+    return image, None if depth is None else sample_depth(depth, columns + 0.5, rows + 0.5)
 
 
 def straight_mask(mask: np.ndarray | None, maps: Maps) -> np.ndarray | None:
-    """A mask bool [H, W] of a photograph, straight; None stays None."""
+    """A mask bool [H, W] of a photograph, straight: where it covers more than half of a pixel.
+
+    None stays None.
+    """
     if mask is None:
         return None
-    nearest = cv2.remap(mask.astype(np.uint8), *unfolded(*maps), cv2.INTER_NEAREST)
-    return nearest.astype(bool)
+    return cv2.remap(mask.astype(np.float32), *unfolded(*maps), cv2.INTER_LINEAR) > 0.5
 
 
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:

@@ -31,6 +31,7 @@ from slgaussian.datasets.photographs import (
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened, read_npy, unreadable
+from slgaussian.formats.resampling import Window
 from slgaussian.scene import Camera, Estimated, Scene, View
 from slgaussian.storage.store import write_atomic
 
@@ -60,8 +61,8 @@ def read(path: str | Path) -> Scene:
     Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
     black, and known as such in ``View.opaque``; an EXIF orientation is applied only where w and h
     are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_rgb`.
-    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resized to the
-    image by nearest pixel, and 0 where it is not a positive number; a view whose depth file is
+    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resampled at the
+    image's pixel centres, and 0 where it is not a positive number; a view whose depth file is
     missing has no depth, as no method needs it.
 
     Parameters
@@ -366,8 +367,9 @@ class _Frame:
             raise self.error(f"depth_unit_scale_factor is {unit:g}, expected a positive number")
         depth = (raw.astype(np.float64) * unit).astype(np.float32)
         depth[~(np.isfinite(depth) & (depth > 0))] = 0
-        size = (camera.width, camera.height)
-        return cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+        photograph = Window.whole(camera.width, camera.height)
+        photograph.check_shape(path, *depth.shape[::-1])
+        return photograph.depth(depth, camera.height, camera.width)
 
 
 def _parsed(file: Path) -> Any:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.formats.resampling import Window
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
 
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
 SUFFIXES = (".png", ".npy")
-
-MOST_STRETCH = 2.0
-"""Ratio of the shapes (width / height) of map and view from which they cannot be one picture: a
-crop from 16:9 to a square is 1.8, a quarter turn of 3:2 is 2.3."""
 
 TOP = 2**31 - 1
 TOP_PNG = 2**16 - 1
@@ -54,9 +51,9 @@ class Precomputed:
       format (https://github.com/cocodataset/panopticapi), so black is 0;
     - NPY, whole numbers [H, W]: the value is the id.
 
-    The map may have any size: as its photograph was, it is scaled to cover the view and cropped at
-    the centre; each pixel takes the id at its centre. Ids are kept as they are, whatever their gaps
-    and holes, and nothing is proposed, merged or voted on.
+    The map may have any size, in the shape of its photograph, and is scaled and cropped as that
+    was; or in the shape of the view. Each pixel takes the id at its centre. Ids are kept as they
+    are, whatever their gaps and holes, and nothing is proposed, merged or voted on.
 
     Attributes
     ----------
@@ -100,14 +97,13 @@ class Precomputed:
             )
         ids = read_ids(file)
         height, width = view.image.shape[:2]
-        stretch = (ids.shape[1] / ids.shape[0]) / (width / height)
-        if max(stretch, 1 / stretch) > MOST_STRETCH:
-            raise InputError(
-                f"{file}: is {ids.shape[1]}x{ids.shape[0]}, but view {view.name!r} is "
-                f"{width}x{height}; expected the shape of its photograph, so check that it is not "
-                "turned and belongs to it"
-            )
-        return covering(ids, height, width)
+        drawn_on, cropped = view.shown, Window.whole(width, height)
+        if ids.shape == (height, width) or (
+            cropped.has_shape(*ids.shape[::-1]) and not drawn_on.has_shape(*ids.shape[::-1])
+        ):
+            drawn_on = cropped
+        drawn_on.check_shape(file, *ids.shape[::-1])
+        return drawn_on.ids(ids, height, width)
 
     def _find(self, name: str) -> Path:
         assert self.folder is not None  # looked at when this was made
@@ -218,18 +214,3 @@ def _read_png(file: Path) -> np.ndarray:
     raise InputError(
         f"{file}: is a PNG of {mode} with {bits} bits; expected grey, a palette, or RGB with 8 bits"
     )
-
-
-def covering(ids: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The map [H, W] scaled to cover ``height`` x ``width`` and cropped at the centre.
-
-    That is what :meth:`slgaussian.scene.View.resized` does to the photograph. Of each new pixel,
-    the old one that its centre lies in is taken.
-    """
-    scale = max(height / ids.shape[0], width / ids.shape[1])
-    places = []
-    for old, new in zip(ids.shape, (height, width), strict=True):
-        full = max(new, round(old * scale))
-        centre = (full - new) // 2 + np.arange(new) + 0.5
-        places.append(np.minimum((centre * old / full).astype(np.int64), old - 1))
-    return ids[np.ix_(*places)]

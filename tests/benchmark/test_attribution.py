@@ -97,7 +97,7 @@ def test_nothing_is_lost_where_nothing_is_broken(room, exact):
 
 def test_what_was_found_is_what_the_benchmark_scores(room, result):
     rows = of(room, room.field)
-    scored = {row["query"]: row for row in result.rows if row["protocol"] == "slgaussian@1"}
+    scored = {row["query"]: row for row in result.rows if row["protocol"] == "slgaussian@2"}
     for query, row in rows.items():
         assert (row["iou"], row["hit"]) == (scored[query]["iou"], scored[query]["hit_mask"])
         assert row["threshold_iou"] >= row["iou"]

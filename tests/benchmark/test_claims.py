@@ -14,7 +14,7 @@ COMMON = {
     "dataset": "d",
     "frame": "f",
     "query": "q",
-    "protocol": "slgaussian@1",
+    "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
     "canonical": "lerf",
@@ -99,7 +99,7 @@ def test_only_an_interval_that_excludes_0_puts_one_ahead(pairs):
 
 
 def test_without_that_score_nothing_is_claimed():
-    more = {"protocol": "3d-ovs@1", "class_iou": 0.5}
+    more = {"protocol": "3d-ovs@2", "class_iou": 0.5}
     rows = [rows_of(method, [None] * 8, **more) for method in ("mine", "other")]
     (table,) = difference_tables({"other": tuple(rows)})
     assert claims(table) == []

@@ -32,7 +32,7 @@ def compared(first: Path, second: Path):
 
 
 def scored(result) -> list[dict]:
-    return [r for r in result.rows if r["protocol"] == "slgaussian@1" and r["iou"] is not None]
+    return [r for r in result.rows if r["protocol"] == "slgaussian@2" and r["iou"] is not None]
 
 
 def test_a_report_and_itself_differ_in_nothing(tmp_path, result):
@@ -49,7 +49,7 @@ def test_what_changed_is_found(tmp_path, result):
     worse = scored(result)[0]["query"]
 
     def change(row):
-        if row["query"] == worse and row["protocol"] == "slgaussian@1" and row["iou"] is not None:
+        if row["query"] == worse and row["protocol"] == "slgaussian@2" and row["iou"] is not None:
             row["iou"] -= 0.25
         return row
 
@@ -61,7 +61,7 @@ def test_what_changed_is_found(tmp_path, result):
     assert gain == f"{-0.25 / len(scored(result)):+.3f}"
     (most,) = found.changes
     assert (most.row["query"], round(most.second - most.first, 6)) == (worse, -0.25)
-    mask = result.predictions["slgaussian@1", "view_01", worse]
+    mask = result.predictions["slgaussian@2", "view_01", worse]
     assert np.array_equal(most.picture, mask_change(mask, mask))
     back = compared(second, first)
     assert back.tables[0].lines[0].cells[0].value == gain.replace("-", "+")

@@ -48,7 +48,7 @@ def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, r
 def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
     view = room.field.render(room.sample.targets[0].camera)
     for query, mask in room.truth["view_01"].items():
-        row, found = row_of(result, query), result.predictions["slgaussian@1", "view_01", query]
+        row, found = row_of(result, query), result.predictions["slgaussian@2", "view_01", query]
         hit = view.query(query)
         assert np.array_equal(found, hit.mask)
         assert row["iou"] == metrics.iou(found, mask)
@@ -95,7 +95,7 @@ def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     for row in (absent, untold):
         assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["class_iou"] is None
         assert row["score"] is not None and row["point_x"] is not None
-        assert ("slgaussian@1", row["frame"], row["query"]) in result.predictions
+        assert ("slgaussian@2", row["frame"], row["query"]) in result.predictions
     assert absent["note"] == "not in this frame" and untold["note"] == ""
     assert untold["frame"] == "halfway"
 
@@ -137,7 +137,7 @@ def test_every_row_says_how_its_mask_was_made(room, result):
     given = ("temperature", "canonical", "absent")
     phrases = "object, things, stuff, texture"
     assert {tuple(row[name] for name in given) for row in cut.rows} == {(2, phrases, "zero")}
-    masks = [m for (protocol, *_), m in cut.predictions.items() if protocol == "slgaussian@1"]
+    masks = [m for (protocol, *_), m in cut.predictions.items() if protocol == "slgaussian@2"]
     assert len(masks) == len(room.truth["view_01"])
     assert not any(mask.any() for mask in masks)
 
@@ -225,7 +225,7 @@ def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, res
     for row in rows[:-1]:  # the last is not understood
         hit = view.query(row["query"], protocol="langsplat")
         truth = room.truth["view_01"][row["query"]]
-        assert np.array_equal(result.predictions["langsplat@1", "view_01", row["query"]], hit.mask)
+        assert np.array_equal(result.predictions["langsplat@2", "view_01", row["query"]], hit.mask)
         assert row["iou"] == metrics.iou(hit.mask, truth)
         ys, xs = np.nonzero(truth)
         box = np.s_[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
@@ -240,7 +240,7 @@ def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, res
 def test_the_protocol_of_the_rules_leads(room, result):
     """It decides what is drawn, and the scene's metrics, and no score."""
     led = room.evaluate(rules=Rules(protocol="langsplat"))
-    assert led.rows[0]["protocol"] == "langsplat@1"
+    assert led.rows[0]["protocol"] == "langsplat@2"
     assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
     assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics
     plain = room.evaluate()
@@ -252,7 +252,7 @@ def test_the_protocol_of_the_rules_leads(room, result):
 
 def test_protocols_can_be_chosen(room):
     some = room.evaluate(protocols=["3d-ovs", "slgaussian"])
-    assert {row["protocol"] for row in some.rows} == {"3d-ovs@1", "slgaussian@1"}
+    assert {row["protocol"] for row in some.rows} == {"3d-ovs@2", "slgaussian@2"}
     assert set(some.scene_metrics) >= {"miou", "accuracy", "boundary_iou", "psnr"}
     with pytest.raises(InputError, match="protocol: found 'lerf', expected one of slgaussian, "):
         room.evaluate(protocols=["lerf"])

@@ -46,7 +46,7 @@ def folder(tmp_path, result):
     return tmp_path / "run"
 
 
-def place_of(result, folder, query, protocol="slgaussian@1"):
+def place_of(result, folder, query, protocol="slgaussian@2"):
     row = {**result.rows[0], "query": query, "protocol": protocol}
     return folder / "predictions" / mask_place(row)
 
@@ -61,7 +61,7 @@ def by_key(rows):
     return {(row["protocol"], row["frame"], row["query"]): row for row in rows}
 
 
-def as_file(path, result, protocol="slgaussian@1", text=True, **more):
+def as_file(path, result, protocol="slgaussian@2", text=True, **more):
     """The masks of a protocol as a JSON file, with all that may be there."""
     entries = []
     for row in result.rows:
@@ -91,10 +91,10 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
         # What masks do not say is not said.
         assert row["score"] is row["point_x"] is row["hit_mask"] is row["hit_peak"] is None
         assert row["selection"] == "given" and row["temperature"] is None
-    known = {key for key in theirs if key[1] == "view_01" and key[0] != "threshold-free@1"}
+    known = {key for key in theirs if key[1] == "view_01" and key[0] != "threshold-free@2"}
     assert by_key(again.rows).keys() == known
     assert any(row["accuracy"] for row in again.rows) and any(r["class_iou"] for r in again.rows)
-    assert by_key(again.rows)["slgaussian@1", "view_01", "red sofa"]["note"] == ABSENT
+    assert by_key(again.rows)["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
     assert tally.missing == 0
     assert tally.unknown(predictions) == {"frames": [f"halfway of {judged.scene}"]}
     for key, mask in again.predictions.items():
@@ -116,17 +116,17 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
             assert [row[n] for n in OF_POINTS] == [theirs[key][n] for n in OF_POINTS]
         assert row["class_iou"] is None
     assert any(row["hit_mask"] for row in rows.values())
-    box = by_key(scored(place, judged, "langsplat")[0][0].rows)["langsplat@1", "view_01", "qqwx"]
+    box = by_key(scored(place, judged, "langsplat")[0][0].rows)["langsplat@2", "view_01", "qqwx"]
     assert box["hit_box"] is None and box["iou"] == 0
 
 
 def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, judged):
-    place = as_file(tmp_path / "own.json", result, "3d-ovs@1", method="ours", seconds=0.5)
+    place = as_file(tmp_path / "own.json", result, "3d-ovs@2", method="ours", seconds=0.5)
     (again,), tally, _ = scored(place, judged, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
     for (protocol, *rest), row in by_key(again.rows).items():
-        assert row["class_iou"] == theirs["slgaussian@1", *rest]["class_iou"]
-        if protocol == "3d-ovs@1":
+        assert row["class_iou"] == theirs["slgaussian@2", *rest]["class_iou"]
+        if protocol == "3d-ovs@2":
             assert row["accuracy"] == theirs[protocol, *rest]["accuracy"] > 0
     assert again.method == "ours"
     assert set(tally.seconds.values()) == {0.5} and len(tally.seconds) >= 4
@@ -134,8 +134,8 @@ def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, j
 
 
 def test_masks_that_overlap_do_not_compete(tmp_path, result, judged):
-    entries = json.loads(as_file(tmp_path / "own.json", result, "3d-ovs@1").read_text())
-    whole = np.ones(result.predictions["slgaussian@1", "view_01", "qqwx"].shape, bool)
+    entries = json.loads(as_file(tmp_path / "own.json", result, "3d-ovs@2").read_text())
+    whole = np.ones(result.predictions["slgaussian@2", "view_01", "qqwx"].shape, bool)
     entries[-1]["counts"] = rle.encode(whole)
     (tmp_path / "own.json").write_text(json.dumps(entries))
     with pytest.raises(InputError, match=r"own\.json: \[\d+\], .* overlaps the mask of '"):
@@ -149,13 +149,13 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     place_of(result, folder, "red sofa").unlink()  # no truth: no sample
     (again,), tally, _ = scored(folder, judged, "slgaussian")
     rows = by_key(again.rows)
-    row = rows["slgaussian@1", "view_01", query]
+    row = rows["slgaussian@2", "view_01", query]
     assert (row["iou"], row["note"]) == (0, NOT_GIVEN)
-    assert rows["slgaussian@1", "view_01", "red sofa"]["note"] == ABSENT
+    assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
     samples = sum(mask.any() for mask in judged.truth.masks["view_01"].values())
     assert (tally.missing, tally.asked) == (1, samples)
     assert tally.missing_of == [f"{query} in view_01 of {judged.scene}"]
-    assert ("slgaussian@1", "view_01", query) not in again.predictions
+    assert ("slgaussian@2", "view_01", query) not in again.predictions
 
 
 def test_masks_that_nothing_asks_for_are_named(tmp_path, result, judged):
@@ -179,7 +179,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_pat
     target = tmp_path / "p" / "My method!" / "slgaussian" / own.scene / "view_01"
     target.mkdir(parents=True)
     Image.fromarray(masks[query]).save(target / "café.png")
-    row = {"method": "My method!", "protocol": "slgaussian@1", "scene": own.scene}
+    row = {"method": "My method!", "protocol": "slgaussian@2", "scene": own.scene}
     safe = mask_place({**row, "frame": "left/view_01.jpg", "query": "a?b"})
     (tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])).parent.mkdir(parents=True)
     Image.fromarray(masks[other]).save(

@@ -27,10 +27,10 @@ def write(folder: Path, objects, width=40, height=24, name="frame_1.png") -> Pat
     return path
 
 
-def view_of(width: int, height: int, instances: np.ndarray | None = None) -> View:
+def view_of(width: int, height: int, opaque: np.ndarray | None = None) -> View:
     camera = Camera(np.diag([width, width, 1.0]), np.eye(4), width, height)
     image = np.zeros((height, width, 3), np.uint8)
-    return View("images/frame_1.png", camera, image, instances=instances)
+    return View("images/frame_1.png", camera, image, opaque=opaque)
 
 
 def test_points_are_truncated_then_filled(tmp_path):
@@ -138,12 +138,13 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
     full = read_labels(folder, "frame_1", 40, 24)
     fitted = read_labels(folder, "frame_1", width, height)
     for category, mask in full.items():
-        moved = view_of(40, 24, mask.astype(np.int32)).resized(height, width)
-        assert np.array_equal(fitted[category], moved.instances.astype(bool))
+        moved = view_of(40, 24, mask).resized(height, width)
+        assert np.array_equal(fitted[category], moved.opaque)
     # A box follows its pixels: its corners are where the resized camera sees them.
     asked = ("box",)
-    boxes = read_truth(folder, asked, [view_of(width, height)]).boxes["images/frame_1.png"]["box"]
-    before, after = view_of(40, 24).camera, view_of(40, 24).resized(height, width).camera
+    view = view_of(40, 24).resized(height, width)
+    boxes = read_truth(folder, asked, [view]).boxes["images/frame_1.png"]["box"]
+    before, after = view_of(40, 24).camera, view.camera
     rays = np.linalg.inv(before.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
     corners = (after.K @ rays)[:2].T
     assert boxes[0] == pytest.approx(corners.ravel(), abs=1e-9)
@@ -153,7 +154,7 @@ def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_pat
     edge = thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23))
     write(tmp_path, [thing(), edge])
     asked = ("edge", "red crate", "ghost")
-    truth = read_truth(tmp_path, asked, [view_of(24, 24)])
+    truth = read_truth(tmp_path, asked, [view_of(40, 24).resized(24, 24)])
     masks = truth.masks["images/frame_1.png"]
     assert list(masks) == ["edge", "red crate", "ghost"]
     assert [bool(mask.any()) for mask in masks.values()] == [False, True, False]

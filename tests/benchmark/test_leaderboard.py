@@ -46,7 +46,7 @@ def test_what_was_asked_something_else_stands_apart(tmp_path, result):
 def test_samples_judged_at_two_sizes_are_on_two_boards(tmp_path, result):
     small = leave(tmp_path / "b", result, lambda row: {**row, "width": row["width"] // 2})
     found = read_leaderboard([leave(tmp_path / "a", result), small])
-    sizes = {board.size for board in found.boards if board.protocol == "slgaussian@1"}
+    sizes = {board.size for board in found.boards if board.protocol == "slgaussian@2"}
     assert len(sizes) == 2
 
 
@@ -55,4 +55,4 @@ def test_a_page_stands_alone_and_its_terms_are_those_of_the_first_protocol(tmp_p
     check_alone(html)
     legend, _, _ = html.partition("<table")
     assert "the same, filter" not in legend  # "the same" as what?
-    assert "slgaussian@1" in markdown
+    assert "slgaussian@2" in markdown

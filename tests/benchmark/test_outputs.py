@@ -54,7 +54,7 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
     write_predictions(result.rows, masks_of(result), tmp_path)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert len(files) == len(result.predictions)
-    assert len(files) == sum(row["protocol"] != "threshold-free@1" for row in result.rows)
+    assert len(files) == sum(row["protocol"] != "threshold-free@2" for row in result.rows)
     for (protocol, frame, query), mask in result.predictions.items():
         folder = tmp_path / "slgaussian" / protocol.removesuffix("@1") / result.scene / frame
         path = folder / f"{query}.png"

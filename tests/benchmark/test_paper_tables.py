@@ -21,7 +21,7 @@ SETTINGS = {
     "dataset": "anything",
     "frame": "f",
     "method": "slgaussian",
-    "protocol": "slgaussian@1",
+    "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
     "canonical": "lerf",
@@ -126,7 +126,7 @@ def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
     places = {"teatime-1": teatime, "teatime-2": teatime}
     tables = paper_tables(rows, places)
     table = by_title(tables, "Table 1")
-    assert table.present and "slgaussian@1 (near-best" in table.by
+    assert table.present and "slgaussian@2 (near-best" in table.by
     assert cells(table, "teatime")[2] == ("40.65", "50.00, n 3")  # the mean over samples
     assert cells(table, "teatime")[5] == ("50.00", "66.67, n 3")
     assert cells(table, "teatime")[0] == ("21.64", "not run")
@@ -162,9 +162,9 @@ def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
 
 def test_closed_set_numbers_are_those_of_their_protocol():
     rows = [
-        row_of("bed", protocol="3d-ovs@1", class_iou=0.5),
+        row_of("bed", protocol="3d-ovs@2", class_iou=0.5),
         row_of("bed", iou=0.25, class_iou=0.1),
-        row_of("bed", protocol="langsplat@1", iou=0.75, filter=30),
+        row_of("bed", protocol="langsplat@2", iou=0.75, filter=30),
     ]
     tables = paper_tables(rows, {"bed": Standing(RECOGNISED, OVS3D, "bed")})
     assert len(tables) == 8

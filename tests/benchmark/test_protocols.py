@@ -327,7 +327,7 @@ def test_no_boxes_no_hit():
 
 def test_names_and_versions():
     names = "slgaussian", "langsplat", "langsplat-rescaled", "3d-ovs", "threshold-free"
-    assert [p.label for p in PROTOCOLS.values()] == [f"{name}@1" for name in names]
+    assert [p.label for p in PROTOCOLS.values()] == [f"{name}@2" for name in names]
     with pytest.raises(InputError, match="protocol: found 'miou', expected one of slgaussian, "):
         load_protocol("miou")
 

@@ -79,7 +79,7 @@ def page_of(truth) -> Callable[..., Page]:
 
 
 def leading(result):
-    return [row for row in result.rows if row["protocol"] == "slgaussian@1"]
+    return [row for row in result.rows if row["protocol"] == "slgaussian@2"]
 
 
 def test_the_page_needs_no_network(both):
@@ -91,7 +91,7 @@ def test_the_page_shows_the_numbers_and_how_they_were_made(result, page_of):
     page = page_of([result])
     for key, digits in (("iou", 3), ("miou", 3), ("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
-    rule = f"slgaussian@1 near-best, share {NEAR_BEST}"
+    rule = f"slgaussian@2 near-best, share {NEAR_BEST}"
     assert f"{rule}, temperature 10, phrases: encoder's" in page.text
     scored = sum(row["iou"] is not None for row in leading(result))
     assert f"{scored} scored queries" in page.text
@@ -105,13 +105,13 @@ def test_both_forms_say_the_same_numbers(both, result):
     scores = {
         (row["method"], row["metric"]): row["value"]
         for row in score_table(result.rows).to_pylist()
-        if row["protocol"] == "slgaussian@1"
+        if row["protocol"] == "slgaussian@2"
     }
     table = next(t for t in tables_of(both.markdown) if t[0][0] == "Method")
     line = next(line for line in table if line[0] == "slgaussian")
     column = table[0].index("IoU")
     assert line[column] == f"**{scores['slgaussian', 'iou']:.3f}**"
-    assert table[1][column] == "slgaussian@1"
+    assert table[1][column] == "slgaussian@2"
     text = Page(both.html).text
     for cells in table[1:]:
         for cell in cells[1:]:
@@ -377,7 +377,7 @@ def test_names_are_text_and_never_markup(result):
     for kind in ("relevancy", "mask"):
         pictures[f"{kind}/view_01/{odd}"] = pictures["input/view_00"]
     mask = np.ones((104, 144), bool)
-    predictions = {("slgaussian@1", "view_01", odd): mask}
+    predictions = {("slgaussian@2", "view_01", odd): mask}
     strange = replace(result, rows=rows, predictions=predictions, pictures=pictures)
     scene = scene_of(strange, {"view_01": {odd: mask}}, name="<script>x</script>")
     made = render_report([scene], MANIFEST)

@@ -16,7 +16,7 @@ from slgaussian.storage.specs import load_spec
 SETTINGS = {
     "dataset": "d",
     "frame": "f",
-    "protocol": "slgaussian@1",
+    "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
     "share": 0.7,
@@ -60,7 +60,7 @@ def test_conditions_and_samples_are_said_once_and_again_where_they_differ():
     other = rows_of("b", 0.1, share=0.5)
     table = table_of(rows_of("a", 0.5, 0.6), rows_of("c", 0.5, 0.6), other)
     (group,) = table.groups
-    assert group.protocol == "slgaussian@1"
+    assert group.protocol == "slgaussian@2"
     assert group.conditions == ("near-best, share 0.7, temperature 10, phrases: lerf, absent: skip")
     assert group.counts == ("n 2",)
     notes = {line.method: line.cells[0].note for line in table.lines}
@@ -80,7 +80,7 @@ def test_data_sets_are_apart_and_columns_without_a_score_are_not_there():
 
 
 def test_a_threshold_that_was_tried_is_no_score_of_its_own():
-    curve = {"protocol": "threshold-free@1", "iou_curve": [0.25] * 19, "average_precision": 0.5}
+    curve = {"protocol": "threshold-free@2", "iou_curve": [0.25] * 19, "average_precision": 0.5}
     table = table_of(rows_of("a", None, **curve))
     assert [column.title for column in table.columns] == ["AP"]
 
@@ -128,7 +128,7 @@ def test_scenes_of_few_places_are_few():
 
 def test_less_of_an_error_is_better():
     rows = [
-        rows_of(name, *[None] * 6, protocol="threshold-free@1", calibration_error=error)
+        rows_of(name, *[None] * 6, protocol="threshold-free@2", calibration_error=error)
         for name, error in (("a", 0.1), ("b", 0.3))
     ]
     (table,) = difference_tables({"b": (rows[0], rows[1])}, MORE)

@@ -26,7 +26,7 @@ COLUMNS = dict.fromkeys(load_spec("samples").columns)
 GIVEN = {
     "frame": "f",
     "method": "m",
-    "protocol": "slgaussian@1",
+    "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
     "share": 0.7,
@@ -182,22 +182,22 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
         assert row["scenes"] == 1 and row["note"] == ONE_SCENE
     assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
     own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box", SCORE_CALIBRATION]
-    assert found["slgaussian@1"] == own
-    for name in ("langsplat@1", "langsplat-rescaled@1"):
+    assert found["slgaussian@2"] == own
+    for name in ("langsplat@2", "langsplat-rescaled@2"):
         assert found[name] == ["iou", "boundary_iou", "hit_box", "hit_peak"]
-    assert found["3d-ovs@1"] == ["boundary_iou", "miou", "accuracy"]
+    assert found["3d-ovs@2"] == ["boundary_iou", "miou", "accuracy"]
     own = ["average_precision", "auc", "best_iou", "calibration_error"]
-    assert found["threshold-free@1"] == own + ["iou"] * len(THRESHOLDS)
-    assert score(table, "iou", protocol="langsplat@1")["filter"] == "30"
+    assert found["threshold-free@2"] == own + ["iou"] * len(THRESHOLDS)
+    assert score(table, "iou", protocol="langsplat@2")["filter"] == "30"
     for row in table.to_pylist():
-        if row["protocol"] == "slgaussian@1" and row["metric"] in result.scene_metrics:
+        if row["protocol"] == "slgaussian@2" and row["metric"] in result.scene_metrics:
             assert row["value"] == result.scene_metrics[row["metric"]]
 
 
 def test_a_threshold_sweep_is_a_row_a_threshold():
     curve = [0.1] * 9 + [0.4] * 10
     other = [0.3] * 19
-    own = {"protocol": "threshold-free@1", "selection": "none", "share": None}
+    own = {"protocol": "threshold-free@2", "selection": "none", "share": None}
     rows = [sample("a", "x", iou_curve=curve, **own), sample("b", "x", iou_curve=other, **own)]
     table = score_table(rows).to_pylist()
     assert [row["threshold"] for row in table] == list(THRESHOLDS)
@@ -206,7 +206,7 @@ def test_a_threshold_sweep_is_a_row_a_threshold():
 
 def test_samples_of_several_settings_are_no_one_score():
     rows = [sample("a", "x", iou=0.1), sample("b", "x", iou=0.2, temperature=1.0)]
-    message = "scores of m by slgaussian@1: samples were made with temperature 1.0, 10.0"
+    message = "scores of m by slgaussian@2: samples were made with temperature 1.0, 10.0"
     with pytest.raises(InputError, match=message):
         score_table(rows)
     # A filter that goes with the images' width is one setting.
@@ -288,7 +288,7 @@ def test_settings_may_differ_since_they_may_be_what_is_compared():
 
 def test_two_methods_at_once_are_refused():
     rows = [*ious(a=[0.9]), sample("a", "q0", iou=0.1, method="n")]
-    with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@1"):
+    with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@2"):
         differences(rows, ious(a=[0.9]))
 
 

@@ -155,11 +155,22 @@ class TestDepth:
         depth = self.read(tmp_path, "d.npy")
         assert depth[0, :5].tolist() == [0, 0, 0, 0, 1.5]
 
-    def test_of_another_size_is_fitted_by_nearest_pixel(self, tmp_path):
-        raw = np.arange(HEIGHT * WIDTH // 4, dtype=np.uint16).reshape(HEIGHT // 2, WIDTH // 2)
-        Image.fromarray(raw).save(tmp_path / "d.png")
-        depth = self.read(tmp_path, "d.png")
-        assert depth == pytest.approx(raw.repeat(2, 0).repeat(2, 1) / 1000)
+    def test_of_another_size_is_that_at_the_pixel_centres(self, tmp_path):
+        """Of a slanted plane, whose inverse depth is affine over the photograph."""
+
+        def plane(height, width):
+            y, x = np.mgrid[:height, :width] + 0.5
+            return 1 / (0.3 + 0.2 * x / width + 0.1 * y / height)
+
+        np.save(tmp_path / "d.npy", plane(HEIGHT // 2, WIDTH // 2))
+        depth = self.read(tmp_path, "d.npy", depth_unit_scale_factor=1)
+        np.testing.assert_allclose(depth, plane(HEIGHT, WIDTH), rtol=1e-6)
+
+    @pytest.mark.parametrize("shape", [(WIDTH, HEIGHT), (HEIGHT, HEIGHT)])
+    def test_of_another_shape_is_refused(self, tmp_path, shape):
+        np.save(tmp_path / "d.npy", np.ones(shape))
+        with pytest.raises(InputError, match=r"d\.npy: is \d+x\d+, of another shape than its"):
+            self.read(tmp_path, "d.npy")
 
     def test_may_be_missing(self, tmp_path):
         assert self.read(tmp_path, "gone.png") is None

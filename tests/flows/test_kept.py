@@ -176,7 +176,7 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
 
 def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True, **own) -> dict:
     given = {"query": query, "frame": frame, "iou": iou, "hit_mask": hit, "score": 0.6, "note": ""}
-    return {**given, "protocol": "slgaussian@1", **own}
+    return {**given, "protocol": "slgaussian@2", **own}
 
 
 def asked(field: SemanticField, *rows: dict) -> str | None:
@@ -191,7 +191,7 @@ def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
         asked(field, row("blue wall", iou=0.6), row("floor"), row("floor", "b", 0.4)) == "blue wall"
     )
     assert (
-        asked(field, row("blue wall", iou=0.8), row("floor", protocol="langsplat@1")) == "blue wall"
+        asked(field, row("blue wall", iou=0.8), row("floor", protocol="langsplat@2")) == "blue wall"
     )
     # What was asked without truth comes after all that is known to be right.
     unknown = {"iou": None, "hit": None}

@@ -81,7 +81,7 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     samples = pq.read_table(folder / "out" / "samples.parquet")
     masks = list((folder / "out" / "predictions").glob("*/*/room/**/*.png"))
     assert set(samples["method"].to_pylist()) == {"slgaussian", "nearest-view"}
-    made = [name for name in samples["protocol"].to_pylist() if name != "threshold-free@1"]
+    made = [name for name in samples["protocol"].to_pylist() if name != "threshold-free@2"]
     assert len(masks) == len(made) > 0
     assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
     asked = {row["query"]: row for row in samples.to_pylist() if row["iou"] is not None}
@@ -293,7 +293,7 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
     assert manifest["seed"] == 0 and manifest["settings"]["predictor"] == "planesweep"
     assert manifest["methods"] == {"nearest-view": "nearest-view"}
     assert manifest["stages"]["report"] > 0 and manifest["packages"]["numpy"] == np.__version__
-    assert manifest["protocols"][0] == "slgaussian@1"
+    assert manifest["protocols"][0] == "slgaussian@2"
     assert manifest["kernels"] == threads.kernels()
     (name,) = manifest["data"]
     assert name == "room" and len(manifest["data"][name]["sample"]) == 64

@@ -18,6 +18,7 @@ from slgaussian.benchmark.given import GIVEN
 from slgaussian.formats import rle
 from slgaussian.storage.specs import load_spec
 from tests.flows.command import ROOM, room, run, said
+from tests.formats.test_resampling import box_sums
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "tests" / "benchmark" / "other_method"
@@ -102,7 +103,7 @@ def test_a_method_of_another_package_is_in_the_report(made):
     (value,) = [
         row["value"]
         for row in pq.read_table(made / "scores.parquet").to_pylist()
-        if (row["method"], row["protocol"], row["metric"]) == ("colours", "slgaussian@1", "iou")
+        if (row["method"], row["protocol"], row["metric"]) == ("colours", "slgaussian@2", "iou")
     ]
     page = (made / "report.md").read_text()
     (line,) = [line for line in page.splitlines() if line.startswith("| colours |")][:1]
@@ -165,9 +166,9 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
         twin = np.asarray(Image.open(out / "predictions" / file.relative_to(made / "predictions")))
         assert np.array_equal(mask, twin)
     table = {line.split("  ")[0]: line for line in told.out.split("\n\n")[0].splitlines()}
-    ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@1")]
+    ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
-    assert "by slgaussian@1 (masks as given)" in told.out
+    assert "by slgaussian@2 (masks as given)" in told.out
     # The folder is one that compare reads, and it finds no difference.
     assert run(monkeypatch, "compare", made, out) == 0
     told = capsys.readouterr().out
@@ -179,7 +180,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     entries = []
     for key, row in samples(made).items():
         method, protocol, scene, frame, query = key
-        if (method, protocol) != ("colours", "slgaussian@1") or row["iou"] is None:
+        if (method, protocol) != ("colours", "slgaussian@2") or row["iou"] is None:
             continue
         file = made / "predictions" / method / "slgaussian" / scene / "view_01" / f"{query}.png"
         mask = np.asarray(Image.open(file).convert("L")) > 127
@@ -198,11 +199,11 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     assert f"not asked, left out: frames x of {labelled.name}\n" in told
     of_run = samples(made)
     for key, row in samples(out).items():
-        assert key[:3] == ("mine", "slgaussian@1", labelled.name)
+        assert key[:3] == ("mine", "slgaussian@2", labelled.name)
         if key[-1] == last:
             assert (row["iou"], row["hit_box"]) == (0, None)
             continue
-        theirs = of_run["colours", "slgaussian@1", "desk", *key[-2:]]
+        theirs = of_run["colours", "slgaussian@2", "desk", *key[-2:]]
         names = ["iou", "boundary_iou", "score", "point_x"]
         names += ["hit_mask", "hit_box"] if row["point_x"] is not None else []
         assert [row[name] for name in names] == [theirs[name] for name in names]
@@ -210,6 +211,44 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     (tmp_path / "mine.json").write_text(json.dumps(entries[:1]))
     assert run(monkeypatch, *words) == 0
     assert len(list((out / "predictions").rglob("*.png"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("labelled_size", "size"),
+    [((360, 540), (180, 270)), ((659, 988), (240, 240)), ((183, 274), (659, 988))],
+)
+def test_perfect_masks_are_scored_as_perfect(tmp_path, monkeypatch, capsys, labelled_size, size):
+    """Photographs of one size, labels of another, scores at a third: cropped and enlarged too."""
+    (height, width), folder = labelled_size, tmp_path / "data"
+    (folder / "labels" / "a").mkdir(parents=True)
+    photograph = np.random.default_rng(0).integers(0, 256, (360, 540, 3)).astype(np.uint8)
+    Image.fromarray(photograph).save(folder / "a.png")
+    pose = np.diag([1.0, -1, -1, 1]).tolist()
+    frame = {"file_path": "a.png", "w": 540, "h": 360, "fl_x": 500, "transform_matrix": pose}
+    (folder / "transforms.json").write_text(json.dumps({"frames": [frame]}))
+    radii = [4, 6, 20, 60]
+    (folder / "labels" / "classes.txt").write_text("\n".join(map(str, radii)))
+    y, x = np.mgrid[:height, :width] + 0.5
+    scale = max(size[0] / 360, size[1] / 540)
+    entries = []
+    for radius in radii:
+        mask = np.hypot(x - 0.47 * width, y - 0.52 * height) < radius * height / 360
+        Image.fromarray(mask).save(folder / "labels" / "a" / f"{radius}.png")
+        rows, columns = (
+            (whole / 2 + (np.arange(count + 1) - count / 2) / scale) * labels / whole
+            for whole, count, labels in zip((360, 540), size, labelled_size, strict=True)
+        )
+        perfect = box_sums(mask.astype(float), rows, columns) > 0.5
+        entry = {"scene": "data", "frame": "a", "query": str(radius), "size": size}
+        entries.append({**entry, "counts": rle.encode(perfect)})
+    (tmp_path / "p.json").write_text(json.dumps(entries))
+    words = ["--data", folder, "--labels", folder / "labels", "--size", "{}x{}".format(*size)]
+    assert run(monkeypatch, "score", tmp_path / "p.json", *words, "-o", tmp_path / "out") == 0
+    capsys.readouterr()
+    rows = [row for row in samples(tmp_path / "out").values() if row["iou"] is not None]
+    assert len(rows) == len(radii)
+    assert min(row["iou"] for row in rows) > 0.97
+    assert min(row["iou"] for row in rows if row["query"] in ("20", "60")) > 0.99
 
 
 def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeypatch, capsys):

@@ -10,7 +10,7 @@ from slgaussian.storage.specs import load_spec
 SETTINGS = {
     "frame": "f",
     "method": "m",
-    "protocol": "slgaussian@1",
+    "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
     "share": 0.7,
@@ -23,7 +23,7 @@ SETTINGS = {
 def result_of(scene, *ious):
     empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | {"scene": scene}
     rows = [empty | {"query": f"q{k}", "iou": iou} for k, iou in enumerate(ious)]
-    other = [row | {"protocol": "langsplat@1", "iou": 0.0} for row in rows]
+    other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
     return SceneResult(scene, rows + other, scene_means(rows) | {"psnr": 20.0}, {}, {}, {})
 
 
@@ -37,7 +37,7 @@ def test_the_mean_has_an_interval_and_says_by_what():
         ["95", "%", "0.300-0.900", "-"],
     ]
     assert lines[-1] == (
-        "by slgaussian@1 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
+        "by slgaussian@2 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
         "3 samples of 2 scenes; fewer than 6 scenes: a rough interval"
     )
 
@@ -61,7 +61,7 @@ def test_data_sets_and_methods_are_kept_apart():
     assert [line.split() for line in lines] == [
         ["x", "IoU", "95", "%"], ["m", "0.500", "-"], ["other", "0.250", "-"]
     ]  # fmt: skip
-    assert by.startswith("by slgaussian@1 (near-best, share 0.7") and by.endswith("no interval")
+    assert by.startswith("by slgaussian@2 (near-best, share 0.7") and by.endswith("no interval")
     assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]
     # Nothing to compare methods by.
     bare = [replace(result, rows=[]) for result in (ours[0], other)]

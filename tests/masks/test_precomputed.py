@@ -6,7 +6,7 @@ from PIL import Image
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
-from slgaussian.masks.precomputed import Precomputed, covering, folder_digest, read_ids
+from slgaussian.masks.precomputed import Precomputed, folder_digest, read_ids
 from slgaussian.scene import Camera, View
 
 
@@ -123,14 +123,15 @@ def test_nested_names_go_before_bare_ones(tmp_path):
 def test_a_map_of_another_size_lies_where_its_photograph_does(old, new):
     ids = np.random.default_rng(0).integers(0, 200, old).astype(np.int32)
     K = np.array([[50, 0, old[1] / 2], [0, 50, old[0] / 2], [0, 0, 1.0]])
-    photograph = View("a", Camera(K, np.eye(4), old[1], old[0]), np.zeros((*old, 3), np.uint8))
-    camera = photograph.resized(*new).camera
+    photograph = View("a", Camera(K, np.eye(4), *old[::-1]), np.zeros((*old, 3), np.uint8))
+    view = photograph.resized(*new)
+    camera = view.camera
     # The old pixel that the ray of each new one goes through.
     column, row = (
         (np.arange(size) + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis] * 50 + old[1 - axis] / 2
         for axis, size in enumerate(new[::-1])
     )
-    found = covering(ids, *new)
+    found = view.shown.ids(ids, *new)
     assert found.shape == new
     # Rounding decides where a centre lies on the border of two old pixels.
     clear_x, clear_y = (np.abs(x - np.rint(x)) > 1e-6 for x in (column, row))
@@ -171,7 +172,11 @@ def _rgb_16_bits(file):
         ("a.npy", lambda f: np.save(f, np.full(SIZE, 2**31)), "found ids from 2147483648"),
         ("a.npy", lambda f: np.save(f, np.zeros((4, *SIZE), int)), r"expected ids \[H, W\]"),
         ("a.npy", lambda f: np.save(f, np.zeros((0, 3), int)), r"expected ids \[H, W\]"),
-        ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]), "is 160x20, but view"),
+        (
+            "a.npy",
+            lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]),
+            "160x20, of another shape",
+        ),
         ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
         ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),
     ],

@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from scipy.special import expit, logit
 
+from slgaussian.formats.resampling import Window
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import langsplat
@@ -105,9 +106,9 @@ class DenseView:
         """
         size = self.vectors.shape[1:3]
         gaps = self._cosines((text,))[0] - self._rival(text, rules)
-        seen = cv2.resize(self.seen.view(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
-        best = gaps.max(1, where=seen.ravel() > 0, initial=-np.inf).argmax()
         whole = self.seen.shape[::-1]
+        seen = Window.whole(*whole).mask(self.seen, *size)
+        best = gaps.max(1, where=seen.ravel(), initial=-np.inf).argmax()
         return cv2.resize(gaps[best].reshape(size), whole, interpolation=cv2.INTER_LINEAR)
 
     def _rival(self, text: str, rules: Rules) -> np.ndarray:

@@ -1,0 +1,167 @@
+"""Photographs, masks, ids and depths at another size, against sums in float64."""
+
+from contextlib import nullcontext
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from slgaussian.datasets.lens import perspective_maps, straight_mask, straightened
+from slgaussian.errors import InputError
+from slgaussian.formats.resampling import Window
+from slgaussian.scene import Camera, View
+
+SIZES = [(60, 90), (45, 80), (31, 47), (40, 40), (120, 180), (97, 203), (7, 9), (1, 1), (150, 90)]
+"""Of views of a photograph of 60x90: the same, smaller, larger, cropped, tiny; height first."""
+
+
+def photographed(**truths) -> View:
+    K = np.array([[80, 0, 44.0], [0, 80, 31], [0, 0, 1]])
+    image = np.random.default_rng(0).integers(0, 256, (60, 90, 3)).astype(np.uint8)
+    return View("a", Camera(K, np.eye(4), 90, 60), image, **truths)
+
+
+def edges(view: View, full: View, axis: int) -> np.ndarray:
+    """Edges of the view's columns (axis 0) or rows in the photograph, by what its camera sees."""
+    count = (view.camera.width, view.camera.height)[axis]
+    rays = (np.arange(count + 1) - view.camera.K[axis, 2]) / view.camera.K[axis, axis]
+    return rays * full.camera.K[axis, axis] + full.camera.K[axis, 2]
+
+
+def box_sums(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Mean of an image float64 [H, W, ...] over boxes, by loops."""
+
+    def along(array, cuts):
+        out = []
+        for a, b in pairwise(cuts):
+            ends = np.arange(len(array))
+            share = np.clip(np.minimum(ends + 1, b) - np.maximum(ends, a), 0, None) / (b - a)
+            out.append(np.tensordot(share, array, 1))
+        return np.stack(out)
+
+    return np.moveaxis(along(np.moveaxis(along(array, rows), 1, 0), columns), 0, 1)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_mask_is_set_where_it_covers_more_than_half(size):
+    drawn = np.zeros((60, 90), np.uint8)
+    cv2.fillPoly(drawn, [np.array([[10, 5], [80, 20], [30, 55]])], 1)
+    drawn[30:40, 60:75] = 1
+    full = photographed(opaque=drawn > 0)
+    view = full.resized(*size)
+    cover = box_sums(drawn.astype(float), edges(view, full, 1), edges(view, full, 0))
+    clear = np.abs(cover - 0.5) > 1e-4
+    assert np.array_equal(view.opaque[clear], cover[clear] > 0.5)
+    assert not view.opaque[np.abs(cover - 0.5) < 1e-9].any()
+    # What is brought to the size in one step lies where what came with the photograph does, from
+    # drawings of another size too.
+    finer = np.kron(drawn, np.ones((3, 3), np.uint8))
+    for other in (drawn, finer):
+        assert np.array_equal(view.shown.mask(other, *size), view.opaque)
+
+
+@pytest.mark.parametrize("size", [size for size in SIZES if size[0] * size[1] <= 60 * 90])
+def test_a_photograph_that_shrinks_is_averaged_over_the_same_pixels(size):
+    full = photographed()
+    view = full.resized(*size)
+    means = box_sums(full.image.astype(float), edges(view, full, 1), edges(view, full, 0))
+    assert np.abs(view.image - means).max() <= 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_ids_are_those_at_the_centres(size):
+    ids = np.random.default_rng(1).integers(0, 9, (60, 90)).astype(np.int32)
+    full = photographed(instances=ids)
+    view = full.resized(*size)
+    y, x = ((e[1:] + e[:-1]) / 2 for e in (edges(view, full, 1), edges(view, full, 0)))
+    clear_y, clear_x = (np.abs(v - np.rint(v)) > 1e-6 for v in (y, x))  # on no border of two
+    expected = ids[np.ix_(y[clear_y].astype(int), x[clear_x].astype(int))]
+    assert np.array_equal(view.instances[np.ix_(clear_y, clear_x)], expected)
+
+
+class TestDepth:
+    NORMALS = ((0.3, 0.1, 1), (-2, 1, 1), (0.1, 1.4, 0.35))
+
+    @staticmethod
+    def plane(camera: Camera, normal, least=0.03) -> np.ndarray:
+        """z-depth of the plane n . x = 3 at every pixel centre, float64; 0 beyond 1 / least."""
+        inverse = camera.rays() @ np.array(normal, float) / 3
+        return np.divide(1, inverse, out=np.zeros(inverse.shape), where=inverse > least)
+
+    @pytest.mark.parametrize("size", SIZES)
+    @pytest.mark.parametrize("normal", NORMALS)
+    def test_of_a_plane_is_exact(self, size, normal):
+        full = photographed()
+        depth = self.plane(full.camera, normal).astype(np.float32)
+        view = View("a", full.camera, full.image, depth).resized(*size)
+        truth = self.plane(view.camera, normal)
+        known = (view.depth > 0) & (truth > 0)
+        assert known.mean() > 0.95 * (truth > 0).mean()
+        assert np.abs(view.depth[known] / truth[known] - 1).max() < 1e-5
+
+    @pytest.mark.parametrize("size", SIZES)
+    def test_beside_steps_and_holes_is_of_one_surface(self, size):
+        """A slanted floor before a wall, with a hole: every pixel is on one, or unknown."""
+        full = photographed()
+        floor, wall = (self.plane(full.camera, n) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1)))
+        left = np.arange(90) < 37
+        depth = np.where(left & (floor > 0), floor, wall).astype(np.float32)
+        depth[20:25, 50:60] = 0
+        view = View("a", full.camera, full.image, depth).resized(*size)
+        surfaces = [self.plane(view.camera, n, 1e-3) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1))]
+        known = view.depth > 0
+        off = np.min([np.abs(view.depth / np.where(s > 0, s, 99) - 1) for s in surfaces], 0)
+        assert off[known].max() < 1e-5
+        assert np.array_equal(known, view.shown.ids(depth > 0, *size))
+
+    def test_through_a_lens_is_that_of_the_surface(self):
+        full = photographed()
+        lens = np.array([0.2, 0.05, 0, 0, 0])
+        K = full.camera.K
+        maps = perspective_maps(K, (90, 60), lens)
+        # The plane in the bent photograph: where each of its pixels looks.
+        u, v = np.meshgrid(np.arange(90), np.arange(60))
+        pixels = np.stack([u, v], -1).reshape(-1, 1, 2).astype(float)
+        shifted = K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+        rays = cv2.undistortPoints(
+            pixels, shifted, lens, criteria=(cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        ).reshape(60, 90, 2)
+        bent = 3 / (rays @ [0.3, 0.1] + 1)
+        mask = rays[..., 0] < 0.1
+        _, depth = straightened(full.image, bent.astype(np.float32), maps)
+        truth = self.plane(full.camera, (0.3, 0.1, 1))
+        known = depth > 0
+        assert known.mean() > 0.8
+        assert abs((depth[known] / truth[known] - 1).mean()) < 1e-5
+        straight = full.camera.rays()[..., 0] < 0.1
+        assert (straight_mask(mask, maps) != straight)[known].mean() < 0.005
+
+
+def test_a_view_of_a_view_shows_the_part_that_its_camera_sees():
+    full = photographed()
+    twice = full.resized(50, 50).resized(30, 20)
+    shown = twice.shown
+    for axis, ends in ((0, (shown.left, shown.right)), (1, (shown.top, shown.bottom))):
+        assert edges(twice, full, axis)[[0, -1]] == pytest.approx(ends, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("size", "fits"),
+    [
+        ((988, 731), True),
+        ((494, 365), True),
+        ((994, 731), True),
+        ((1004, 731), False),
+        ((731, 988), False),
+        ((731, 731), False),
+        ((1976, 1462), True),
+        ((4, 3), True),
+        ((3, 4), False),
+    ],
+)
+def test_another_shape_is_refused_beyond_a_hundredth(size, fits):
+    photograph = Window.whole(988, 731)
+    said = r"a\.png: is \d+x\d+, of another shape than its photograph, 988x731"
+    with nullcontext() if fits else pytest.raises(InputError, match=said):
+        photograph.check_shape("a.png", *size)
