@@ -26,7 +26,7 @@ NOTHING_ELSE = {"prepare_seconds": None, "build_seconds": None}
 
 
 def rows_of(result, protocol="slgaussian"):
-    return [row for row in result.rows if row["protocol"] == f"{protocol}@1"]
+    return [row for row in result.rows if row["protocol"] == f"{protocol}@2"]
 
 
 def row_of(result, query, protocol="slgaussian"):
@@ -77,7 +77,7 @@ def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(ro
         assert [row[name] for name in names] == [0] * len(names)
         assert row["note"] == NOT_UNDERSTOOD
         assert row["score"] is row["point_x"] is row["calibration_error"] is None
-        mask = result.predictions.get((f"{protocol}@1", "view_01", "qqwx"))
+        mask = result.predictions.get((f"{protocol}@2", "view_01", "qqwx"))
         assert mask is None if protocol == "threshold-free" else not mask.any()
     assert row["iou_curve"] == [0.0] * 19
     scored = [row["iou"] for row in rows_of(result) if row["iou"] is not None]

@@ -56,7 +56,7 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
     assert len(files) == len(result.predictions)
     assert len(files) == sum(row["protocol"] != "threshold-free@2" for row in result.rows)
     for (protocol, frame, query), mask in result.predictions.items():
-        folder = tmp_path / "slgaussian" / protocol.removesuffix("@1") / result.scene / frame
+        folder = tmp_path / "slgaussian" / protocol.removesuffix("@2") / result.scene / frame
         path = folder / f"{query}.png"
         asked = {"protocol": protocol, "frame": frame, "query": query}
         assert tmp_path / mask_place({**result.rows[0], **asked}) == path
