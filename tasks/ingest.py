@@ -100,7 +100,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=8)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=9)  # to be raised too when other cameras are found in photographs
 def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
