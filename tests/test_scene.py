@@ -109,6 +109,18 @@ def test_an_image_of_another_size_than_its_camera_is_refused():
         View("a", camera(), np.zeros((10, 10, 3), np.uint8))
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.int16, np.uint16])
+def test_an_image_that_is_not_of_bytes_is_refused(dtype):
+    with pytest.raises(InputError, match=f"'a': image is {np.dtype(dtype)}.*expects uint8"):
+        View("a", camera(), np.zeros((24, 32, 3), dtype))
+
+
+@pytest.mark.parametrize("truth", ["depth", "instances", "opaque"])
+def test_a_truth_of_another_size_than_its_view_is_refused(truth):
+    with pytest.raises(InputError, match=rf"{truth} is \(32, 24\), expected \(24, 32\)"):
+        replace(view(), **{truth: np.zeros((32, 24))})
+
+
 def test_views_of_different_sizes_are_refused():
     with pytest.raises(InputError, match="must have one size"):
         Sample("s", (view("a"), view("b", camera(width=40, x=1))))
@@ -122,6 +134,21 @@ def test_two_identical_cameras_are_refused():
 def test_views_that_look_apart_are_refused():
     with pytest.raises(InputError, match="do not overlap"):
         Sample("s", (view("a"), view("b", camera(x=1, yaw=np.pi))))
+
+
+def test_views_must_overlap_both_ways_at_a_depth_that_can_be_resolved():
+    """A narrow view ahead meets a wide one aside, but less than half a baseline from the latter.
+
+    The wide one looks across, 1 beside the narrow one's axis and 10 ahead; what it shows at half a
+    baseline, 5, or beyond is outside the narrow one, which is 1 wide there.
+    """
+    ahead, aside = camera(focal=300.0), camera(x=1, z=10, yaw=-np.pi / 2)
+    depths = np.geomspace(5, 1e4, 100)
+    assert max(shared_view(ahead, aside, depth) for depth in depths) > 0
+    assert max(shared_view(aside, ahead, depth) for depth in depths) == 0
+    for first, second in ((ahead, aside), (aside, ahead)):
+        with pytest.raises(InputError, match="do not overlap"):
+            Sample("s", (view("a", first), view("b", second)))
 
 
 def test_one_picture_with_two_poses_is_refused_unless_it_is_blank():

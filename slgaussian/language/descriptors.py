@@ -111,7 +111,8 @@ def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[fl
     lightness = lab[..., 0][inside].astype(np.float64)
     median, bright = _percentiles(lightness, (50, 99))
     kinds = np.exp(-(shares * np.log(np.maximum(shares, 1e-9))).sum())
-    two_toned = min(_ramp(p.contrast, 18, 40), _ramp(p.two_tone, 0.6, 0.8))
+    two_tone = _ramp(p.two_tone, 0.6, 0.8)
+    two_toned = min(_ramp(p.contrast, 18, 40), two_tone)
     parallel, crossed = _ramp(p.along, 0.4, 0.7), _ramp(p.crossed, 0.12, 0.35)
     discs, even = _ramp(p.spot_fill, 0.84, 0.94), _ramp(p.minor, 0.3, 0.44)
     rough, coarse = _ramp(p.roughness, 0.7, 1.6), _ramp(p.roughness, 2.5, 4.5)
@@ -129,7 +130,7 @@ def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[fl
     bold = max(_ramp(p.two_tone, 0.75, 0.9), _ramp(p.contrast, 30, 45))
     gritty = min(rough, -parallel, -bold)
     lively = min(_ramp(p.roughness, 2.0, 4.5), _ramp(p.contrast, 12, 28))
-    varied = min(lively, -_ramp(p.two_tone, 0.6, 0.8), -speckled)
+    varied = min(lively, -two_tone, -speckled)
     return [
         float(_ramp(lightness.mean(), 30, 80)),
         float(_ramp(kinds, 2.0, 4.5)),

@@ -48,7 +48,5 @@ def refine(given: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
 
     from scipy.optimize import least_squares  # only here, and it takes long to import
 
-    fit = least_squares(
-        residuals, np.zeros(5), loss="cauchy", f_scale=0.5, x_scale=deviation, max_nfev=30
-    )
+    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=0.5, x_scale=deviation)
     return moved(fit.x)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from slgaussian.cameras import bundle as module
-from slgaussian.cameras.bundle import Bundle, adjust, homogeneous
+from slgaussian.cameras.bundle import Bundle, PosePrior, adjust, homogeneous
 
 
 def turned_by(bundle: Bundle, truth: Bundle) -> float:
@@ -95,6 +95,42 @@ def test_derivatives_are_those_of_differences(views, points, lenses, seed):
         ends = [module._project(start, q + sign * h * across[:, :, k]) for sign in (1, -1)]
         difference = (ends[0].residuals - ends[1].residuals) / (2 * h)
         np.testing.assert_allclose(point[:, :, k], difference, atol=1e-2, rtol=1e-5)
+
+
+def test_the_prior_of_poses_is_in_its_deviations_and_has_the_derivatives_of_differences():
+    truth = true_bundle(3, 4, 1)
+    R, t = truth.R, truth.t
+    centers = -np.einsum("vji,vj->vi", R, t)
+    turn, move = 0.02, np.array([0.1, 0.3, 0.5])
+    prior = PosePrior(R, centers, turn, move)
+    off = np.random.default_rng(2).normal(0, 1, (3, 6))  # deviations
+    turned = Rotation.from_rotvec(off[:, :3] * turn).as_matrix() @ R
+    at = centers + off[:, 3:] * move[:, None]
+    t = -np.einsum("vij,vj->vi", turned, at)
+    np.testing.assert_allclose(prior.pull(turned, t)[0], off, atol=1e-9)
+    # Derivatives at the prior itself, where its rotation vector is the step of the camera's.
+    _, slopes = prior.pull(R, truth.t)
+    h = 1e-6
+    for k in range(6):
+        step = np.zeros((3, 6))
+        step[:, k] = h
+        ends = [
+            prior.pull(Rotation.from_rotvec(s[:, :3]).as_matrix() @ R, truth.t + s[:, 3:])[0]
+            for s in (step, -step)
+        ]
+        np.testing.assert_allclose(slopes[:, :, k], (ends[0] - ends[1]) / (2 * h), atol=1e-5)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.1])
+def test_given_poses_hold_as_much_as_their_prior_says(sigma):
+    """A pose that observations tell nothing of stays; one of two priors wins by its precision."""
+    truth = true_bundle(2, 60, 21, noise=0.3)
+    centers = -np.einsum("vji,vj->vi", truth.R, truth.t)
+    wrong = centers + [[0, 0, 0], [0.1, 0, 0]]  # along the baseline, which is free without a prior
+    prior = PosePrior(truth.R, wrong, 1e-3, np.array([1e-3, sigma]))
+    moved = -np.einsum("vji,vj->vi", (end := adjust(replace(truth, poses=prior)).bundle).R, end.t)
+    length = np.linalg.norm(moved[1] - moved[0])
+    assert length == pytest.approx(np.linalg.norm(wrong[1] - wrong[0]), abs=2e-3)
 
 
 def test_without_noise_the_truth_comes_back():

@@ -84,6 +84,21 @@ def test_parallel_axes_leave_the_focal_length_open():
     assert abs(best.t[0]) > 0.999
 
 
+def test_many_starts_that_end_alike_leave_room_for_the_other_answer_of_a_plane():
+    """Two poses explain a plane; of eleven focal lengths tried, more end at the first than fit."""
+    R = Rotation.from_euler("yx", (-14, 5), degrees=True).as_matrix()
+    t = np.array([1.0, 0.3, 0.2]) / np.linalg.norm([1.0, 0.3, 0.2])
+    views = TwoViews(R, t, np.full(2, 800.0), np.zeros(0))
+    rng = np.random.default_rng(1)
+    rays = np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)])
+    a = rays * 6 / (rays @ [0.3, 0.2, 1.0])[:, None]
+    b = a @ R.T + t
+    x, y = (800 * p[:, :2] / p[:, 2:] + rng.normal(0, 0.3, (300, 2)) for p in (a, b))
+    best, *others = solve(x, y, prior(0.3))[0]
+    assert best.turned_from(views) < 2
+    assert others and min(other.turned_from(best) for other in others) > 3
+
+
 def test_two_lenses_keep_their_own_focal_lengths():
     R = Rotation.from_euler("y", -14, degrees=True).as_matrix()
     t = np.array([1.0, 0.3, 0.4])

@@ -1,7 +1,15 @@
+import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from slgaussian.geometry.boundaries import depth_boundary, half_disc
+from slgaussian.geometry.boundaries import (
+    boundary_map,
+    depth_boundary,
+    half_disc,
+    texture_codes,
+    tone_codes,
+)
 
 
 def test_a_slanted_plane_is_no_border():
@@ -36,15 +44,73 @@ def plain_half_disc(codes, bins, radius, ordered):
     return out
 
 
-@pytest.mark.parametrize("ordered", [False, True])
-@pytest.mark.parametrize("radius", [3, 4, 6])
-def test_half_disc_equals_its_plain_reference(radius, ordered):
-    rng = np.random.default_rng(radius)
-    codes = rng.integers(0, 5, (11, 13)).astype(np.uint8)
+def random_codes(seed):
+    codes = np.random.default_rng(seed).integers(0, 5, (11, 13)).astype(np.uint8)
     codes[:, 6:] = np.minimum(codes[:, 6:] + 3, 4)
-    fast = half_disc(codes, 5, radius, ordered)
+    return codes
+
+
+def steep_codes(seed):
+    """Few codes in a disc, others in the next: what one leaves behind must not count there."""
+    rng = np.random.default_rng(seed)
+    return (3 * rng.integers(0, 7, (11, 1)) + rng.integers(0, 2, (11, 17))).astype(np.uint8)
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+@pytest.mark.parametrize("radius", [1, 3, 4, 6])
+@pytest.mark.parametrize(("make", "bins"), [(random_codes, 5), (steep_codes, 20)])
+def test_half_disc_equals_its_plain_reference(make, bins, radius, ordered):
+    codes = make(radius)
+    fast = half_disc(codes, bins, radius, ordered)
     # Sums of tens of float32 terms of order 0.1: the noise is about 1e-6.
-    np.testing.assert_allclose(fast, plain_half_disc(codes, 5, radius, ordered), atol=5e-6)
+    np.testing.assert_allclose(fast, plain_half_disc(codes, bins, radius, ordered), atol=5e-6)
+
+
+def test_strength_is_the_greatest_blurred_sum_of_its_cues():
+    """A photograph of random patches, in float64; SciPy's blur and an area mean of 2x2 pixels."""
+    rng = np.random.default_rng(5)
+    lab = np.kron(rng.uniform((20, -40, -40), (90, 40, 40), (5, 6, 3)), np.ones((4, 4, 1)))
+    lab = lab.astype(np.float32)
+    small = lab.reshape(10, 2, 12, 2, 3).mean((1, 3))
+    cues = [
+        (tone_codes(small)[..., k], 20, *of) for k, of in enumerate([(3, 0.3), *[(4, 0.45)] * 2])
+    ]
+    wide = sum(
+        weight * plain_half_disc(codes, bins, radius, True) for codes, bins, radius, weight in cues
+    )
+    texture = texture_codes(lab[..., 0])[::2, ::2]
+    wide += 0.25 * plain_half_disc(texture, 27, 6, False)
+    fine = 0.3 * plain_half_disc(tone_codes(lab)[..., 0], 20, 3, True)
+    total = [
+        ndimage.gaussian_filter(a + cv2.resize(b, (24, 20)), 0.8, mode="mirror", radius=3)
+        for a, b in zip(fine, wide, strict=True)
+    ]
+    np.testing.assert_allclose(boundary_map(lab), np.max(total, 0), atol=2e-5)
+
+
+def test_a_jump_of_depth_is_half_at_most_and_blurred_by_a_pixel():
+    depth = np.full((20, 40), 1.0, np.float32)
+    depth[:, 20:] = 1.3
+    bend = np.zeros((20, 40))
+    bend[:, 17:20], bend[:, 20:23] = 1 - 1 / 1.3, 1.3 - 1  # relative to inverse depth there
+    wanted = np.minimum(ndimage.gaussian_filter(bend, 1.0, mode="mirror", radius=4), 0.5)
+    np.testing.assert_allclose(depth_boundary(depth), wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [0, 45, 90, 135])
+@pytest.mark.parametrize(("step", "level"), [(0, 0), (10, 1), (60, 2)])
+def test_texture_codes_say_direction_and_strength_of_an_edge(degrees, step, level):
+    y, x = np.mgrid[-15:16, -15:16]
+    across = x * np.cos(np.radians(degrees)) + y * np.sin(np.radians(degrees))
+    code = texture_codes((30 + step * (across > 0)).astype(np.float32))[15, 15]
+    assert code // 3 == (0 if level == 0 else 1 + 4 * (level - 1) + degrees // 45)
+
+
+def test_texture_codes_say_whether_a_spot_is_darker_or_lighter():
+    for sign, step in enumerate((-30, 0, 30)):
+        light = np.full((31, 31), 50, np.float32)
+        light[14:17, 14:17] += step
+        assert texture_codes(light)[15, 15] == sign
 
 
 def test_half_disc_of_two_halves_is_strongest_along_their_border():

@@ -85,6 +85,19 @@ def as_one(truth):
     return np.where(truth == 3, 2, truth)
 
 
+@pytest.mark.parametrize(("points", "votes"), [(1, False), (3, True)])
+def test_a_view_votes_from_two_hundredths_of_another_on(points, votes):
+    """Of one camera, with depth at 1 or 3 of the 100 points that overlap is told by."""
+    shown = Shown(0.0).add({})
+    whole = SurfacePoints(SeenView(shown.views[0].view, shown.views[0].depth[:96, :128]))
+    depth = np.zeros_like(whole.seen.depth)
+    few = whole.few[:: len(whole.few) // points][:points]
+    depth.ravel()[few] = whole.seen.depth.ravel()[few]
+    part = SurfacePoints(SeenView(whole.seen.view, depth))
+    assert overlap(whole, part) == pytest.approx(points / len(whole.few))
+    assert (1 in consensus._voters([whole, part])[0]) == votes
+
+
 def test_views_that_part_two_things_outvote_one_that_joined_them():
     cards = {1: THING, 2: OTHER}
     shown = Shown(*np.linspace(-0.3, 0.3, 7)).add(cards, as_one)
