@@ -83,7 +83,7 @@ def test_templates_of_pages_can_be_read(template):
 
 
 def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(pages, "machine", lambda: "a machine")
+    monkeypatch.setattr(pages, "measured", lambda: "Measured today.")
     rows = [
         {
             **dict.fromkeys(("precision", "candidates"), "auto"),
@@ -95,7 +95,7 @@ def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monk
     pages.publish("predict/mvsplat.md.j2", tmp_path / "new" / "mvsplat.md", **results)
     text = (tmp_path / "new" / "mvsplat.md").read_text()
     assert capsys.readouterr().out == f"{text}\n"
-    assert "\nMade by `a command` on a machine.\n" in text
+    assert text.startswith("# MVSplat, measured\n\nMeasured today.\n\nMade by `a command`.\n")
     last = [cell.strip() for cell in text.splitlines()[-1].split("|")[1:-1]]
     assert last == ["auto"] * 2 + ["1234.50"] * 4 + ["1,234"] + ["1.2e-3"] * 3 + [""]
     with pytest.raises(jinja2.UndefinedError, match="weights"):

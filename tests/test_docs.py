@@ -1,6 +1,8 @@
 """The words of the documentation against the repository: links, files, commands and options."""
 
 import ast
+import json
+import platform
 import re
 import shlex
 import tomllib
@@ -11,12 +13,16 @@ import typer
 import yaml
 
 import slgaussian
+from benches.common.machine import measured
 from flows.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
     [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], key=lambda page: page.as_posix()
 )
+MEASURED = [page for page in PAGES if page.parent.name == "measured"]
+TALKING = [*PAGES, *sorted((ROOT / "docs").rglob("*.ipynb"))]
+"""Pages and notebooks, whose commands must be there."""
 COMMANDS = typer.main.get_command(app)
 USAGE_ERROR = typer.BadParameter.__base__
 """Of Click, which Typer brings along or imports, depending on its version."""
@@ -27,6 +33,12 @@ HEADING = re.compile(r"^#+ +(.+?)\s*$", re.MULTILINE)
 OWN_FILE = re.compile(
     r"(?<![\w./-])(?:slgaussian|flows|tasks|data_specs|tests|benches|docs|docker)/[\w./*-]+"
     r"\.(?:py|toml|md|yaml|yml|j2|jpg|png|svg|css|ipynb)\b"
+)
+
+MEASURED_ON = re.compile(
+    r"^Measured on \d{4}-\d\d-\d\d, commit [0-9a-f]{7,40}( with changes)?, "
+    r"on \d+ cores \(.+\).*\.$",
+    re.MULTILINE,
 )
 
 TO_BE_WRITTEN = {"slgaussian/language/mine.py", "tests/language/test_mine.py"}
@@ -108,18 +120,59 @@ def test_what_the_architecture_page_says_where_it_is_is_there():
     assert missing == []
 
 
-def commands(page: Path) -> list[str]:
-    """Every ``slgaussian ...`` of a page's code, with lines that go on joined."""
+def current(page: Path) -> str:
+    """Text of a page; of the changelog the topmost section, of a notebook its cells."""
     text = read(page)
-    lines = [
+    if page.suffix == ".ipynb":
+        lines = [
+            line
+            for cell in json.loads(text)["cells"]
+            for line in "".join(cell["source"]).splitlines()
+            if cell["cell_type"] == "markdown" or line.startswith("!")
+        ]
+        return "\n".join(f"`{line[1:]}`" if line.startswith("!") else line for line in lines)
+    return "## ".join(text.split("\n## ")[:2]) if page.name == "CHANGELOG.md" else text
+
+
+def spans(page: Path) -> list[str]:
+    """Inline code of a page, each span on one line."""
+    code = re.findall(r"(?<!`)`([^`]+)`(?!`)", FENCE.sub("", current(page)))
+    return [" ".join(span.split()) for span in code]
+
+
+def lines_of_code(page: Path) -> list[str]:
+    """Lines of a page's code, blocks and spans, with lines that go on joined."""
+    blocks = [
         line
-        for _, language, code in FENCE.findall(text)
-        if language in ("sh", "")
+        for _, language, code in FENCE.findall(current(page))
+        if language not in ("python", "json")
         for line in code.replace("\\\n", " ").splitlines()
     ]
-    lines += re.findall(r"`(slgaussian [^`\n]+)`", FENCE.sub("", text))
+    return blocks + spans(page)
+
+
+def commands(page: Path) -> list[str]:
+    """Every ``slgaussian ...`` of a page's code."""
+    lines = [line for line in lines_of_code(page) if not line.lstrip().startswith("#")]
     parts = [part for line in lines for part in re.split(r"&&|\|\||[|;>]", line)]
-    return [found[0] for part in parts if (found := re.findall(r"\bslgaussian [\w-].*", part))]
+    return [hit[0] for part in parts if (hit := re.findall(r"(?<!\S)slgaussian [\w-].*", part))]
+
+
+def options_of_bench(file: Path) -> set[str]:
+    """Options that a bench's ``add_argument`` names, or that its usage does."""
+    source = read(file)
+    calls = re.findall(r"add_argument\(([^)]*)", source) + re.findall(r"sys\.argv.*", source)
+    return set(re.findall(r"\"(--?[a-z][\w-]*)\"", " ".join(calls)))
+
+
+def problem_of_bench(line: str) -> str | None:
+    """What a bench would not take of ``python -m benches.... words``."""
+    module, *words = re.sub(r"[][]", " ", line).split()
+    file = ROOT / (module.replace(".", "/") + ".py")
+    if not file.is_file():
+        return f"no bench {module}"
+    unknown = {word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)}
+    return str(unknown) if (unknown := unknown - options_of_bench(file)) else None
 
 
 def problem(line: str) -> str | None:
@@ -138,10 +191,24 @@ def problem(line: str) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=name)
-def test_commands_and_their_options_exist(page):
+@pytest.mark.parametrize("page", TALKING, ids=name)
+def test_commands_benches_and_their_options_exist(page):
     lines = [line for line in commands(page) if not re.match("slgaussian (--|COMMAND)", line)]
-    assert {line: found for line in lines if (found := problem(line))} == {}
+    wrong = {line: reason for line in lines if (reason := problem(line))}
+    benches = re.findall(r"python3? -m (benches\..*)", "\n".join(lines_of_code(page)))
+    wrong |= {line: reason for line in benches if (reason := problem_of_bench(line))}
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("page", MEASURED, ids=name)
+def test_a_measured_page_says_when_of_which_commit_and_where(page):
+    """In the form that ``benches/common/machine.py`` writes."""
+    assert MEASURED_ON.search(read(page)), "run its maker, which writes that line"
+
+
+def test_makers_write_that_line_without_the_name_of_a_machine():
+    assert MEASURED_ON.fullmatch(measured())
+    assert platform.node() not in measured()
 
 
 def test_the_page_of_commands_has_each_of_them_once():
@@ -168,3 +235,6 @@ def test_a_wrong_command_line_is_noticed():
     assert "fielt" in problem("slgaussian fielt a.jpg")
     assert "--camera-file" in problem("slgaussian field a.jpg b.jpg --camera-file c.json")
     assert "--out" in problem("slgaussian field a.jpg b.jpg --out")
+    assert problem_of_bench("benches.scores.answer_scores DATA [-o docs/measured]") is None
+    assert "answer_score" in problem_of_bench("benches.scores.answer_score DATA")
+    assert "--page" in problem_of_bench("benches.scores.answer_scores DATA --page x.md")

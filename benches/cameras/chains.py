@@ -31,6 +31,7 @@ from benches.cameras.pose_metrics import (
     rotation_error,
 )
 from benches.cameras.posed_chains import PosedChain, posed_chains
+from benches.common.machine import measured
 from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.cameras.find import find_cameras
@@ -163,7 +164,7 @@ def main() -> None:
             print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
     if given.rows:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    print()
+    print(f"{measured()}\n")
     lines = []
     for group in ["all", *dict.fromkeys(row["group"] for row in rows)]:
         for method in methods:

@@ -27,6 +27,7 @@ from benches.cameras import plain_opencv
 from benches.cameras.photographed_rooms import EASY, FACTORS, Conditions, Shot, mixed, shoot
 from benches.cameras.pose_metrics import WRONG, direction_error, rotation_error
 from benches.common.chart_style import BLUE, FAINT, ORANGE, STYLE
+from benches.common.machine import measured
 from benches.common.markdown_tables import percent, table
 from slgaussian.cameras.find import find_cameras
 from slgaussian.errors import InputError
@@ -176,6 +177,7 @@ def main() -> None:
     rows = measure()
     if given.rows:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    print(f"{measured()}\n")
     print(table(summary(rows), COLUMNS))
     print(
         f"\n{len(rows) // 2} pairs; median errors of the answered. Wrong: more than {WRONG:g} "

@@ -30,6 +30,7 @@ from benches.cameras.pose_metrics import (
     rotation_error,
 )
 from benches.cameras.posed_pairs import PosedPair, posed_pairs
+from benches.common.machine import measured
 from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.benchmark.statistics import LEVEL, interval, resamplings
@@ -284,6 +285,7 @@ def main() -> None:
     if given.rows:
         given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     lines = summary(rows)
+    print(f"{measured()}\n")
     print(table(lines, COLUMNS))
     print()
     print(table([line for line in lines if "focal" in line or "doubted" in line], OF_ANSWERS))

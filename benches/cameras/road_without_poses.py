@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 
 from benches.cameras.pose_metrics import direction_error, rotation_error
+from benches.common.machine import measured
 from benches.common.markdown_tables import table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, SHEETS, built, labelled, read
@@ -258,6 +259,7 @@ def main() -> None:
     threads.limit(threads.cores())
     rows = measure(given.data, given.rows, given.seeds)
     lines = summary(rows)
+    print(f"{measured()}\n")
     print(table(lines, COLUMNS))
     print(
         "\nGiven → found → found and resected; means over seeds and the scenes that were not "

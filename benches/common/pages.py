@@ -1,9 +1,9 @@
 """Pages of ``docs/measured/``: what a bench measured, put into a template beside the bench.
 
-A template is Markdown with Jinja's marks. In it are ``machine``, the formats of
-``markdown_tables``, ``table(rows, columns)``, the filters ``show`` (a value by a format), ``where``
-(the first row with these values) and ``paragraph`` (lines joined into one, as the page has them),
-and whatever the bench gives.
+A template is Markdown with Jinja's marks. In it are the formats of ``markdown_tables``,
+``table(rows, columns)``, the filters ``show`` (a value by a format), ``where`` (the first row with
+these values) and ``paragraph`` (lines joined into one, as the page has them), and whatever the
+bench gives.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,7 +13,7 @@ from pathlib import Path
 import jinja2
 
 from benches.common import markdown_tables
-from benches.common.machine import machine
+from benches.common.machine import measured
 from slgaussian.storage.store import write_atomic
 
 FORMATS = (
@@ -23,8 +23,14 @@ FORMATS = (
 
 
 def page(template: str, **results: object) -> str:
-    """Markdown of ``results`` by a template, whose path is below ``benches/``."""
-    return environment().get_template(template).render(machine=machine(), **results)
+    """Markdown of ``results`` by a template, whose path is below ``benches/``.
+
+    Below its first heading, or first of all, stands what
+    :func:`benches.common.machine.measured` says.
+    """
+    text = environment().get_template(template).render(**results).lstrip("\n")
+    heading, rest = text.split("\n", 1) if text.startswith("#") else ("", f"\n{text}")
+    return f"{heading}\n\n{measured()}\n{rest}".lstrip("\n")
 
 
 def publish(template: str, file: Path | None, **results: object) -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from benches.common.machine import machine
+from benches.common.machine import measured
 from benches.common.process_cost import CLI, costing, family
 from benches.common.small_rooms import write_rooms
 from slgaussian.storage.records import Record, Records
@@ -180,7 +180,7 @@ def main() -> None:
     named = sorted(failure["scene"] for failure in failures)
     if named != sorted(ailing):
         wrong.append(f"left out were {named}, damaged {sorted(ailing)}")
-    print("\n".join(wrong) or f"both stores are equal, byte for byte; {machine()}")
+    print("\n".join(wrong) or f"both stores are equal, byte for byte; {measured()}")
     sys.exit(bool(wrong))
 
 

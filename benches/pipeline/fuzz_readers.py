@@ -845,12 +845,13 @@ def ready() -> None:
 
 
 def main() -> None:
-    from benches.common.pages import page
+    from benches.common.pages import publish
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=FORMATS)
+    parser.add_argument("-o", "--out", type=Path, help="folder for fuzz.md")
     parser.add_argument("--again")
     parser.add_argument("--said", action="store_true", help="print what was said, and how often")
     given = parser.parse_args()
@@ -885,7 +886,8 @@ def main() -> None:
         "memory": ("Memory, MiB", ".0f"),
     }
     asked = {"count": given.count, "seed": given.seed}
-    print(page("pipeline/fuzz.md.j2", rows=rows, columns=columns, **asked))
+    file = given.out and given.out / "fuzz.md"
+    publish("pipeline/fuzz.md.j2", file, rows=rows, columns=columns, **asked)
     for name, one in bad:
         print(f"{name} {one.number}: {one.kind}: {one.said}")
     raise SystemExit(bool(bad))

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from benches.common.machine import machine
+from benches.common.machine import measured
 from benches.common.process_cost import CLI
 from flows.night_settings import STATUS
 from slgaussian import datasets
@@ -207,7 +207,9 @@ def main() -> None:
     wrong = wrongs(nights, there & known, gone, changed)
     if there - known:
         wrong.append(f"lost: {sorted(there - known)}")
-    print(f"\n{machine()}\n\n| night | came to | status | s | as expected |\n|---|---|--:|--:|---|")
+    print(
+        f"\n{measured()}\n\n| night | came to | status | s | as expected |\n|---|---|--:|--:|---|"
+    )
     for what, came, status, seconds, good in nights.rows:
         print(f"| {what} | {came} | {status} | {seconds:.0f} | {'yes' if good else 'NO'} |")
     print("\n".join(wrong) or "\nNothing lost, nothing twice, nothing withdrawn left.")

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benches.common.machine import machine
+from benches.common.machine import measured
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
 from slgaussian.benchmark.resident_memory import held
@@ -40,7 +40,7 @@ def main() -> None:
         ref = report.work(Worksite(store), given, {}, ())
         seconds = time.process_time() - start
         sizes = {name: array.size / 1e6 for name, array in store.get(ref).items()}
-    print(machine())
+    print(measured())
     print(f"{scenes} scenes, {methods} methods: {seconds:.1f} CPU s")
     print(f"memory: {held('VmHWM') / 2**30:.2f} GiB at the most, {before / 2**30:.2f} before")
     print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benches.common.machine import machine
+from benches.common.machine import measured
 from slgaussian.storage.housekeeping import collect, usage, verify
 from slgaussian.storage.records import FOLDER
 from slgaussian.storage.specs import load_spec
@@ -113,6 +113,6 @@ def least(work) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100_000)
-    print(machine())
+    print(measured())
     walks(parser.parse_args().count)
     reads()

@@ -36,7 +36,7 @@ import numpy as np
 import s3fs
 
 from benches.common.bad_weather import BadWeather
-from benches.common.machine import machine
+from benches.common.machine import measured
 from benches.pipeline.fault_injection import workers_of
 from benches.pipeline.storm_stages import SHAPE, road
 from slgaussian.storage.records import Records
@@ -345,7 +345,7 @@ def main() -> None:
         print(rows[-1], flush=True)
     print(
         f"\nTwo stages a scene, two processes, the disk full for {FULL:.0f} s; of the bucket "
-        f"{100 * FAILING:.0f} % of the requests fail; {machine()}\n\n{HEAD}"
+        f"{100 * FAILING:.0f} % of the requests fail; {measured()}\n\n{HEAD}"
     )
     print("\n".join([*rows, *wrong[:20]]))
     sys.exit(bool(wrong))

@@ -19,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benches.common.machine import measured
 from benches.predict import hard_pairs
 from slgaussian import datasets
 from slgaussian.cameras.check import BETTER, BOUND, PairCheck, check_pair
@@ -129,6 +130,7 @@ def main() -> None:
             other = replace(b.camera, c2w=before[group].camera.c2w)
             strangers.setdefault(group, []).append(check_pair(a, replace(b, camera=other)))
         before[group] = b
+    print(f"{measured()}\n")
     print(f"CPU seconds a pair: median {np.median(seconds):.2f}, most {max(seconds):.2f}\n")
     print("| pairs | judged | matches | explained of those that agree: least, median |", end="")
     print(" best correction over given: most | refused |\n|---|---|---|---|---|---|")

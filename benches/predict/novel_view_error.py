@@ -1,8 +1,8 @@
-"""Novel-view table of the plane sweep: its Gaussians at the target against the real photograph.
+"""The page of results: new views of the plane sweep against real photographs, and its depth.
 
-``python -m benches.predict.novel_view_error [DATA]``: every scene of DATA, a nerfstudio folder with
-``pairs.json`` (scene -> context, target) and sensor depth; without DATA a procedural room. Three
-methods:
+``python -m benches.predict.novel_view_error DATA [-o docs/measured]``: DATA holds ``office`` and
+``places``, nerfstudio folders with ``pairs.json`` (scene -> context, target) and depth, of a sensor
+in the office. The motorcycle pair ships with the code. Three methods:
 
 - ``gaussians``: rendered; what no Gaussian covers fades to black.
 - ``warped``: a control without Gaussians of its own. The depth of the target is the median depth
@@ -12,23 +12,26 @@ methods:
   the median ratio per channel.
 - ``nearest``: the photograph taken closest to the target, as it is.
 
-PSNR in dB and SSIM (Wang et al. 2004: Gaussian window, sigma 1.5) of 8-bit RGB; over the whole
-image, and over the pixels that can be known: those whose true depth puts them inside a context
-photograph. Their share, and the share of pixels left open (alpha below one half), stand beside.
+PSNR in dB and SSIM (Wang et al. 2004: Gaussian window, sigma 1.5) of 8-bit RGB.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 import slgaussian.kernels.threads
-from benches.common.photograph_pairs import load_samples, photographs
+from benches.common.pages import publish
+from benches.common.photograph_pairs import data_folder, load_samples
+from benches.predict.depth_error import depth_errors
+from benches.scores.score_floors import motorcycle
 from slgaussian.benchmark.metrics import psnr, ssim_with_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import Render, rasterize
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Camera, Sample
 from slgaussian.semantic.decode import VISIBLE
 
 
@@ -37,12 +40,6 @@ def project_inside(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.n
     pixels, z = camera.project(points)
     inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (camera.width, camera.height)).all(-1)
     return pixels, z, inside
-
-
-def knowable(target: View, context: tuple[View, ...]) -> np.ndarray:
-    points = target.camera.unproject(target.depth)
-    inside = [project_inside(view.camera, points)[2] for view in context]
-    return np.any(inside, 0) & (target.depth > 0)
 
 
 def drawn(render: Render) -> np.ndarray:
@@ -84,37 +81,58 @@ def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
     return np.rint(mixed.clip(0, 255)).astype(np.uint8)
 
 
-def scores(image: np.ndarray, truth: np.ndarray, known: np.ndarray) -> list[float]:
-    similarity, similarities = ssim_with_map(image, truth)
-    return [
-        psnr(image, truth),
-        similarity,
-        psnr(image[known], truth[known]),
-        similarities[known].mean(),
-    ]
+def sharpness(image: np.ndarray, truth: np.ndarray) -> float:
+    """Mean absolute Laplacian over that of the truth, both uint8 [H, W, 3]."""
+    greys = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY).astype(np.float64) for one in (image, truth))
+    ours, theirs = (np.abs(cv2.Laplacian(grey, cv2.CV_64F)).mean() for grey in greys)
+    return float(ours / theirs)
+
+
+def of_pair(sample: Sample) -> dict[str, float]:
+    """Scores of a pair by ``method_metric``, and of its depth where a sensor knows it."""
+    target = sample.targets[0]
+    gaussians = PlaneSweep()(sample)
+    render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
+    pictures = {
+        "gaussians": drawn(render),
+        "warped": warped(sample, gaussians, render),
+        "nearest": nearest(sample),
+    }
+    row = {}
+    for method, picture in pictures.items():
+        row[f"{method}_psnr"] = psnr(picture, target.image)
+        row[f"{method}_ssim"] = ssim_with_map(picture, target.image)[0]
+        row[f"sharp_{method}"] = sharpness(picture, target.image)
+    row["ahead"] = row["gaussians_psnr"] - row["warped_psnr"]
+    a, b = sample.context
+    if a.depth is not None and b.depth is not None:
+        depths = source_depths(gaussians, [a.camera, b.camera])
+        both = [depth_errors(a, b, depths[0]), depth_errors(b, a, depths[1])]
+        row |= dict(zip(("abs_rel", "median", "close"), np.mean(both, 0), strict=True))
+    return row
+
+
+def mean_of(name: str, rows: Sequence[dict[str, float]]) -> dict[str, object]:
+    """A row of the tables: the means over pairs."""
+    means = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+    ahead = sum(row["ahead"] > 0 for row in rows)
+    return {"set": name, "pairs": len(rows), "pairs_ahead": ahead, **means}
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=data_folder("office/pairs.json", "places"))
+    parser.add_argument("-o", "--out", type=Path, help="folder for results.md")
+    asked = parser.parse_args()
     slgaussian.kernels.threads.limit()
-    rows: dict[str, list[list[float]]] = {"gaussians": [], "warped": [], "nearest": []}
-    shares = []
-    print(" " * 16 + "".join(f"| {name:27s}" for name in rows) + "| known  open")
-    print(" " * 16 + "|  whole        known        " * 3)
-    line = "| {:5.2f} {:.3f}  {:5.2f} {:.3f}  "
-    data = photographs(sys.argv[1]) if len(sys.argv) > 1 else None
-    for name, sample in load_samples(data).items():
-        target = sample.targets[0]
-        gaussians = PlaneSweep()(sample)
-        render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
-        known = knowable(target, sample.context)
-        pictures = drawn(render), warped(sample, gaussians, render), nearest(sample)
-        for method, picture in zip(rows, pictures, strict=True):
-            rows[method].append(scores(picture, target.image, known))
-        shares.append([known.mean(), (render.alpha.numpy() < VISIBLE).mean()])
-        cells = "".join(line.format(*found[-1]) for found in rows.values())
-        print(f"{name:16s}{cells}| {shares[-1][0]:.3f} {shares[-1][1]:.3f}", flush=True)
-    cells = "".join(line.format(*np.mean(found, 0)) for found in rows.values())
-    print("mean            " + cells + "| {:.3f} {:.3f}".format(*np.mean(shares, 0)))
+    rows = []
+    places = sorted(file.parent for file in (asked.data / "places").glob("*/pairs.json"))
+    for name, folders in {"office": [asked.data / "office"], "other places": places}.items():
+        samples = [one for folder in folders for one in load_samples(folder).values()]
+        rows.append(mean_of(name, [of_pair(sample) for sample in samples]))
+    file = asked.out and asked.out / "results.md"
+    depths = [row for row in rows if "abs_rel" in row]
+    publish("predict/results.md.j2", file, views=rows, depths=depths, motorcycle=motorcycle(seed=0))
 
 
 if __name__ == "__main__":
