@@ -135,7 +135,11 @@ class FieldView:
         return replace(found, understood=replace(found.understood, kind="picture", instead_of=""))
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
-        """Which text fits each pixel best: int32 [H, W], 0 = no object, k + 1 = ``texts[k]``."""
+        """Label each pixel with the text that fits it best: int32 [H, W], k + 1 = ``texts[k]``.
+
+        0 = no object, or one that no text fits better than canonical phrases do. The threshold
+        among ``rules`` moves that bound from 0.5; the command ``segment`` answers with this.
+        """
         return segment(texts, self._objects, self.reader, Rules(**rules))
 
 

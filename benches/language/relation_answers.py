@@ -210,10 +210,10 @@ def questions(things: Sequence[Known], camera: Camera) -> Iterator[tuple[str, st
 def judged(hit: QueryResult, meant: Sequence[Known]) -> tuple[bool, bool]:
     """Whether mask and point are right."""
     if not meant:
-        return (not hit.found,) * 2
+        return (not hit.objects,) * 2
     right = np.any([one.shown for one in meant], axis=0)
     union = (right | hit.mask).sum()
-    on = hit.found and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
+    on = bool(hit.objects) and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
     return bool((right & hit.mask).sum() > 0.5 * union), on
 
 

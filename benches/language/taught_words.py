@@ -175,7 +175,7 @@ def picture_rows(held: Sequence[Labelled]) -> list[Row]:
             across, down = np.flatnonzero(mask.any(0)), np.flatnonzero(mask.any(1))
             crop = one.photograph[down[0] : down[-1] + 1, across[0] : across[-1] + 1]
             hit = one.target.like(np.ascontiguousarray(crop))
-            row = {"place": one.place, "scene": one.scene, "word": word, "found": float(hit.found)}
+            row = {"place": one.place, "scene": one.scene, "word": word, "found": float(bool(hit.objects))}
             rows.append(row | scored(hit, mask))
     return rows
 
@@ -207,7 +207,7 @@ def absent(held: Sequence[Labelled]) -> list[Row]:
                     ("known", other.asked(word)),
                 ):
                     refused = hit is None
-                    found = hit is not None and hit.found
+                    found = hit is not None and bool(hit.objects)
                     rows.append(
                         {"place": one.place, "kind": kind, "refused": refused, "found": found}
                     )

@@ -86,8 +86,9 @@ def query(
 
     Takes the objects that fit the text about as well as the best one does, and none if no object
     fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
-    Says how likely that is right. The exit status is 1 if nothing is found for any text, or a text
-    is refused.
+    Says how likely that is right: found, not sure, or not here; so does the picture. The exit
+    status is 0 if each text is found in a view, 3 if one is not sure or not here in all, and 1 if a
+    text is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
@@ -110,9 +111,7 @@ def query(
     typer.echo("\n".join(map(json.dumps, answers)) if as_json else said)
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
-    nothing = not any(answer["found"] for answer in answers)
-    if nothing or any(answer["refused"] for answer in answers):
-        raise typer.Exit(1)
+    raise typer.Exit(questions.exit_status(answers))
 
 
 @commands.command(rich_help_panel=FIELDS)
@@ -133,7 +132,8 @@ def segment(
 
     What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
     moves that bound from 0.5. Prints a row a text: its label, its share of the pixels, how well it
-    fits them on average, and its objects. The exit status is 1 if a text is refused.
+    fits them on average, what a query for it alone says, and its objects. The exit status is 1 if a
+    text is refused.
 
     -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
     bits, whose pixels are labels, 1 for the first text and 0 for none.

@@ -22,6 +22,9 @@ from slgaussian.language.taught import TaughtWords, encoder_identity
 EVEN = 0.5
 """Relevancy of what fits a text as well as it fits the canonical phrases."""
 
+VERDICTS = ("found", "not sure", "not here")
+"""Best first."""
+
 NOTHING = "no text fits"
 """What a segmentation says of pixels that fit no text better than the canonical phrases."""
 
@@ -44,11 +47,11 @@ def ask(
     Returns
     -------
     list of dict
-        One a viewpoint and text: ``text``, ``view``, ``found`` or not, ``verdict`` (``found``,
-        ``not sure``, ``not here``), ``confidence`` (``mask``, ``point``) or None, for what that is
-        ``uncalibrated`` or None, ``score``,
-        ``point`` [x, y], None if nothing is found, ``objects`` (``id``, ``relevancy``), ``pixels``
-        in the mask, what
+        One a viewpoint and text: ``text``, ``view``, ``verdict`` (``found``, ``not sure``, ``not
+        here``; None if refused), whether that is ``found``, ``summary`` of both in a line,
+        ``confidence`` (``mask``, ``point``) or None, for what that is ``uncalibrated`` or None,
+        ``score``, ``objects`` (``id``, ``relevancy``), of what is not here those most like it,
+        ``point`` [x, y] and ``pixels`` of the mask, None and 0 if it is not here, what
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
         others (word: [other, similarity]), who answered (``kind``: ``known``, ``named``,
         ``taught``, ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a
@@ -107,8 +110,9 @@ def segmented(
     -------
     list of dict
         One a text that is not refused, then that of no text: ``text``, or None, ``label``,
-        ``share`` of the pixels of all viewpoints, mean ``relevancy`` of these, ``objects`` by id;
-        and one a text that was refused: ``text``, ``refused``.
+        ``share`` of the pixels of all viewpoints, mean ``relevancy`` of these, best ``verdict`` of
+        a query for it in the viewpoints, ``objects`` by id; and one a text that was refused:
+        ``text``, ``refused``.
 
     Raises
     ------
@@ -117,22 +121,23 @@ def segmented(
     """
     if out is not None:
         check_drawing(out, choice.film)
-    least = settings.get("threshold", EVEN)
     rules, field = opened(folder, settings, words)
-    rules.pop("threshold", None)
     asked, refused = sorted_out(field, texts)
     numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
     pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
     objects: list[set[int]] = [set() for _ in pixels]
+    verdicts: dict[str, set[str]] = {text: set() for text in asked}
     viewpoints = choice.of_field(folder, field)
     if out is not None and not choice.film and len(viewpoints) > 1:
         raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
     with drawing(out, choice.film) as draw:
         for viewpoint in viewpoints:
             seen = kept_views.seen(folder, field, viewpoint.camera)
-            relevancy = np.stack([hit.relevancy for hit in seen.query_all(asked, **rules)])
-            best = relevancy.max(0)
-            labels = np.where(best > least, numbers[seen.segment(asked, **rules)], 0)
+            hits = seen.query_all(asked, **rules)
+            for hit in hits:
+                verdicts[hit.text].add(hit.verdict)
+            best = np.stack([hit.relevancy for hit in hits]).max(0)
+            labels = numbers[seen.segment(asked, **rules)]
             pixels += np.bincount(labels.ravel(), minlength=len(pixels))
             total += np.bincount(labels.ravel(), best.ravel(), minlength=len(pixels))
             for label in np.unique(labels):
@@ -147,6 +152,7 @@ def segmented(
             "label": int(label),
             "share": pixels[label] / pixels.sum(),
             "relevancy": total[label] / pixels[label] if pixels[label] else None,
+            "verdict": _best(verdicts[texts[label - 1]]) if label else None,
             "objects": sorted(objects[label] - {0}),
         }
         for label in [*numbers[1:], 0]
@@ -154,46 +160,55 @@ def segmented(
     return rows + [{"text": text, "refused": why} for text, why in refused.items()]
 
 
+def exit_status(answers: Sequence[Mapping[str, Any]]) -> int:
+    """Exit status of :func:`ask`: 0 if each text is found in some viewpoint, 3 if one is in none.
+
+    1 if a text is refused.
+    """
+    if any(answer["refused"] for answer in answers):
+        return 1
+    texts = {answer["text"] for answer in answers}
+    return 0 if {answer["text"] for answer in answers if answer["found"]} == texts else 3
+
+
+def _best(verdicts: set[str]) -> str:
+    return next(one for one in VERDICTS if one in verdicts)
+
+
 def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
-    """What :func:`ask` found, for people."""
+    """Describe the answers of :func:`ask`, for people."""
     blocks = []
     for answer in answers:
         if answer["refused"]:
-            blocks.append(f"{answer['text']!r} is refused: {answer['refused']}")
+            blocks.append(f"{answer['text']!r} is {answer['summary']}")
             continue
         lines = [f"{answer['text']!r} in {answer['view']}"] if len(answers) > 1 else []
-        if answer["found"]:
-            x, y = answer["point"]
-            found = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
+        lines += [answer["summary"], *_number(answer)]
+        if answer["point"] or answer["objects"]:
+            ids = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
             lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
-            lines.append(f"point  x {x}, y {y}")
-            lines.append(f"objects  {found or 'none'}")
-            lines[-3:-3] = _number(answer) + _how_sure(answer)
-        elif answer["notes"]:
-            lines.append(f"nothing found: {'; '.join(answer['notes'])}")
-        else:
-            lines.append(
-                f"nothing found: the best object scores {answer['score']:.3f} (0.5 is as good as "
-                "any phrase)"
-            )
-        if answer["found"] and answer["notes"]:
-            lines.append("; ".join(answer["notes"]))
+            if answer["point"]:
+                lines.append("point  x {}, y {}".format(*answer["point"]))
+            lines.append(f"{'objects' if answer['point'] else 'most like it'}  {ids or 'none'}")
+            lines += ["; ".join(answer["notes"])] if answer["notes"] else []
         blocks.append("\n".join(lines + _of_words(answer)))
     return "\n\n".join(dict.fromkeys(blocks))
 
 
 def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
-    """What :func:`ask` found along a turn: a block a text, not a frame."""
+    """Describe the answers of :func:`ask` along a turn: a block a text, not a frame."""
     lines = []
     for text in dict.fromkeys(answer["text"] for answer in answers):
         own = [answer for answer in answers if answer["text"] == text]
         if own[0]["refused"]:
-            lines.append(f"{text!r} is refused: {own[0]['refused']}")
+            lines.append(f"{text!r} is {own[0]['summary']}")
             continue
         scores = [answer["score"] for answer in own]
-        seen = sum(answer["verdict"] != "not here" for answer in own)
+        sure, unsure = (
+            sum(answer["verdict"] == verdict for answer in own) for verdict in VERDICTS[:2]
+        )
         lines.append(
-            f"{text!r} found in {seen} of {len(own)} frames, "
+            f"{text!r} found in {sure} of {len(own)} frames, not sure in {unsure}, "
             f"score {min(scores):.3f} to {max(scores):.3f}"
         )
         lines += _of_words(own[0])
@@ -201,30 +216,34 @@ def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
 
 
 def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
-    """What :func:`segmented` found, as a table."""
+    """Tabulate the rows of :func:`segmented`."""
     shown = [row for row in rows if "label" in row]
     texts = [NOTHING if row["text"] is None else row["text"] for row in shown]
     wide = max(map(len, texts))
-    lines = [f"label  {'text':<{wide}}  pixels  relevancy  objects"]
+    lines = [f"label  {'text':<{wide}}  pixels  relevancy  verdict   objects"]
     for row, text in zip(shown, texts, strict=True):
         mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
         ids = ", ".join(map(str, row["objects"]))
         share = f"{100 * row['share']:.1f} %"
-        lines.append(f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {ids}".rstrip())
+        said = f"{row['verdict'] or '':<8}"
+        line = f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {said}  {ids}"
+        lines.append(line.rstrip())
     return "\n".join(lines + refusals(rows))
 
 
 def _answer(hit: QueryResult) -> dict[str, Any]:
+    here = hit.verdict != "not here"
     return {
         "text": hit.text,
         "found": hit.found,
         "verdict": hit.verdict,
+        "summary": hit.summary,
         "confidence": None if hit.confidence is None else asdict(hit.confidence),
         "uncalibrated": hit.uncalibrated or None,
         "score": hit.score,
-        "point": list(hit.point) if hit.found and hit.point is not None else None,
+        "point": list(hit.point) if here and hit.point is not None else None,
         "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
-        "pixels": int(hit.mask.sum()),
+        "pixels": int(hit.mask.sum()) if here else 0,
         "read_as": hit.understood.read_as,
         "unknown": list(hit.unknown),
         "unused": dict(hit.understood.unused),
@@ -239,8 +258,14 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
 
 
 def _refusal(text: str, why: str) -> dict[str, Any]:
-    answer: dict[str, Any] = {"text": text, "found": False, "verdict": "not here"}
-    answer |= {"confidence": None, "uncalibrated": None, "score": None, "point": None}
+    answer: dict[str, Any] = {"text": text, "found": False, "verdict": None}
+    answer |= {
+        "summary": f"refused: {why}",
+        "confidence": None,
+        "uncalibrated": None,
+        "score": None,
+        "point": None,
+    }
     answer |= {"objects": [], "pixels": 0, "read_as": None}
     answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
     answer |= {"examples": [0, 0], "instead_of": None, "count": None, "notes": []}
@@ -250,19 +275,6 @@ def _refusal(text: str, why: str) -> dict[str, Any]:
 def _number(answer: Mapping[str, Any]) -> list[str]:
     """How many things were found, if that was asked."""
     return [] if answer["count"] is None else [f"number  {answer['count']}"]
-
-
-def _how_sure(answer: Mapping[str, Any]) -> list[str]:
-    """How likely an answer is right, in a line; none where nothing is to be doubted."""
-    sure = answer["confidence"]
-    if sure is None:
-        why = answer["uncalibrated"]
-        return [f"uncalibrated: how likely it is right was not measured for {why}"] if why else []
-    point = f"{sure['point']:.2f} that the point is on it"
-    if answer["verdict"] == "not here":
-        return [f"probably not here: {point}; what is most like it:"]
-    said = "found" if answer["verdict"] == "found" else "not sure"
-    return [f"{said}: {sure['mask']:.2f} that the mask is right, {point}"]
 
 
 def _of_words(answer: Mapping[str, Any]) -> list[str]:
@@ -313,14 +325,17 @@ def _hit_panels(
     from slgaussian.benchmark import pictures
 
     relevancy = pictures.paint_relevancy(hit.relevancy, seen.rgb)
-    where, caption = seen.rgb, f"nothing found (best score {hit.score:.3f})"
-    if hit.found:
-        where = pictures.draw_outline(seen.rgb, hit.mask, pictures.PREDICTED)
-        where, caption = pictures.draw_point(where, hit.point), f"score {hit.score:.3f}"
+    where = seen.rgb
+    if hit.verdict == "found":
+        where = pictures.draw_point(
+            pictures.draw_outline(where, hit.mask, pictures.PREDICTED), hit.point
+        )
+    elif hit.verdict == "not sure":
+        where = pictures.draw_dashed(where, hit.mask, pictures.PREDICTED)
     return [
         (viewpoint.caption, seen.rgb),
         (f"relevancy of {hit.text!r}", relevancy),
-        (caption, where),
+        (hit.summary, where),
     ]
 
 

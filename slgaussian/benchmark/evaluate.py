@@ -378,7 +378,9 @@ class _Record:
             return np.zeros(view.rgb.shape[:2], np.int32)
         competing = sorted(texts)
         with self.stage("segment"):
-            labels = view.segment(competing, **self.asked)
+            # By the protocols every pixel has a class, however little it fits.
+            rules = {**self.asked, "protocol": "slgaussian", "threshold": 0.0}
+            labels = view.segment(competing, **rules)
         places = {text: k + 1 for k, text in enumerate(masks)}
         return np.array([0, *(places[text] for text in competing)], np.int32)[labels]
 

@@ -50,9 +50,9 @@ class Rules:
         ``slgaussian``: whole objects are selected, and the best one is pointed at. ``langsplat``:
         mask and point come from the smoothed relevancy image; see
         :mod:`slgaussian.language.langsplat`. Relevancies are the same.
-    threshold : float in (0, 1), optional
+    threshold : float in [0, 1), optional
         Absolute: select every object whose relevancy is above it, as the paper does. It means
-        something else at every temperature, unless it is 0.5.
+        something else at every temperature, unless it is 0.5, or 0, which selects all.
     share : float in (0, 1]
         Without a threshold, relative and the same at all temperatures: select the objects above
         0.5 whose gap to the canonical phrases is at least this share of the best object's gap.
@@ -89,9 +89,9 @@ class Rules:
                     f"{name}: found {given!r}, expected one of {', '.join(choices)}"
                     f"{did_you_mean(given, choices)}"
                 )
-        if self.threshold is not None and not 0 < self.threshold < 1:
+        if self.threshold is not None and not 0 <= self.threshold < 1:
             raise InputError(
-                f"threshold: found {self.threshold}, expected a number between 0 and 1"
+                f"threshold: found {self.threshold}, expected a number from 0 to below 1"
             )
         if not 0 < self.share <= 1:
             raise InputError(f"share: found {self.share}, expected a number above 0, at most 1")
@@ -368,7 +368,8 @@ class QueryResult:
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
-        return f"{type(self).__name__}({self.text!r}: score {self.score:.3f}, objects {found})"
+        about = f"{self.verdict}, score {self.score:.3f}, objects {found}"
+        return f"{type(self).__name__}({self.text!r}: {about})"
 
     @property
     def kind(self) -> str:
@@ -411,19 +412,37 @@ class QueryResult:
 
     @property
     def found(self) -> bool:
-        """Whether anything is selected; without it, the point is no more than the best guess."""
-        return bool(self.mask.any())
+        """True if the :attr:`verdict` is ``found``."""
+        return self.verdict == "found"
 
     @property
     def verdict(self) -> str:
-        """``found``, ``not sure`` or ``not here``.
+        """``found``, ``not sure`` or ``not here``: whoever tells of an answer goes by this.
 
         By :attr:`confidence`, see :class:`slgaussian.language.confidence.Confidence`; without it
-        what selects anything is found. Mask and point are given whatever it says.
+        what selects anything is found. Mask and point are given whatever it says, as best guesses.
         """
-        if not self.found:
+        if not self.mask.any():
             return "not here"
         return "found" if self.confidence is None else self.confidence.verdict
+
+    @property
+    def summary(self) -> str:
+        """The verdict and how likely it is, in one line: of terminal, JSON, picture and viewer.
+
+        A page says the same (``summary`` of ``viewer/page/words.js``).
+        """
+        if not self.mask.any():
+            why = "; ".join(self.notes) or f"the best object scores {self.score:.3f}"
+            return f"not here: {why if len(self._ranked) else 'this view shows no object'}"
+        if self.confidence is None:
+            return f"found, uncalibrated for {self.uncalibrated}" if self.uncalibrated else "found"
+        mask, point = self.confidence.mask, self.confidence.point
+        if self.verdict == "not here":
+            return f"probably not here: {point:.2f} that the best object is it"
+        alone = f", for {self.understood.read_as!r} alone" if self.unknown else ""
+        sure = f"{mask:.2f} that the mask is right, {point:.2f} that the point is"
+        return f"{self.verdict}: {sure}{alone}"
 
     @property
     def point(self) -> tuple[int, int] | None:
@@ -504,7 +523,7 @@ def answer(
     """What a text finds, given its gaps float64 [N]; -inf is what cannot be meant."""
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
-    unmeasured = _unmeasured(reader.encoder, rules)
+    doubt = unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     ranked = ranked[gaps[ranked] > -np.inf]
@@ -513,16 +532,16 @@ def answer(
     chosen = chosen_by(rules, gaps, best)
     scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
-    why = "" if read.kind == "named" else unmeasured
-    if calibration is not None and not unmeasured and len(ranked) and read.kind != "named":
+    why = "" if read.kind == "named" else doubt
+    if calibration is not None and not doubt and len(ranked) and read.kind != "named":
         own = gaps[ranked], chosen[ranked], read.measurements, seen.parts(chosen & (gaps > -np.inf))
         sure = confidence(calibration, signs(*own))
     found = ranked, as_good, chosen, sure, why
     return kind(text, scores, read, reader.bank.ids, seen, *found)
 
 
-def _unmeasured(encoder: Encoder, rules: Rules) -> str:
-    """For what it was not measured how often answers are right; empty if it was."""
+def unmeasured(encoder: Encoder, rules: Rules) -> str:
+    """Name that for which it was not measured how often answers are right; empty if it was."""
     if encoder.calibration is None:
         return f"the encoder {encoder.name}"
     if rules.canonical is not None:
@@ -532,12 +551,15 @@ def _unmeasured(encoder: Encoder, rules: Rules) -> str:
 
 def chosen_by(rules: Rules, gaps: np.ndarray, best: float) -> np.ndarray:
     """Which objects the rules select, bool [N], by their gaps [N] and that of the best visible."""
-    if rules.threshold is not None:
-        from scipy.special import logit  # which takes long to import
+    chosen: np.ndarray = gaps > _least_gap(rules)
+    return chosen if rules.threshold is not None else chosen & (gaps >= rules.share * best)
 
-        chosen: np.ndarray = gaps > logit(rules.threshold) / rules.temperature
-        return chosen
-    return (gaps > 0) & (gaps >= rules.share * best)
+
+def _least_gap(rules: Rules) -> float:
+    """Gap above which a text fits an object; 0, that of the canonical phrases, by default."""
+    if not rules.threshold:
+        return 0.0 if rules.threshold is None else -np.inf
+    return float(np.log(rules.threshold) - np.log1p(-rules.threshold)) / rules.temperature
 
 
 def find(
@@ -560,8 +582,9 @@ def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Ru
     Returns
     -------
     int32 [H, W]
-        0 where there is no object, k + 1 where ``texts[k]`` has the highest relevancy; ties go to
-        the first text.
+        k + 1 where ``texts[k]`` has the highest relevancy; ties go to the first text. 0 where there
+        is no object, or none of the texts has a relevancy above the threshold of ``rules``, 0.5 if
+        that is left out.
 
     Raises
     ------
@@ -569,7 +592,7 @@ def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Ru
         If there is no text, or the encoder cannot use one.
     """
     gaps = reader.gaps(texts, rules)
-    winner = np.where(gaps.max(0) > -np.inf, gaps.argmax(0) + 1, 0)
+    winner = np.where(gaps.max(0) > _least_gap(rules), gaps.argmax(0) + 1, 0)
     return seen.spread(winner.astype(np.int32))
 
 

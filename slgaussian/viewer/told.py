@@ -41,18 +41,14 @@ def answer(session: Session) -> str:
     for number, hit in enumerate(found.hits, 1):
         sign = "" if len(found.hits) == 1 else f"{swatch(label_colors(np.array(number)))} "
         said = f"{sign}**{plain(hit.text)}** ({_kind(hit)}): "
-        ids = [id_ for id_, _ in hit.objects]
-        if ids:
-            many = "" if hit.count is None else f"{hit.count} of them; "
-            said += f"{many}{_how_sure(hit)}score {hit.score:.3f}; "
-            said += _objects(session, hit.objects)
-        elif hit.notes:
-            said += "not found"
-        else:
-            said += f"not found; the best object scores {hit.score:.3f}"
+        said += plain(hit.summary)
+        if hit.objects:
+            many = "" if hit.count is None else f"; {hit.count} of them"
+            like = "; most like it: " if hit.verdict == "not here" else "; "
+            said += f"{many}; score {hit.score:.3f}{like}{_objects(session, hit.objects)}"
         if len(found.hits) > 1:
             said += f"; {100 * shares[number]:.0f} % of the Gaussians"
-        if hit.notes:
+        if hit.objects and hit.notes:
             said += f"; {plain('; '.join(hit.notes))}"
         lines.append(said)
         lines += _of_words(hit)
@@ -112,15 +108,6 @@ def swatch(colour: Sequence[int] | np.ndarray) -> str:
     """A square of a colour."""
     r, g, b = map(int, colour)
     return f'<span style="color: rgb({r},{g},{b})">&#9632;</span>'
-
-
-def _how_sure(hit: QueryResult) -> str:
-    """How likely an answer is right; nothing where nothing is to be doubted."""
-    if hit.confidence is None:
-        return f"uncalibrated for {plain(hit.uncalibrated)}; " if hit.uncalibrated else ""
-    if hit.verdict == "not here":
-        return f"probably not here ({hit.confidence.point:.2f}); most like it: "
-    return f"{hit.verdict}, {hit.confidence.mask:.2f} that this is right; "
 
 
 def _kind(hit: QueryResult) -> str:

@@ -258,22 +258,22 @@ def test_words_are_taken_for_others_where_a_model_says_so(
     assert run(monkeypatch, *ask) == 2
     capsys.readouterr()
     # Regions do not depend on the model, so a field built without it can be asked with it.
-    # The room has no red sofa, which is status 1, where an unknown word alone is an error.
-    assert run(monkeypatch, *ask, "--json", "--lexicon-synonyms", sentences) == 1
+    # The room has no red sofa, which is status 3, where an unknown word alone is an error.
+    assert run(monkeypatch, *ask, "--json", "--lexicon-synonyms", sentences) == 3
     answer = json.loads(capsys.readouterr().out)
     assert {word: other for word, (other, _) in answer["taken_for"].items()} == {
         "vermilion": "red",
         "chesterfield": "sofa",
     }
-    assert run(monkeypatch, *ask, "--lexicon-synonyms", sentences) == 1
+    assert run(monkeypatch, *ask, "--lexicon-synonyms", sentences) == 3
     assert "not known and taken for sofa: chesterfield (similarity 1.00)" in capsys.readouterr().out
-    assert run(monkeypatch, "query", tmp_path / "field", "red sofa", "--json") == 1
+    assert run(monkeypatch, "query", tmp_path / "field", "red sofa", "--json") == 3
     assert json.loads(capsys.readouterr().out)["score"] == answer["score"]
 
     # Built with it, the field finds it where it was, and says when it is another one.
     assert run(monkeypatch, *words, "--lexicon-synonyms", sentences) == 0
     capsys.readouterr()
-    assert run(monkeypatch, *ask, "--json") == 1
+    assert run(monkeypatch, *ask, "--json") == 3
     assert json.loads(capsys.readouterr().out)["score"] == answer["score"]
     other = shutil.copytree(sentences, tmp_path / "other")
     (other / "vocab.txt").write_text((other / "vocab.txt").read_text() + "more\n")

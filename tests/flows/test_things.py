@@ -110,7 +110,7 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     assert left.removed == {RED} and RED not in left.labels()
     assert SemanticField.load(field).removed == frozenset()
     status, (answer,) = ask("query", out, "red")
-    assert status == 1 and not answer["found"]
+    assert status == 3 and not answer["found"]
     assert [one["id"] for one in ask("objects", out)[1]] == [BLUE]
     assert run(monkeypatch, "render", out, "-o", tmp_path / "a.png") == 0
     opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[12:44, 12:60][4:-4, 4:18]
@@ -140,7 +140,7 @@ def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["'Zorp' is object 1", "examples  1, counter-examples  0"]
     status, (answer, known) = ask("query", field, "zorp", "blue", "--view", 1)
-    assert status == 0 and [one["id"] for one in answer["objects"]] == [RED]
+    assert status == 3 and [one["id"] for one in answer["objects"]] == [RED]
     assert (answer["kind"], answer["examples"]) == ("taught", [1, 0])
     assert known["kind"] == "known" and known["examples"] == [0, 0]
     assert run(monkeypatch, "query", field, "zorp") == 0
@@ -213,7 +213,8 @@ def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):
     status, (answer, red) = ask("query", field, "--like", tmp_path / "crop.png", "red")
     red, answer = sorted([answer, red], key=lambda one: one["kind"])
     assert answer["kind"] == "picture" and red["kind"] == "known"
-    assert [one["id"] for one in answer["objects"]] == [BLUE] and status == 0
+    assert [one["id"] for one in answer["objects"]] == [BLUE] and status == 3
+    assert (answer["found"], red["found"]) == (True, False)
     (tmp_path / "broken.png").write_bytes(b"no picture")
     assert run(monkeypatch, "query", field, "--like", tmp_path / "broken.png") == 2
     assert "broken.png" in said(capsys)

@@ -20,7 +20,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.query import QueryResult, Rules
+from slgaussian.language.query import Rules
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.viewer.page.answers import answers_of
@@ -114,13 +114,6 @@ def taken(tab: Tab) -> set[int]:
     )
 
 
-def how_sure(hit: QueryResult) -> str:
-    """How the page says how sure an answer is."""
-    if hit.verdict == "not here":
-        return f"is probably not here: {hit.confidence.point:.2f} that the best object is it"
-    return f"{hit.verdict}, {hit.confidence.mask:.2f} that this is right"
-
-
 def test_it_draws_what_the_rasteriser_draws(page, field):
     page.evaluate("slgaussian.clear()")
     for view, camera in enumerate(field.cameras.values()):
@@ -135,7 +128,7 @@ def test_a_word_lights_up_the_pixels_that_a_query_takes(page, field):
     for text in ("floor", "wall", "ball"):
         said = ask(page, text)
         hit = seen.query(text)
-        assert f"score {hit.score:.3f}" in said and how_sure(hit) in said
+        assert f"score {hit.score:.3f}" in said and hit.summary in said
         picture = snapshot(page).astype(float)
         assert psnr(picture, paint_relevancy(hit.relevancy, seen.rgb)) > 25
         heat = (picture - 0.34 * cv2.cvtColor(seen.rgb, cv2.COLOR_RGB2GRAY)[..., None]) / 0.72
@@ -186,15 +179,15 @@ def test_a_page_says_which_pairs_of_words_it_answers(page):
 def test_the_page_is_as_sure_as_a_query(page, field):
     seen = field.render(next(iter(field.cameras.values())))
     texts = page.evaluate("JSON.parse(document.getElementById('about').textContent).texts")[::29]
-    asked = f"{json.dumps(texts)}.map((text) => slgaussian.words.ask(text).sure)"
+    asked = f"{json.dumps(texts)}.map((text) => slgaussian.words.ask(text))"
     verdicts = set()
-    for text, sure in zip(texts, page.evaluate(asked), strict=True):
-        hit = seen.query(text)
+    for text, answer in zip(texts, page.evaluate(asked), strict=True):
+        hit, sure = seen.query(text), answer["sure"]
         assert sure["mask"] == pytest.approx(hit.confidence.mask, abs=1e-5)
         assert sure["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
-        assert sure["verdict"] == hit.confidence.verdict
-        verdicts.add(hit.confidence.verdict)
-    assert len(verdicts) == 3, "all three are tried"
+        assert (answer["verdict"], answer["summary"]) == (hit.verdict, hit.summary)
+        verdicts.add(hit.summary.split(":")[0])
+    assert len(verdicts) == 4, "all are tried, of what is not here both sentences"
 
 
 def test_what_is_near_the_best_can_be_chosen(page, field):
@@ -210,7 +203,7 @@ def test_what_is_near_the_best_can_be_chosen(page, field):
         assert page.evaluate("document.getElementById('nearness').textContent") == f"{share:.0%}"
         hit = seen.query("grey", share=share)
         assert taken(page) == {id_ for id_, _ in hit.objects}
-        assert how_sure(hit) in page.evaluate("document.getElementById('answer').textContent")
+        assert hit.summary in page.evaluate("document.getElementById('answer').textContent")
         numbers.add(len(hit.objects))
     assert len(numbers) > 1, "the choice makes a difference"
     page.evaluate("slgaussian.clear()")
@@ -267,7 +260,7 @@ def test_answers_that_nobody_measured_say_so(browser, field, tmp_path, monkeypat
     (tmp_path / "a.html").write_text(scene_page(field), "utf-8")
     with shown(browser, tmp_path / "a.html") as tab:
         said = ask(tab, "ball")
-        assert ": uncalibrated score 0." in said and "right" not in said
+        assert ": found, uncalibrated for the encoder lexicon; score 0." in said
         assert taken(tab)
         ask(tab, "ball, floor")
         assert "uncalibrated" in tab.evaluate("document.getElementById('legend').textContent")

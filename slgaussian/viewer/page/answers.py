@@ -18,7 +18,7 @@ import numpy as np
 from slgaussian.field import SemanticField
 from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.query import Rules
+from slgaussian.language.query import Rules, unmeasured
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
 from slgaussian.things import words_for
 
@@ -50,6 +50,8 @@ class Answers:
         How many each text asks for.
     calibration : Calibration or None
         Of the encoder.
+    uncalibrated : str
+        For what there is none, such as ``the encoder clip``.
     """
 
     texts: tuple[str, ...]
@@ -60,6 +62,7 @@ class Answers:
     pairs: bool
     measurements: tuple[int, ...] = ()
     calibration: Calibration | None = None
+    uncalibrated: str = ""
 
 
 def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = ()) -> Answers:
@@ -99,7 +102,9 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
     gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
     known_as = texts, gaps.astype(np.float32), kinds, spellings, skipped
     measurements = tuple(field.reader.understood(text).measurements for text in texts)
-    return Answers(*known_as, bool(pairs), measurements, field.encoder.calibration)
+    calibration = field.encoder.calibration
+    doubt = unmeasured(field.encoder, Rules())
+    return Answers(*known_as, bool(pairs), measurements, calibration, doubt)
 
 
 def _plain(text: str) -> str:

@@ -93,6 +93,7 @@ const PAGE_FRAGMENT = `#version 300 es
 precision highp float;
 uniform sampler2D drawn; uniform sampler2D marked; uniform sampler2D maps;
 uniform int mode; uniform vec2 depths; uniform float stripes; uniform float outline;
+uniform float dashes;
 out vec4 shown;
 
 vec2 marks(ivec2 at) {
@@ -128,7 +129,8 @@ void main() {
       ivec2 to = ivec2((k & 1) * 2 - 1, (k >> 1) * 2 - 1) * d;
       edge = max(edge, abs(here - step(0.5, marks(at + to))));
     }
-    if (edge.x > 0.5) rgb = vec3(0.95, 0.72, 0.29);
+    bool dash = dashes < 0.5 || (at.x + at.y) / 8 % 2 == 0;
+    if (edge.x > 0.5 && dash) rgb = vec3(0.95, 0.72, 0.29);
     if (edge.y > 0.5) rgb = vec3(1.0);
   }
   shown = vec4(rgb, 1.0);
@@ -236,7 +238,7 @@ class Drawing {
       gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, target, 0));
   }
 
-  /** Draw as `eye` sees it. `look`: {mode, depths, stripes, outline}. */
+  /** Draw as `eye` sees it. `look`: {mode, depths, stripes, outline, dashes}. */
   draw(eye, look) {
     const { gl, splats, page } = this, { width, height, fx, fy, cx, cy } = eye;
     this.resize(width, height);
@@ -278,6 +280,7 @@ class Drawing {
     gl.uniform2fv(page.places.depths, look.depths);
     gl.uniform1f(page.places.stripes, look.stripes ? 1 : 0);
     gl.uniform1f(page.places.outline, look.outline);
+    gl.uniform1f(page.places.dashes, look.dashes);
     gl.bindVertexArray(this.empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }

@@ -20,12 +20,10 @@ const css = ([r, g, b]) => `rgb(${r}, ${g}, ${b})`;
 const percent = (share) => `${Math.round(100 * share)}%`;
 
 /** How sure an answer is, in a word or two, for a legend. */
-function verdict({ taken, sure, uncalibrated }) {
-  if (!taken.includes(true)) return "not found";
-  if (!sure) return uncalibrated ? "uncalibrated" : "";
-  const [how, chance] = sure.verdict === "not here"
-    ? ["probably not here", sure.point] : [sure.verdict, sure.mask];
-  return `${how} ${chance.toFixed(2)}`;
+function brief({ taken, sure, verdict, summary }) {
+  if (!sure || !taken.includes(true)) return summary.split(":")[0];
+  return verdict === "not here" ? `probably ${verdict} ${sure.point.toFixed(2)}`
+    : `${verdict} ${sure.mask.toFixed(2)}`;
 }
 
 class Page {
@@ -34,7 +32,7 @@ class Page {
     this.stand = new Standpoint(about.views[0], about.views[0].distance, about.up);
     this.mode = 0;
     this.picked = 0;
-    this.asked = []; // of {text, scores, taken, best, sure, uncalibrated, hue}
+    this.asked = []; // of {text, hue} and what Words.ask gives
     this.typed = "";
     this.held = new Set();
     this.moved = -Infinity;
@@ -74,6 +72,7 @@ class Page {
     return {
       mode: this.mode, depths: about.depths, stripes: about.stripes,
       outline: this.picked || (this.asked.length === 1 && this.mode !== 1) ? 2 : 0,
+      dashes: this.asked.length === 1 && this.asked[0].verdict === "not sure" ? 1 : 0,
     };
   }
 
@@ -132,7 +131,7 @@ class Page {
         ? (winners[k] < 0 ? [0, 0, 0, 0] : [...this.asked[winners[k]].hue, 190])
         : [...thing.colour, 170],
       relevancy: single ? single.scores[k] : 0,
-      taken: single && single.taken[k] ? 1 : 0,
+      taken: single && single.taken[k] && single.verdict !== "not here" ? 1 : 0,
       picked: this.picked === k + 1 ? 1 : 0,
     })));
     this.wish();
@@ -205,7 +204,7 @@ class Page {
         const swatch = element("span", "", { className: "swatch" });
         swatch.style.background = css(one.hue);
         item.append(swatch, element("span", one.text, { className: "grow" }),
-          element("span", verdict(one), { className: "number" }));
+          element("span", brief(one), { className: "number" }));
         $("legend").append(item);
       });
       said.push("Each object has the colour of the word that fits it best, above 0.5.");
@@ -216,23 +215,17 @@ class Page {
   }
 
   /** What one text found, in a sentence. */
-  said({ text, scores, taken, best, sure, uncalibrated }) {
+  said({ text, scores, taken, best, verdict, summary }) {
     if (best < 0) return "There are no objects in this file.";
     const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
     const asked = `“${text}”${kinds[this.words.kinds.get(text)] || ""}`;
     const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
-    const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
-    if (!found.length) return `${asked}: nothing found; the best object scores ${score}.`;
+    if (!found.length) return `${asked}: ${summary} (0.5 is as good as any phrase).`;
     const objects = `${found.length === 1 ? "object" : "objects"} `
       + found.map((k) => this.called(k + 1)).join(", ");
-    const doubt = uncalibrated ? "uncalibrated " : "";
-    if (!sure) return `${asked}: ${doubt}score ${score}, ${objects}.`;
-    if (sure.verdict === "not here") {
-      return `${asked} is probably not here: ${sure.point.toFixed(2)} that the best object is it; `
-        + `score ${score}; most like it: ${objects}.`;
-    }
-    return `${asked}: ${sure.verdict}, ${sure.mask.toFixed(2)} that this is right; `
-      + `score ${score}, ${objects}.`;
+    const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
+    const like = verdict === "not here" ? "; most like it: " : ", ";
+    return `${asked}: ${summary}; score ${score}${like}${objects}.`;
   }
 
   /** Take what is at least this share as good as the best, and ask again. */
@@ -246,7 +239,7 @@ class Page {
 
   called(thing) {
     const { id, name, words } = about.things[thing - 1];
-    return `${id} ${name || (words.length ? words[0][0] : "")}`.trim();
+    return `${id} ${name || (words.length && words[0][1] > 0.5 ? words[0][0] : "")}`.trim();
   }
 
   /** Pick a thing by its place among about.things from 1; 0 for none. */

@@ -171,6 +171,7 @@ def _page(
         "share": rules.share,
         "temperature": rules.temperature,
         "calibration": _calibration(answers.calibration),
+        "uncalibrated": answers.uncalibrated,
         "block": BLOCK,
         "layout": content.layout,
         "scale_logs": list(content.scale_logs),

@@ -54,8 +54,9 @@ class Words {
 
   /**
    * What `text` takes by the rule of a query: all whose gap is above 0 and at least this.share of
-   * the best. {scores, taken, best, sure, uncalibrated}; sure as of confidence(), null where that is
-   * not known: of a name, or where it was not measured, which is uncalibrated.
+   * the best. {scores, taken, best, sure, verdict, summary}; sure as of confidence(), null where that
+   * is not known: of a name, or where it was not measured. Verdict and summary are those of
+   * QueryResult (slgaussian/language/query.py).
    */
   ask(text) {
     const count = about.things.length, row = this.rows.get(text);
@@ -64,22 +65,35 @@ class Words {
     const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
     const named = this.kinds.get(text) === "named";
     const doubted = about.calibration && !named && top > -Infinity;
-    return {
-      scores: gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap))),
-      taken,
-      best: gaps.indexOf(top),
-      sure: doubted ? confidence(gaps, taken, top, about.measurements[row]) : null,
-      uncalibrated: !about.calibration && !named,
-    };
+    const sure = doubted ? confidence(gaps, taken, top, about.measurements[row]) : null;
+    const scores = gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap)));
+    const best = gaps.indexOf(top), any = taken.includes(true);
+    const verdict = any ? verdictOf(sure) : "not here";
+    let summary = named || !about.uncalibrated ? verdict : `found, uncalibrated for ${about.uncalibrated}`;
+    if (!any) summary = `not here: the best object scores ${(scores[best] || 0).toFixed(3)}`;
+    else if (verdict === "not here") {
+      summary = `probably not here: ${sure.point.toFixed(2)} that the best object is it`;
+    } else if (sure) {
+      summary = `${verdict}: ${sure.mask.toFixed(2)} that the mask is right, `
+        + `${sure.point.toFixed(2)} that the point is`;
+    }
+    return { scores, taken, best, sure, verdict, summary };
   }
 }
 
+/** The verdict of Confidence (slgaussian/language/confidence.py). */
+function verdictOf(sure) {
+  if (!sure) return "found";
+  if (sure.point < about.calibration.absent) return "not here";
+  return sure.mask >= 0.5 ? "found" : "not sure";
+}
+
 /**
- * How likely an answer is right, {mask, point, verdict}: slgaussian/language/confidence.py, whose
- * constants are in about.calibration.
+ * How likely an answer is right, {mask, point}: slgaussian/language/confidence.py, whose constants
+ * are in about.calibration.
  */
 function confidence(gaps, taken, top, measurements) {
-  const { mask, point, absent, typical, even_out: evenOut } = about.calibration;
+  const { mask, point, typical, even_out: evenOut } = about.calibration;
   const any = taken.includes(true);
   const own = [], rest = [];
   gaps.forEach((gap, k) => {
@@ -94,9 +108,7 @@ function confidence(gaps, taken, top, measurements) {
   }
   const signs = [top * measurements, apart, Math.log(Math.max(parts(taken), 1)), 1];
   const chance = (curve) => 1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * signs[k], 0)));
-  const likely = { mask: chance(mask), point: chance(point) };
-  const verdict = likely.point < absent ? "not here" : likely.mask >= 0.5 ? "found" : "not sure";
-  return { ...likely, verdict };
+  return { mask: chance(mask), point: chance(point) };
 }
 
 /** Of how many groups of things that touch, in the first view, those `taken` are. */
