@@ -36,6 +36,7 @@ class Predicted(NamedTuple):
     Attributes
     ----------
     gaussians : Gaussians
+        Each says whether it is ``guessed``.
     quality : Quality
         How good the views were.
     depths : Depths or None
@@ -121,8 +122,10 @@ def predict(sample: Sample, predictor: Part, seed: int, trust_cameras: bool = Fa
     opaque = _opaque(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]
-    quality = measure(SceneGeometry.of(sample.context, gaussians), checks)
-    return Predicted(gaussians, quality, depths)
+    quality, confirmed = measure(SceneGeometry.of(sample.context, gaussians), checks)
+    arrays = gaussians.to_arrays()
+    guessed = ~confirmed.ravel()[arrays["source"]] | arrays.get("guessed", False)
+    return Predicted(gaussians.with_arrays(guessed=guessed), quality, depths)
 
 
 def label_views(geometry: SceneGeometry, proposer: Part, tracker: Part, replicas: int) -> LabelMaps:

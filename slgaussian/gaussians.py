@@ -91,8 +91,8 @@ class Gaussians:
         Semantic features. In a field: the ID code (3 numbers in the paper) times its weight, and
         the weight; see :class:`slgaussian.semantic.Lifting`.
     guessed : bool [N] or None
-        Whose depth no second view confirms: continued from what lies beside it. None where the
-        predictor does not tell.
+        Whose depth no second view confirms, as :func:`slgaussian.build.predict` tells; of a
+        predictor those behind and beyond what the views show. None where it is not known.
 
     Raises
     ------

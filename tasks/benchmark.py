@@ -5,13 +5,10 @@ from __future__ import annotations
 from statistics import fmean
 from typing import Any
 
-import numpy as np
-
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
-from slgaussian.language.query import Rules
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
@@ -24,7 +21,7 @@ from tasks.artifacts import (
 from tasks.stage import Worksite, stage
 
 
-@stage("benchmark", version=9)
+@stage("benchmark", version=10)
 def benchmark(
     site: Worksite,
     sample: ArtifactRef,
@@ -57,20 +54,20 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     """What to ask a field first: ``text``, and its mean ``iou``, None if there is no truth.
 
     Of the queries that the truth says are answered rightly in every frame, the best; or else the
-    one that scored highest without truth. Only those count for which the first context view, where
-    it is asked without further ado, holds an object that fits about as well as any. None if there
-    is no such query.
+    one that scored highest without truth. Only those count that the field answers with "found" in
+    its first context view, where it is asked without further ado. None if there is no such query.
     """
-    rules = Rules()
     asked: dict[str, list[dict[str, Any]]] = {}
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
             asked.setdefault(row["query"], []).append(row)
+    if not asked:
+        return None
+    view = field.render(next(iter(field.cameras.values())))
     found: list[tuple[bool, float, str, float | None]] = []
-    for text, rows in asked.items():
-        (gaps,) = field.reader.gaps([text], rules)
-        here = gaps[field.bank.present[:, 0]].max(initial=-np.inf)
-        if here <= 0 or here < rules.share * gaps.max():
+    for hit in view.query_all(list(asked)):
+        text, rows = hit.text, asked[hit.text]
+        if not hit.found:
             continue
         ious = [row["iou"] for row in rows]
         if None in ious:

@@ -11,7 +11,7 @@ from tasks.artifacts import sample_from_arrays
 from tasks.stage import Worksite, stage
 
 
-@stage("geometry", version=9)
+@stage("geometry", version=10)
 def geometry(
     site: Worksite, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
 ) -> ArtifactRef:

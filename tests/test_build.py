@@ -9,6 +9,7 @@ import pytest
 
 from slgaussian import datasets
 from slgaussian.build import build_field, label_views, predict, remember
+from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
@@ -16,6 +17,7 @@ from slgaussian.geometry import SceneGeometry
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.storage.account import Account
+from slgaussian.viewer.page.scene_page import scene_page
 
 NAMES = {
     "predictor": "planesweep",
@@ -200,3 +202,23 @@ def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
         "_normals": 2 * 2,  # of the room, in few places, and of the view
         "match": 2,
     }
+
+
+def test_one_number_says_what_a_second_view_confirms():
+    scene = datasets.load("procedural", seed=1, views=2, height=96, width=128)
+    given = scene.sample(list(scene.cameras))
+    field = build_field(given, Method(keep="all"))
+    quality = Quality(**field.settings["quality"])
+    guessed, source = field.gaussians.guessed.numpy(), field.gaussians.source.numpy()
+    pixels = 2 * 96 * 128
+    assert len(np.unique(source[~guessed])) / pixels == pytest.approx(quality.confirmed, abs=1e-4)
+    assert 0.2 < quality.confirmed < 0.98
+    outside = []
+    for view, other in zip(given.context, given.context[::-1], strict=True):
+        at, _ = other.camera.project(view.camera.unproject(view.depth))
+        outside.append(((at < -4) | (at > np.array([128, 96]) + 4)).any(-1))
+    alone = np.stack(outside).ravel()[source]
+    assert alone.sum() > 100 and guessed[alone].mean() > 0.98
+    sentence = f"nother view confirms {quality.confirmed:.0%} of the pixels"
+    assert sentence in quality.summary()
+    assert f"A{sentence}, and the depth of the rest is a guess." in scene_page(field)

@@ -175,7 +175,12 @@ def picture_rows(held: Sequence[Labelled]) -> list[Row]:
             across, down = np.flatnonzero(mask.any(0)), np.flatnonzero(mask.any(1))
             crop = one.photograph[down[0] : down[-1] + 1, across[0] : across[-1] + 1]
             hit = one.target.like(np.ascontiguousarray(crop))
-            row = {"place": one.place, "scene": one.scene, "word": word, "found": float(bool(hit.objects))}
+            row = {
+                "place": one.place,
+                "scene": one.scene,
+                "word": word,
+                "found": float(bool(hit.objects)),
+            }
             rows.append(row | scored(hit, mask))
     return rows
 

@@ -86,9 +86,8 @@ def query(
 
     Takes the objects that fit the text about as well as the best one does, and none if no object
     fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
-    Says how likely that is right: found, not sure, or not here; so does the picture. The exit
-    status is 0 if each text is found in a view, 3 if one is not sure or not here in all, and 1 if a
-    text is refused.
+    Says how likely that is right. The exit status is 0 if each text is found in a view, 3 if one is
+    not sure or not here in all, 1 if one is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png

@@ -103,9 +103,11 @@ def made(
     spent = ", ".join(f"{step} {taken:.2f}" for step, taken in seconds.items())
     for line in (*_account(field), f"seconds: {spent}"):
         print(line, file=sys.stderr)
-    command = ["slgaussian", "query", str(out), _word(field), "-o", "hit.png"]
-    look = shlex.join(["slgaussian", "view", str(out)])
-    print(f"ask it: {shlex.join(command)}", f"look at it: {look}", sep="\n", file=sys.stderr)
+    word = _answered(field)
+    if word is not None:
+        command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]
+        print(f"ask it: {shlex.join(command)}", file=sys.stderr)
+    print(f"look at it: {shlex.join(['slgaussian', 'view', str(out)])}", file=sys.stderr)
 
 
 def picture(source: Path, choice: Choice, out: Path, stats: bool = False) -> None:
@@ -184,9 +186,14 @@ def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panel
     return rgb, np.where(alpha >= VISIBLE, seen.depth, 0), []
 
 
-def _word(field: SemanticField) -> str:
-    """A word to ask for: of some common things the one that an object answers to most."""
-    if field.settings["encoder"] != "lexicon":  # another one may take long to load
-        return COMMON_THINGS[0]
-    best = max(field.describe(COMMON_THINGS), key=lambda one: one.relevancy, default=None)
-    return best.text if best is not None and best.relevancy > 0.5 else COMMON_THINGS[0]
+def _answered(field: SemanticField) -> str | None:
+    """Choose the common thing that a query finds most surely in the first view; None if none is."""
+    if field.settings["encoder"] != "lexicon":  # nobody measured how sure others are
+        return None
+    view = field.render(next(iter(field.cameras.values())))
+    sure = {
+        hit.text: hit.confidence.mask
+        for hit in view.query_all(COMMON_THINGS)
+        if hit.found and hit.confidence is not None
+    }
+    return max(sure, key=sure.__getitem__, default=None)

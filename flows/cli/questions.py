@@ -225,8 +225,8 @@ def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
         mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
         ids = ", ".join(map(str, row["objects"]))
         share = f"{100 * row['share']:.1f} %"
-        said = f"{row['verdict'] or '':<8}"
-        line = f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {said}  {ids}"
+        verdict = f"{row['verdict'] or '':<8}"
+        line = f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {verdict}  {ids}"
         lines.append(line.rstrip())
     return "\n".join(lines + refusals(rows))
 

@@ -26,6 +26,10 @@ interval."""
 SURE = 0.8
 """Cameras of three and more are doubted below that confidence."""
 
+DOUBTED = 0.85
+"""Factor of the confidence in a pair whose cameras are doubtful: of 28 that were doubted, 20
+photographed and 8 rendered with two focal lengths (``docs/measured/poses.md``), 4 were wrong."""
+
 MENTIONED = 3
 """Photographs left out of which a warning says why."""
 
@@ -151,7 +155,7 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
         np.zeros(2),
         points,
         (replace(pose.found, views=(a.photograph.name, b.photograph.name)),),
-        confidence(pose),
+        confidence(pose) * (DOUBTED if pose.found.verdict == DOUBTFUL else 1),
     )
 
 

@@ -65,8 +65,13 @@ class Quality:
         return (
             f"quality: views overlap by {self.overlap:.0%}{angle}; the cameras explain "
             f"{self.explained:.0%} of {self.matches} matches within {self.pixels:.1f} pixels{told}"
-            f"; another view confirms {self.confirmed:.0%} of the pixels"
+            f"; {self.depth}"
         )
+
+    @property
+    def depth(self) -> str:
+        """A clause on how much of the depth is more than a guess, for terminal and page."""
+        return f"another view confirms {self.confirmed:.0%} of the pixels"
 
     def warnings(self) -> list[str]:
         """What the user had better know, a sentence each."""
@@ -83,8 +88,8 @@ class Quality:
             )
         if self.overlap < LITTLE_SHARED:
             found.append(
-                f"the views share {self.overlap:.0%} of what they show, and the depth of the rest "
-                "is a guess; add a photograph from between"
+                f"a view shares {self.overlap:.0%} of what it shows with the other, and the depth "
+                "of the rest is a guess; add a photograph from between"
             )
         elif self.apart:
             found.append(
@@ -94,9 +99,12 @@ class Quality:
         return found
 
 
-def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> Quality:
-    """The quality of views: what they share from their predicted depths, and the rest from the
-    checks of pairs that show the same things (:func:`slgaussian.cameras.check.check_pairs`)."""
+def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quality, np.ndarray]:
+    """Measure the quality of views, and see which pixels another view confirms, bool [V, H, W].
+
+    What they share is told by their predicted depths, the rest by the checks of pairs that show the
+    same things (:func:`slgaussian.cameras.check.check_pairs`).
+    """
     views, depths = geometry.views, geometry.depths
     shared = np.zeros(len(views))
     confirmed = np.zeros(depths.shape, bool)
@@ -111,7 +119,7 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> Quality:
     cosines = [axes[check.views[0]] @ axes[check.views[1]] for check in checks]
     known = [check.angle for check in checks if np.isfinite(check.angle)]
     matches, agreeing = (sum(getattr(c, name) for c in checks) for name in ("matches", "agreeing"))
-    return Quality(
+    quality = Quality(
         overlap=float(np.median(shared)),
         confirmed=float(confirmed.sum() / max((depths > 0).sum(), 1)),
         angle=float(np.median(known)) if known else None,
@@ -122,3 +130,4 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> Quality:
         judged=enough(matches, agreeing),
         apart=int((shared < LITTLE_SHARED).sum()),
     )
+    return quality, confirmed

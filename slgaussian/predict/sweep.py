@@ -81,12 +81,12 @@ def predict(settings: PlaneSweep, sample: Sample) -> tuple[Gaussians, Depths]:
     shown = unproject(cameras, colors, whole, opacities)
     known = [s.known for s in swept]
     kept = np.concatenate([keep.ravel() for keep in needed(graph, whole, known, steps)])
-    guessed = ~np.isfinite(np.concatenate([values.ravel() for values in known]))
-    shown = shown.with_arrays(guessed=guessed)[kept]
     beyond = hidden(cameras, colors, whole, steps)
-    beyond = beyond.with_arrays(guessed=np.ones(len(beyond), bool))
+    shown, beyond = (
+        part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (shown, beyond)
+    )
     depths = Depths(sum(len(s.steps) for s in swept), len(swept) * settings.depth_candidates)
-    return Gaussians.concatenated([shown, beyond]), depths
+    return Gaussians.concatenated([shown[kept], beyond]), depths
 
 
 def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:

@@ -22,7 +22,8 @@ def room() -> Sample:
 
 
 def of(sample: Sample, depths: np.ndarray) -> Quality:
-    return measure(SceneGeometry(tuple(map(SeenView, sample.context, depths))), check_pairs(sample))
+    geometry = SceneGeometry(tuple(map(SeenView, sample.context, depths)))
+    return measure(geometry, check_pairs(sample))[0]
 
 
 def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
@@ -49,7 +50,8 @@ def test_two_planes_are_counted_by_hand():
     blank = np.zeros((80, 100, 3), np.uint8)
     views = [View(name, camera, blank) for name, camera in zip("ab", cameras, strict=True)]
     geometry = SceneGeometry(tuple(map(SeenView, views, depths)))
-    found = measure(geometry, [replace(check, views=("a", "b"))])
+    found, confirmed = measure(geometry, [replace(check, views=("a", "b"))])
+    assert confirmed[0, :, 25:].all() and not confirmed[0, :, :25].any()
     assert found.overlap == pytest.approx(0.75, abs=0.011)
     assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
 
@@ -77,5 +79,5 @@ def test_what_people_read():
     assert not GOOD.warnings() and Quality(**GOOD.as_json()) == GOOD
     assert "48 degrees" in replace(GOOD, angle=48.0).warnings()[0]
     assert "turned by 48 degrees" in replace(GOOD, turn=48.0).warnings()[0]
-    assert "share 12%" in replace(GOOD, overlap=0.12).warnings()[0]
+    assert "shares 12%" in replace(GOOD, overlap=0.12).warnings()[0]
     assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()

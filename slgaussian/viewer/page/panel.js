@@ -256,9 +256,10 @@ class Page {
         element("p", words ? `Looks most like: ${words}` : "No word of this file was asked of it."),
         element("p", `Confidence ${percent(known.confidence)}: how clearly its pixels are its own.`,
           { className: "small" }),
-        element("p", `${known.gaussians.toLocaleString("en")} Gaussians; in the photographs `
-          + (known.views.map((view) => about.views[view].name).join(", ") || "of none")
-          + (known.guessed > 0.005 ? `; ${percent(known.guessed)} of it has a guessed depth` : ""),
+        element("p", `${known.gaussians.toLocaleString("en")} Gaussians`
+          + (known.guessed > 0.005 ? `, ${percent(known.guessed)} of them of a guessed depth` : "")
+          + "; in the photographs "
+          + (known.views.map((view) => about.views[view].name).join(", ") || "of none"),
         { className: "small" }),
       );
     }

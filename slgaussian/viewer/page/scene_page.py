@@ -23,6 +23,7 @@ import numpy as np
 
 from slgaussian import __version__
 from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
+from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField, shown
 from slgaussian.gaussians import Gaussians
@@ -83,9 +84,6 @@ def scene_page(
         place = np.searchsorted(ids, labels).clip(0, len(ids) - 1)
         numbers = np.where(np.array(ids)[place] == labels, place + 1, 0)
     gaussians = field.gaussians
-    guesses = 0.0
-    if gaussians.guessed is not None:
-        guesses = float(gaussians.guessed.float().mean())
     depths = [look.depth for look in looks.values()]
     up = find_room(list(field.cameras.values()), depths).up
     views = [
@@ -102,7 +100,7 @@ def scene_page(
         answers=answers_of(field, ids, texts),
         touching=_touching(next(iter(looks.values())).ids, ids),
         title=title or str(field.settings.get("scene") or "scene"),
-        honest=_honest(field, gaussians, guesses),
+        honest=_honest(field, gaussians),
         stripes=bool(field.removed),
     )
 
@@ -244,15 +242,20 @@ def _thing(
     }
 
 
-def _honest(field: SemanticField, gaussians: Gaussians, guesses: float) -> str:
+def _honest(field: SemanticField, gaussians: Gaussians) -> str:
     said = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
-    if guesses:
-        said.append(f"Of {100 * guesses:.0f}% the depth is a guess, which no second one confirms.")
+    if "quality" in field.settings:
+        quality = Quality(**field.settings["quality"])
+        depth = quality.depth[0].upper() + quality.depth[1:]
+        said.append(f"{depth}, and the depth of the rest is a guess.")
+        said += [f"Warning: {warning}." for warning in quality.warnings()]
     said.append("What no photograph shows is left open.")
     if field.removed:
         said.append("Stripes are open too, such as what stood behind what was removed.")
     if any(camera.estimated for camera in field.cameras.values()):
         said.append("The cameras were found from the photographs, so there is no scale in metres.")
+        warnings = field.settings.get("cameras", {}).get("warnings", [])
+        said += [f"Warning: {warning}." for warning in warnings]
     if gaussians.sh.shape[1] > 1:
         said.append("Colours do not change with the viewpoint here, as those of the field do.")
     said.append(

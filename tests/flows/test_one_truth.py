@@ -1,0 +1,147 @@
+"""One answer, said alike: sentence, JSON, exit status, picture, page and the line after `field`."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from command import run
+from PIL import Image
+
+from flows.cli.fields import _answered
+from slgaussian.benchmark import pictures
+from slgaussian.field import SemanticField
+from slgaussian.viewer.page.scene_page import scene_page
+from tests.browser import Browser, Tab
+from tests.viewer.test_page import room
+
+CASES = [
+    ("floor", "found", 0),
+    ("cabinet", "not sure", 3),
+    ("basket", "not here", 3),  # an object fits, and is probably something else
+    ("turquoise", "not here", 3),  # none fits
+    ("quixotic floor", "found", 0),
+    ("the floor of plants", "found", 0),
+]
+
+
+@pytest.fixture(scope="module")
+def field() -> SemanticField:
+    return room()
+
+
+@pytest.fixture(scope="module")
+def folder(field, tmp_path_factory):
+    place = tmp_path_factory.mktemp("truth") / "field"
+    field.save(place)
+    return place
+
+
+@pytest.fixture
+def ask(monkeypatch, capsys):
+    def call(*words):
+        capsys.readouterr()
+        return run(monkeypatch, *words), capsys.readouterr().out
+
+    return call
+
+
+@pytest.mark.parametrize(("text", "verdict", "status"), CASES)
+def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, verdict, status):
+    view = field.render(next(iter(field.cameras.values())))
+    hit = view.query(text)
+    assert (hit.verdict, hit.found) == (verdict, verdict == "found")
+    code, printed = ask("query", folder, text, "-o", tmp_path / "a.png")
+    assert code == status and printed.splitlines()[0] == hit.summary
+    assert hit.summary.removeprefix("probably ").startswith(verdict)
+    code, printed = ask("query", folder, text, "--json")
+    answer = json.loads(printed)
+    assert code == status and answer["found"] is (code == 0)
+    assert (answer["verdict"], answer["summary"]) == (verdict, hit.summary)
+    assert (answer["point"] is None) == (answer["pixels"] == 0) == (verdict == "not here")
+    assert ("for 'floor' alone" in hit.summary) == bool(hit.unknown)
+    # The last panel: what is drawn, and its caption.
+    bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED)
+    where = {
+        "found": pictures.draw_point(bold, hit.point),
+        "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED),
+        "not here": view.rgb,
+    }[verdict]
+    panels = [("", view.rgb), ("", view.rgb), (hit.summary, where)]
+    width = view.rgb.shape[1] + 12
+    drawn, expected = np.asarray(Image.open(tmp_path / "a.png")), pictures.side_by_side(panels)
+    np.testing.assert_array_equal(drawn[:, -width:], expected[:, -width:])
+    _, printed = ask("segment", folder, text, "wall", "--json")
+    rows = [json.loads(line) for line in printed.splitlines()]
+    assert rows[0]["verdict"] == verdict
+
+
+def test_an_unsure_outline_is_thinner_than_a_sure_one():
+    image, mask = np.full((80, 120, 3), 90, np.uint8), np.zeros((80, 120), bool)
+    mask[20:60, 30:90] = True
+    sure = (pictures.draw_outline(image, mask, pictures.PREDICTED) != image).any(-1)
+    unsure = pictures.draw_dashed(image, mask, pictures.PREDICTED)
+    rim = mask.copy()
+    rim[21:59, 31:89] = False
+    np.testing.assert_array_equal((unsure != image).any(-1), rim)
+    coloured = (unsure == pictures.PREDICTED).all(-1)
+    assert 0.4 < coloured[rim].mean() < 0.6 and sure.sum() > 2 * rim.sum()
+
+
+@pytest.mark.parametrize(
+    ("texts", "status"),
+    [
+        (["floor", "wall"], 0),
+        (["floor", "cabinet"], 3),
+        (["floor", "turquoise"], 3),
+        (["floor", "zorp"], 1),
+        (["turquoise", "zorp"], 1),
+    ],
+)
+def test_the_status_of_several_texts_is_zero_if_each_is_found(folder, ask, texts, status):
+    assert ask("query", folder, *texts)[0] == status
+    assert ask("query", folder, *texts, "--view", "0", "--view", "1", "--json")[0] == status
+
+
+def test_a_view_and_the_command_segment_alike(field, folder, tmp_path, ask):
+    from slgaussian.masks.precomputed import read_ids
+
+    texts = ["turquoise", "floor", "ball"]
+    view = field.render(next(iter(field.cameras.values())))
+    for words, rules in (([], {}), (["--threshold", "0.55"], {"threshold": 0.55})):
+        assert ask("segment", folder, *texts, *words, "-o", tmp_path / "a.png")[0] == 0
+        labels = view.segment(texts, **rules)
+        np.testing.assert_array_equal(read_ids(tmp_path / "a.ids.png"), labels)
+        best = np.stack([hit.relevancy for hit in view.query_all(texts)])
+        fits = best.max(0) > rules.get("threshold", 0.5)
+        np.testing.assert_array_equal(labels, np.where(fits, best.argmax(0) + 1, 0))
+        assert 0.02 < (labels == 0).mean() < 0.98
+
+
+def test_what_is_proposed_is_found(field):
+    assert field.render(next(iter(field.cameras.values()))).query(_answered(field)).found
+    # Of what is removed nothing is proposed.
+    ids = [thing.id for thing in field.inventory()]
+    assert _answered(field.without(ids)) is None
+
+
+@contextmanager
+def opened(browser: Browser, file) -> Iterator[Tab]:
+    with browser.open(file.as_uri(), 700, 440) as tab:
+        tab.wait("globalThis.slgaussian !== undefined", 120)
+        yield tab
+
+
+def test_a_page_says_what_a_query_says(browser, field, tmp_path):
+    view = field.render(next(iter(field.cameras.values())))
+    (tmp_path / "a.html").write_text(scene_page(field), "utf-8")
+    with opened(browser, tmp_path / "a.html") as tab:
+        for text, verdict, _ in CASES[:4]:
+            tab.evaluate(f"slgaussian.ask({json.dumps(text)})")
+            tab.wait("!slgaussian.busy")
+            sentence = tab.evaluate("document.getElementById('answer').textContent")
+            assert view.query(text).summary in sentence
+            assert tab.evaluate("slgaussian.asked[0].verdict") == verdict
+            look = tab.evaluate("slgaussian.look()")
+            assert look["dashes"] == (verdict == "not sure")
