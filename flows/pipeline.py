@@ -32,6 +32,7 @@ from flows.runners.worker_pool import (
     work_through_all,
 )
 from flows.settings import SceneSettings, Settings
+from flows.sweep import VIEWS, Combination, combinations, sweep_jobs
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.numerics import HardCase
@@ -44,7 +45,6 @@ from slgaussian.benchmark.outputs import (
 )
 from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import StageCost, Times
-from slgaussian.benchmark.view_counts import Counts
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
@@ -60,6 +60,9 @@ from tasks.report import Scored, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """The stages that make a field of a sample."""
+
+SWEPT = len(STAGES) - 1
+"""Stages of a scene with other settings: all but attribution."""
 
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
@@ -90,9 +93,6 @@ class Finished:
         A command that asks the field of one of the scenes; empty if none has a field.
     costs : {scene: Cost}
         Of the scenes that went through.
-    counts : sequence of Counts
-        Of a run with several numbers of context views (:mod:`flows.by_views`), which has no
-        ``results`` and ``costs`` of its own.
     """
 
     results: list[SceneResult]
@@ -100,7 +100,6 @@ class Finished:
     report: Path | None
     ready: str
     costs: dict[str, Cost] = field(default_factory=dict)
-    counts: Sequence[Counts] = ()
 
     @property
     def look(self) -> str:
@@ -112,12 +111,10 @@ def run(
     settings: Settings,
     store: ArtifactStore,
     verbose: bool = False,
-    chosen: tuple[Sequence[SceneSettings], Sequence[str]] | None = None,
 ) -> Finished:
     """Run the pipeline; write its tables, masks, fields and report to ``settings.out``.
 
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`). ``chosen`` are the
-    scenes, and what is to be said of them, where they are not those that the settings say.
+    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------
@@ -125,9 +122,11 @@ def run(
         If there is nothing to do, a part of the method is unknown, or the store or the output
         folder cannot be written.
     """
-    scenes, said = scenes_of(settings) if chosen is None else chosen
+    scenes, said = scenes_of(settings)
+    variants = combinations(settings)
     method = settings.built_by
-    method.check()
+    for one in (method, *(variant.settings.built_by for variant in variants)):
+        one.check()
     Rules(**settings.rules())
     chosen_baselines(settings.against)
     store.check_writable()
@@ -136,7 +135,7 @@ def run(
     progress = Progress(len(scenes), len(STAGES), verbose=verbose)
     for text in (f"with {', '.join(part.name for part in method.parts)}", *said):
         progress.line(text)
-    made = score(store, settings.runner, settings.workers, settings, scenes, progress)
+    made = score(store, settings.runner, settings.workers, settings, scenes, variants, progress)
     for scene, of in made.manifest.get("data", {}).items():
         for name, why in of["left_out"].items():
             progress.line(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
@@ -161,7 +160,8 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     labelled = any((settings.data, settings.pairs, settings.labels))
     scenes, said = labelled_scenes(settings) if labelled else ([], [])
     if settings.rooms is not None:
-        thirds = 1 if settings.views is None else THIRDS
+        swept = any(text.partition("=")[0].strip() == VIEWS for text in settings.sweep)
+        thirds = THIRDS if swept else 1
         scenes = [*scenes, *(room_scene(seed, thirds) for seed in seeds(settings.rooms, "rooms"))]
     scenes = [*scenes, *settings.scenes]
     if not scenes:
@@ -199,7 +199,7 @@ def _write(
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
         times.append((result.method, scene, result.times))
-        build = {"build_seconds": made.costs[scene].seconds}
+        build = {"build_seconds": made.built_in(scene, result.method)}
         # Results that a store has from an earlier version say nothing of it.
         costs += [{**row, **build} for row in ref.meta.get("costs", ())]
     rows = [row for result in results for row in result.rows]
@@ -223,7 +223,9 @@ def _write(
         took = Times(made.stages, times, host, made.machines, costs_of(costs), cases)
         stored = store.get(made.report)
         forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
-        report = with_times(Report(*forms), took, rows)
+        novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
+                 for r in results if "psnr" in r.scene_metrics]  # fmt: skip
+        report = with_times(Report(*forms), took, rows, novel)
         files["report.html"], files["report.md"] = report.html.encode(), report.markdown.encode()
         files["times.json"] = _json(took.as_json())
     for name in LEFT:
@@ -266,8 +268,9 @@ class _Made:
     """What the flow made.
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
-    ``others`` by method those of baselines, ``truths`` what they were scored against, ``lost``
-    what lost ours, and ``costs`` what their fields cost. ``stages`` says what each stage took when
+    ``others`` by method those of baselines and of other settings, ``truths`` what they were scored
+    against, ``lost`` what lost ours, and ``costs`` what their fields cost; ``swept`` what the
+    fields of other settings cost, by scene and method. ``stages`` says what each stage took when
     its artifacts were made, which for cached ones is long ago, and ``machines`` on which
     processors, with the number of artifacts. ``hard_cases`` are those of this
     machine, and ``outcomes`` have all that was made.
@@ -285,8 +288,13 @@ class _Made:
     machines: dict[str, int]
     manifest: dict[str, Any]
     outcomes: list[Outcome]
+    swept: dict[tuple[str, str], Cost]
     report: ArtifactRef | None = None
     hard_cases: ArtifactRef | None = None
+
+    def built_in(self, scene: str, method: str) -> float:
+        """Return the seconds in which the field of a scene was built that a method asks."""
+        return self.swept.get((scene, method), self.costs[scene]).seconds
 
     def results(self) -> Iterator[tuple[str, ArtifactRef]]:
         """All results with their scene, ours first in each."""
@@ -298,7 +306,11 @@ class _Made:
 
 @job_flow("slgaussian")
 def score(
-    pool: WorkerPool, settings: Settings, scenes: Sequence[SceneSettings], progress: Progress
+    pool: WorkerPool,
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    variants: Sequence[Combination],
+    progress: Progress,
 ) -> _Made:
     """Take all scenes down their road, have the baselines asked the same, and make the report."""
     method = settings.built_by
@@ -311,7 +323,15 @@ def score(
         with Progress(len(others), 1, progress.verbose, unit="answers") as course:
             more = work_through_all(others, pool, course)
         course.summary()
-    made = _gathered(settings, scenes, outcome, more)
+    rest = Outcome()
+    through = [scene for scene in scenes if scene.name in outcome.refs]
+    jobs_by, refused = sweep_jobs(variants, through)
+    if jobs_by:
+        with Progress(len(jobs_by), SWEPT, progress.verbose, unit="settings") as course:
+            rest = work_through_all(list(jobs_by.values()), pool, course)
+        course.summary()
+    rest.failures += refused
+    made = _gathered(settings, scenes, variants, outcome, more, rest)
     if made.answers:
         last = [_report_job(made), Job("this machine", check_numerics, (), "numerics")]
         with Progress(len(last), 1, progress.verbose, unit="last jobs") as course:
@@ -324,7 +344,12 @@ def score(
 
 
 def _gathered(
-    settings: Settings, scenes: Sequence[SceneSettings], outcome: Outcome, more: Outcome
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    variants: Sequence[Combination],
+    outcome: Outcome,
+    more: Outcome,
+    rest: Outcome,
 ) -> _Made:
     through = [scene.name for scene in scenes if scene.name in outcome.refs]
     rows = chosen_baselines(settings.against)
@@ -336,6 +361,12 @@ def _gathered(
         }
         for scene in through
     }
+    swept = {
+        (scene, one.name): rest.refs[called]
+        for scene in through
+        for one in variants
+        if (called := baseline_job_name(scene, one.name)) in rest.refs
+    }
     costs = {
         stage.name: StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
         for stage in STAGES
@@ -345,6 +376,8 @@ def _gathered(
         own = (ref.meta for by_method in others.values() for ref in by_method.values())
         costs[baselines.name] = StageCost.of(own)
         stages.append(baselines)
+    for (scene, method), refs in swept.items():
+        others[scene][method] = refs["benchmark"]
     begun = outcome.begun | outcome.refs
     fields = {
         scene.name: begun[scene.name]["field"]
@@ -358,11 +391,12 @@ def _gathered(
         {scene: outcome.refs[scene]["truth"] for scene in through},
         {scene: outcome.refs[scene]["attribution"] for scene in through},
         {scene: _cost(outcome.refs[scene]) for scene in through},
-        [*outcome.failures, *more.failures],
+        [*outcome.failures, *more.failures, *rest.failures],
         costs,
-        _machines(outcome, more),
-        manifest(settings, scenes, stages, outcome.refs, rows),
-        [outcome, more],
+        _machines(outcome, more, rest),
+        manifest(settings, scenes, stages, outcome.refs, rows | {v.name: v.row for v in variants}),
+        [outcome, more, rest],
+        {names: _cost(refs) for names, refs in swept.items()},
     )
 
 

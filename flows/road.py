@@ -16,7 +16,6 @@ from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.kernels import threads
 from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactRef
-from tasks.agreement import agreement
 from tasks.attribution import attribution
 from tasks.baselines import baselines
 from tasks.benchmark import benchmark
@@ -40,29 +39,12 @@ def score_scene(
     settings: EvaluationSettings,
 ) -> None:
     """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
-    made = _answered(photographs, labels, method, trust_cameras, settings)
+    made = answer_scene(photographs, labels, method, trust_cameras, settings)
     # What is asked without truth can be no miss.
     attribution(*made, method, replace(settings, queries=()))
 
 
-def weigh_settings(
-    photographs: Photographs,
-    labels: Labels,
-    method: Method,
-    trust_cameras: bool,
-    settings: EvaluationSettings,
-    reference: Mapping[str, ArtifactRef] | None = None,
-) -> None:
-    """Build the field of a scene and ask it, and see how far it agrees with that of a reference.
-
-    ``reference`` has what the stages made of the same scene with other settings.
-    """
-    *_, built = _answered(photographs, labels, method, trust_cameras, settings)
-    if reference is not None:
-        agreement(reference["ingest"], reference["field"], built)
-
-
-def _answered(
+def answer_scene(
     photographs: Photographs,
     labels: Labels,
     method: Method,

@@ -80,17 +80,6 @@ def _parse_count(value: Any) -> Any:
     raise PydanticCustomError("count", "expected a whole number or 'auto'")
 
 
-def _parse_views(value: Any) -> Any:
-    """Numbers in ascending order, of a list or of text with commas between."""
-    try:
-        found = sorted(map(int, value.split(",") if isinstance(value, str) else value))
-    except (TypeError, ValueError):
-        found = []
-    if not found or found[0] < 2 or len(set(found)) < len(found):
-        raise PydanticCustomError("views", "expected different numbers from 2, as 2,3,4,6,8")
-    return tuple(found)
-
-
 RUNNERS = ("threads", "processes", "dask", "ray")
 """Who may do the work of a flow."""
 
@@ -193,9 +182,8 @@ def files_of(*kinds: str) -> tuple[str, ...]:
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. `slgaussian tradeoffs` weighs them against others, and
-`docs/measured/tradeoffs.md` states the rules of the first two. The last is what the
-paper prints, see `docs/reference/paper.md`."""
+"""Named settings, each a file in `presets`. The last is what the paper prints, see
+`docs/reference/paper.md`."""
 
 PARTS = set(KINDS)
 """The settings that name a part of the method."""
@@ -409,12 +397,13 @@ class Settings(Engine, Method):
     rooms: str | None = Field(
         None, description="Made-up rooms to score as well, by their seeds: FIRST-LAST."
     )
-    views: Annotated[tuple[int, ...], BeforeValidator(_parse_views)] | None = Field(
-        None,
-        description="Numbers of context views to compare, as 2,3,4,6,8.",
-    )
     against: list[str] = Field(
         [], description="Other methods to score in the same run, by name, or all but slow ones."
+    )
+    sweep: list[str] = Field(
+        [],
+        description="Settings to compare in the same run: FIELD=a,b,c, of the method's settings, "
+        "views or preset; several are combined.",
     )
     scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
 
@@ -449,7 +438,7 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
 
 def _validated(values: dict[str, Any], source: str) -> Settings:
     if values.get("preset") is not None:
-        values = over_preset(values["preset"], values, source)
+        values = layered(preset_values(values["preset"], source), values)
     settings = checked(Settings, values, source)
     names = [scene.name for scene in settings.scenes]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -490,11 +479,11 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
     values = anchored(values, path.resolve().parent)
-    return _layered(values, overrides)
+    return layered(values, overrides)
 
 
-def over_preset(preset: Any, values: dict[str, Any], source: str) -> dict[str, Any]:
-    """The settings of the named preset, and over them, key by key of a part's table, ``values``.
+def preset_values(preset: Any, source: str) -> dict[str, Any]:
+    """Return the settings of the named preset.
 
     Raises
     ------
@@ -507,10 +496,11 @@ def over_preset(preset: Any, values: dict[str, Any], source: str) -> dict[str, A
             f"{did_you_mean(preset, PRESETS)}"
         )
     file = Path(__file__).parent / "presets" / f"{preset}.toml"
-    return _layered(tomllib.loads(file.read_text("utf-8")), values)
+    return tomllib.loads(file.read_text("utf-8"))
 
 
-def _layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return ``under`` with the values of ``over``, of a part's table key by key."""
     tables = {
         name: {**under[name], **over[name]}
         for name in TABLES

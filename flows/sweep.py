@@ -1,115 +1,166 @@
-"""The settings that trade accuracy for time, each as the options that make it.
+"""Combinations of settings that a benchmark compares, each a method of the one report.
 
-One setting is changed at a time from those that the user gave, then a few together, and the
-presets. What a changed setting does not touch is found in the store.
+``FIELD=a,b,c`` names a setting and its values; several of them are multiplied out. What a changed
+setting does not touch is read from the store.
 """
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
-from flows.settings import TABLES, Settings, make_settings
-from slgaussian.errors import InputError
-
-GIVEN, SEED = "as given", "seed"
-"""The factors of the row that all others are compared with, and of those that show the noise."""
-
-SMALL, MIDDLE, LARGE = (f"at most {size}" for size in ("208x288", "312x432", "624x864"))
-CANDIDATES = "depth_candidates"
-TOGETHER: tuple[tuple[str, int | None], ...] = (
-    (SMALL, 32),
-    (SMALL, 64),
-    (MIDDLE, None),
-    (LARGE, 216),
+from flows.jobs import baseline_job_name, evaluation, labels, photographs
+from flows.road import answer_scene
+from flows.runners.shard import Failure, Job
+from flows.settings import (
+    TABLES,
+    MethodSettings,
+    SceneSettings,
+    Settings,
+    checked,
+    layered,
+    preset_values,
+    refuse_idle,
 )
-"""Sizes and depth candidates that are also tried together, without codes."""
+from slgaussian import datasets
+from slgaussian.benchmark.baselines import Row
+from slgaussian.datasets import further
+from slgaussian.errors import InputError, did_you_mean
+
+VIEWS, PRESET = "views", "preset"
+"""Fields beside the method's settings: the number of context views, and named settings."""
 
 
 @dataclass(frozen=True)
-class Variant:
-    """A row of the sweep: what is changed, in words, and all settings that are not the defaults."""
+class Combination:
+    """A run's settings with some fields changed.
 
-    factor: str
-    name: str
-    values: Mapping[str, Any] = field(default_factory=dict)
+    Attributes
+    ----------
+    settings : Settings
+    fields : {field: value as text}
+    views : int or None
+        Number of context views, at least 2; None for those of each scene.
+    """
+
+    settings: Settings
+    fields: Mapping[str, str]
+    views: int | None = None
 
     @property
-    def options(self) -> str:
-        """The options of a command that make it, as they can be pasted."""
-        words = []
-        for key, value in self.values.items():
-            if key in TABLES:
-                words += [word for k, v in value.items() for word in (_option(key, k), str(v))]
-            else:
-                words += [_option(key), str(value)]
-        return shlex.join(words)
+    def name(self) -> str:
+        """Name of its method in the report."""
+        changed = ", ".join(f"{key.rpartition('.')[2]}={v}" for key, v in self.fields.items())
+        return f"{self.settings.method}, {changed}"
+
+    @property
+    def row(self) -> Row:
+        """Its row in the table of methods."""
+        return Row(self.settings.method, "the field, with other settings", dict(self.fields), {},
+                   variant=True)  # fmt: skip
+
+    def of(self, scene: SceneSettings) -> SceneSettings:
+        """Return the scene with as many context views as this asks for.
+
+        Raises
+        ------
+        InputError
+            If it has no targets, or not so many views around them.
+        """
+        if self.views is None:
+            return scene
+        if not scene.targets:
+            raise InputError(f"scene {scene.name!r}: has no targets to compare numbers of views at")
+        paths = [] if scene.path is None else [scene.path]
+        known = datasets.load(scene.format, *paths, **scene.options)
+        context = further.context_of(known, scene.context, scene.targets, self.views)
+        return scene.model_copy(update={"context": list(context)})
 
 
-def _option(*path: str) -> str:
-    return f"--{'-'.join(path).replace('_', '-')}"
+def combinations(settings: Settings) -> list[Combination]:
+    """Return each combination of the values that ``settings.sweep`` names.
 
-
-def _changes() -> Iterator[Variant]:
-    """All that is tried, from the defaults."""
-    for size in (SMALL, MIDDLE, LARGE):
-        yield Variant("size", size, {"size": size})
-    for most in (32, 64, 216):
-        own = {"planesweep": {CANDIDATES: most}}
-        yield Variant("depth candidates", f"at most {most}", own)
-    yield Variant("Gaussians", "all", {"keep": "all"})
-    yield Variant("replicas", "1", {"replicas": 1})
-    yield Variant("tracker", "flow", {"tracker": "flow"})
-    for codes in ("exact", "grid"):
-        yield Variant("codes", codes, {"codes": codes})
-    yield Variant("lifting", "filled", {"lifting": "filled"})
-    yield Variant("bank", "objects", {"bank": "objects"})
-    for preset in ("fast", "paper"):
-        yield Variant("preset", preset, {"preset": preset})
-    for size, depths in TOGETHER:
-        both = {} if depths is None else {"planesweep": {CANDIDATES: depths}}
-        told = f"{size}, exact" + ("" if depths is None else f", {depths} depths")
-        yield Variant("together", told, {"size": size, "codes": "exact", **both})
-
-
-def variants(given: Mapping[str, Any], seeds: int) -> list[tuple[Variant, Settings]]:
-    """What is tried on top of the settings that were given, those themselves first.
-
-    ``seeds`` more rows change the seed alone. What is the same as an earlier row, or does not go
-    with what was given, is left out.
+    One that is the run itself is left out.
 
     Raises
     ------
     InputError
-        If what was given is wrong.
+        If a field is unknown or named twice, or a value does not fit.
     """
-    first = make_settings(dict(given), "tradeoffs")
-    found = [(Variant(GIVEN, GIVEN, given), first)]
-    known = [_built(first)]
-    noise = (
-        Variant(SEED, str(first.seed + k), {"seed": first.seed + k}) for k in range(1, seeds + 1)
-    )
-    for one in (*_changes(), *noise):
-        try:
-            values = _over(given, one.values)
-            settings = make_settings(values, "tradeoffs")
-        except InputError:  # as the depths of a predictor that was not chosen
-            continue
-        if (built := _built(settings)) not in known:
-            known.append(built)
-            found.append((Variant(one.factor, one.name, values), settings))
-    return found
+    axes = [_axis(text) for text in settings.sweep]
+    names = [name for name, _ in axes]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"sweep: {name!r} is named twice; give all its values at once")
+    made = []
+    for values in product(*(values for _, values in axes)):
+        fields = dict(zip(names, values, strict=True))
+        one = _combination(settings, fields)
+        if one.views is not None or _outcome(one.settings) != _outcome(settings):
+            made.append(one)
+    return made if axes else []
 
 
-def _over(given: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(given)
-    for key, value in values.items():
-        merged[key] = {**merged.get(key, {}), **value} if key in TABLES else value
-    return merged
+def sweep_jobs(
+    variants: Sequence[Combination], scenes: Sequence[SceneSettings]
+) -> tuple[dict[tuple[str, str], Job], list[Failure]]:
+    """Return a job for each scene and combination, by both names, and what cannot be tried."""
+    jobs, failures = {}, []
+    for one in variants:
+        for scene in scenes:
+            called = baseline_job_name(scene.name, one.name)
+            try:
+                changed = one.of(scene)
+            except InputError as error:
+                failures.append(Failure(called, VIEWS, type(error).__name__, str(error)))
+                continue
+            asked = replace(evaluation(one.settings, scene), method=one.name, drawn=False)
+            read = photographs(one.settings, changed), labels(changed), one.settings.built_by
+            arguments = *read, one.settings.trust_cameras, asked
+            jobs[scene.name, one.name] = Job(called, answer_scene, arguments)
+    return jobs, failures
 
 
-def _built(settings: Settings) -> tuple[Any, ...]:
-    """What answers depend on."""
-    return settings.size, repr(settings.identity), tuple(sorted(settings.rules().items(), key=str))
+def _axis(text: str) -> tuple[str, list[str]]:
+    field, mark, values = text.partition("=")
+    field, listed = field.strip().replace("-", "_"), [value.strip() for value in values.split(",")]
+    if not mark or not field or "" in listed or len(set(listed)) < len(listed):
+        raise InputError(
+            f"sweep: found {text!r}, expected FIELD=a,b,c with different values, as "
+            "planesweep.depth_candidates=32,64 or views=2,3"
+        )
+    return field, listed
+
+
+def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
+    changes: dict[str, Any] = {}
+    views = None
+    for field, value in fields.items():
+        table, dot, key = field.partition(".")
+        if field == VIEWS:
+            if not value.isdecimal() or int(value) < 2:
+                raise InputError(f"sweep: views: found {value!r}, expected a number from 2")
+            views = int(value)
+        elif field == PRESET:
+            changes = layered(changes, preset_values(value, "sweep"))
+        elif dot and table in TABLES:
+            changes = layered(changes, {table: {**changes.get(table, {}), key: value}})
+        elif field in MethodSettings.model_fields:
+            changes[field] = value
+        else:
+            known = (VIEWS, PRESET, *MethodSettings.model_fields, *(f"{t}." for t in TABLES))
+            raise InputError(
+                f"sweep: found no setting {field!r}{did_you_mean(field, known)}; expected one of "
+                f"the method's, as in a configuration file, or views or preset"
+            )
+    base = settings.model_dump()
+    changed = checked(Settings, layered(base, changes), "sweep")
+    refuse_idle(changes, changed, "sweep")
+    return Combination(changed, fields, views)
+
+
+def _outcome(settings: Settings) -> tuple[Any, ...]:
+    """Return what answers depend on."""
+    return settings.size, repr(settings.identity), sorted(settings.rules().items(), key=str)

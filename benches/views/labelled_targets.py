@@ -3,7 +3,7 @@
     python -m benches.views.labelled_targets DATA [--views 2,4]
 
 DATA holds ``office`` (labelled pairs of a walk), ``office_walk`` (the walk's other frames, in the
-same world) and ``places``. Further context views are chosen by ``slgaussian benchmark --views``:
+same world) and ``places``. Further context views are chosen by ``slgaussian benchmark --sweep``:
 those of an office pair from the frames of both folders, those of a place from its photographs,
 where it has enough. Everything is at its default.
 """
@@ -23,10 +23,11 @@ from benches.common.photograph_pairs import data_folder
 from benches.common.process_cost import CLI, costing
 from benches.views.built_fields import Row, whole_numbers
 from benches.views.spread import places
+from slgaussian.benchmark.scores import scene_means
 
 NUMBERS = (2, 4)
 SETS = ("office", "places")
-SCORES = ("iou", "miou", "hit_mask", "psnr")
+SCORES = ("iou", "miou", "hit_mask")
 
 
 def office(data: Path, numbers: Sequence[int]) -> Iterator[Row]:
@@ -62,10 +63,16 @@ def scored(folder: Path, labels: Path, numbers: Sequence[int], of: str) -> Itera
     """The rows that the benchmark leaves of a labelled folder, marked with what they are of."""
     with tempfile.TemporaryDirectory() as out:
         words = ["benchmark", "--data", folder, "--pairs", folder / "pairs.json"]
-        words += ["--labels", labels, "--views", ",".join(map(str, numbers))]
+        words += ["--labels", labels, "--sweep", f"views={','.join(map(str, numbers))}"]
         costing([*CLI, *words, "-o", f"{out}/out", "--store", f"{out}/store"], status=(0, 1))
-        for row in pq.read_table(f"{out}/out/view_counts.parquet").to_pylist():
-            yield {"set": of} | {name: row[name] for name in ("scene", "views", *SCORES)}
+        samples: dict[tuple[str, str], list[Row]] = {}
+        for row in pq.read_table(f"{out}/out/samples.parquet").to_pylist():
+            if row["protocol"].startswith("slgaussian@") and "=" in row["method"]:
+                samples.setdefault((row["scene"], row["method"]), []).append(row)
+        for (scene, method), own in samples.items():
+            means = scene_means(own)
+            found = {name: means[name] for name in SCORES}
+            yield {"set": of, "scene": scene, "views": int(method.rpartition("=")[2])} | found
 
 
 def summary_table(rows: Sequence[Row], numbers: Sequence[int]) -> str:
@@ -92,7 +99,6 @@ def summary_table(rows: Sequence[Row], numbers: Sequence[int]) -> str:
         "worst": ("worst", "+.3f"),
         "miou": ("mIoU", ".3f"),
         "hit_mask": ("point in mask", ".2f"),
-        "psnr": ("PSNR", ".1f"),
     }
     return table(lines, columns)
 

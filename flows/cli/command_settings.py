@@ -61,7 +61,6 @@ DATASET: Names = (
     "shard_mb", "near", "far", "trust_cameras", *LABEL, "encoder", "codes", "bank", "replicas",
     "seed", _tables(*LABEL, "encoder", "codes"), *(name for name in INGEST if name != "most"),
 )  # fmt: skip
-WEIGH = ("seconds", "memory", "error", "seeds")
 TRAIN = (
     "steps", "batch", "rate", "corrupted", "held_out", "widths", "hidden", "device", "threads",
     "readers", "codes", "seed",
@@ -76,14 +75,12 @@ COMMON = {
         "pairs",
         "labels",
         "rooms",
-        "views",
         "preset",
         "encoder",
         "seed",
         *ENGINE,
     ),
     "run": ("preset", "seed", *ENGINE),
-    "tradeoffs": (*WEIGH[:3], "data", "pairs", "labels", "rooms", "store"),
     "pairs": ("format", "min_overlap", "max_overlap", "min_baseline", "max_baseline"),
     "field": ("preset", "size", *PARTS),
     "masks": ("preset", "size", *PARTS[:3], "replicas"),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from flows.cli.posing import view_of
-from flows.settings import SceneSettings
+from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import recognise
@@ -15,6 +16,21 @@ from slgaussian.things import COMMON_THINGS
 
 CAMERAS = ("nerfstudio", "colmap", "llff")
 """Formats of cameras that are read beside photographs."""
+
+
+def with_photographs(settings: Settings, photos: Sequence[str], cameras: Path | None) -> Settings:
+    """Return the settings with a scene of one's own photographs, and say which one is held out.
+
+    Raises
+    ------
+    InputError
+        As :func:`own_scene`, or if cameras are given alone.
+    """
+    if not photos:
+        raise InputError("--cameras: is given without photographs; name them, or leave it out")
+    scene, message = own_scene(photos, cameras)
+    print(message, file=sys.stderr)
+    return settings.model_copy(update={"scenes": [*settings.scenes, scene]})
 
 
 def own_scene(photos: Sequence[str], cameras: Path | None) -> tuple[SceneSettings, str]:
@@ -82,7 +98,4 @@ def held_out(names: Sequence[str], middle: bool) -> tuple[list[str], list[str]]:
 def _said(targets: Sequence[str]) -> str:
     if targets:
         return f"{targets[0]} is held out: it shows the error of a new view"
-    return (
-        "of two photographs none is held out: settings are judged by how far they agree with those "
-        "given; add a third from between them"
-    )
+    return "of two photographs none is held out; add a third from between them to see an error"

@@ -12,7 +12,7 @@ import numpy as np
 from flows.cli import kept_views
 from flows.cli.drawings import check_drawing, drawing, write_ids
 from flows.cli.viewpoints import Choice, Viewpoint
-from flows.settings import RULES, TABLES, over_preset
+from flows.settings import RULES, TABLES, layered, preset_values
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.formats import images
@@ -368,7 +368,7 @@ def opened(
     """
     given = settings
     if "preset" in settings:
-        given = over_preset(settings["preset"], dict(settings), "options")
+        given = layered(preset_values(settings["preset"], "options"), dict(settings))
     rules = {name: value for name, value in given.items() if name in RULES}
     Rules(**rules)
     field = SemanticField.load(folder, later=True)

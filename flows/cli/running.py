@@ -13,10 +13,8 @@ def run_and_say(command: str, settings: Any, verbose: bool) -> None:
     """Perform a run, and print its scores, its report and what was left out; 1 if anything was."""
     ahead.begin()
     finished = performed(command, settings, verbose)
-    from flows.cli.tables import scores_tables, view_counts_tables
+    from flows.cli.tables import scores_tables
 
-    if finished.counts:
-        typer.echo(view_counts_tables(finished.counts))
     if finished.results:
         typer.echo(scores_tables(finished.results))
     if finished.report is not None:

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from flows.cli.arguments import Out, Verbose
-from flows.cli.command_settings import COMMON, METHOD, RUN, SCORES, WEIGH
+from flows.cli.command_settings import COMMON, RUN, SCORES
 from flows.cli.help import App
 from flows.cli.options import with_options
-from flows.cli.running import performed, run_and_say
+from flows.cli.running import run_and_say
 
 commands = App()
 
@@ -22,11 +22,25 @@ def _baselines() -> list[str]:
 
 
 @commands.command(rich_help_panel=SCORES)
-@with_options(
-    "data", "pairs", "labels", "format", "rooms", "views", *RUN, common=COMMON["benchmark"]
-)
+@with_options("data", "pairs", "labels", "format", "rooms", *RUN, common=COMMON["benchmark"])
 def benchmark(
     settings: dict,
+    photos: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="PHOTO", help="Photographs without labels, or a folder of them."),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(help="Cameras of the photographs, as `field` takes them; found if left out."),
+    ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="<field=a,b>",
+            help="Compare values of a setting, or numbers of context views, speed against error; "
+            "may be repeated: all combinations.",
+        ),
+    ] = None,
     against: Annotated[
         list[str] | None,
         typer.Option(
@@ -42,19 +56,26 @@ def benchmark(
 
     Builds a field from each scene's context views and asks it in its target views. Leaves a report,
     tables, masks, fields, and failures.parquet. Of an index of RealEstate10K, it scores the clips
-    that are there.
+    that are there. Of three photographs of your own the last is held out, of a folder the middle
+    one, and shows the error of a new view.
 
     \b
     slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
     slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json
-    slgaussian benchmark --rooms 0-19 --views 2,4,8 -o numbers
+    slgaussian benchmark --rooms 0-19 --sweep views=2,3,4 --sweep planesweep.depth_candidates=32,64
+    slgaussian benchmark a.jpg b.jpg c.jpg --sweep preset=fast,paper
     slgaussian benchmark --data office --pairs office/pairs.json \\
         --labels office/labels -o scores
     """
     from flows.settings import make_settings
 
-    given = {**settings, "against": against or [], "out": out}
-    run_and_say("benchmark", make_settings(given, "benchmark"), verbose)
+    given = {**settings, "against": against or [], "sweep": sweep or [], "out": out}
+    made = make_settings(given, "benchmark")
+    if photos or cameras is not None:
+        from flows.cli.own_scene import with_photographs
+
+        made = with_photographs(made, photos or [], cameras)
+    run_and_say("benchmark", made, verbose)
 
 
 def _protocols() -> list[str]:
@@ -158,49 +179,6 @@ def leaderboard(
     from flows.cli.leading import leaderboard as ranked
 
     typer.echo(ranked(results, out))
-
-
-@commands.command(rich_help_panel=SCORES)
-@with_options(
-    *WEIGH, "data", "pairs", "labels", "format", "rooms", "preset", *METHOD, "store",
-    of="flows.tradeoff_settings:TradeoffSettings", common=COMMON["tradeoffs"],
-)  # fmt: skip
-def tradeoffs(
-    settings: dict,
-    photos: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="PHOTO", help="Photographs, a folder of them, or a TOML file as `run` takes it."
-        ),
-    ] = None,
-    cameras: Annotated[
-        Path | None,
-        typer.Option(help="Cameras of the photographs, as `field` takes them; found if left out."),
-    ] = None,
-    out: Out = Path("slg-tradeoffs"),
-    verbose: Verbose = False,
-) -> None:
-    """Weigh speed against error, setting by setting.
-
-    Of three photographs the last is held out, of a folder the middle one, for the error of a new
-    view; labelled data and rooms show that of words. Proposes settings for what is wanted, and
-    leaves a page with plots, and a table. One scene is worked on at a time, as it is timed.
-
-    \b
-    slgaussian tradeoffs a.jpg b.jpg c.jpg
-    slgaussian tradeoffs a.jpg b.jpg c.jpg --seconds 3
-    slgaussian tradeoffs --rooms 0-5 --error 0.3 --memory 100
-    slgaussian tradeoffs --data office --pairs office/pairs.json \\
-        --labels office/labels -o office-settings
-    """
-    from flows.cli.weighing import asked, told
-
-    made = performed("tradeoffs", asked(photos or [], cameras, {**settings, "out": out}), verbose)
-    typer.echo(told(made))
-    if made.failures:
-        typer.echo(f"left out: {len(made.failures)}; see {out / 'failures.parquet'}", err=True)
-    if made.failures or made.proposal.chosen is None:
-        raise typer.Exit(1)
 
 
 @commands.command(rich_help_panel=SCORES)

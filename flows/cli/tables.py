@@ -14,7 +14,6 @@ from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.statistics import LEVEL
 from slgaussian.benchmark.summary import METRICS
 from slgaussian.benchmark.verdict import clip_scores, verdict
-from slgaussian.benchmark.view_counts import Counts
 from slgaussian.semantic.versions import Change, Version, called
 
 
@@ -90,20 +89,6 @@ def _interval(score: Mapping[str, Any] | None, digits: int) -> str:
     if score is None or score["low"] is None:
         return "-"
     return f"{score['low']:.{digits}f}-{score['high']:.{digits}f}"
-
-
-def view_counts_tables(counts: Sequence[Counts]) -> str:
-    """Scores, Gaussians and seconds by the number of context views, a table a data set."""
-    tables = []
-    for found in counts:
-        rows = [[found.dataset, *(c.title for c in found.columns), "Gaussians", "seconds"]]
-        for line in found.lines:
-            cells = (one.value for one in line.cells)
-            cost = f"{line.gaussians:,.0f}", f"{line.seconds:.1f}"
-            rows.append([f"{line.views} views", *cells, *cost])
-        many = "" if found.scenes == 1 else "s"
-        tables.append(f"{aligned(rows)}\nmeans over {found.scenes} scene{many}")
-    return "\n\n".join(tables)
 
 
 SHOWN_GAINS = ("IoU", "mIoU", "Point in mask", "AP")

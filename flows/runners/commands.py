@@ -13,9 +13,8 @@ from slgaussian.storage.store import ArtifactStore
 
 WORK = {
     "demo": "pipeline.run",
-    "benchmark": "by_views.run",
-    "run": "by_views.run",
-    "tradeoffs": "tradeoffs.run",
+    "benchmark": "pipeline.run",
+    "run": "pipeline.run",
     "ingest": "corpus.ingest",
     "supervise": "corpus.supervise",
     "dataset": "dataset.dataset",

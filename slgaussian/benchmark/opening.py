@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from slgaussian.benchmark import pictures, showcase
-from slgaussian.benchmark.baselines import VARIANTS
+from slgaussian.benchmark.baselines import is_variant
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import ALONG_THE_WAY
 from slgaussian.benchmark.pictures import Named
@@ -92,8 +92,8 @@ def compared(others: Sequence[str]) -> str:
     """
     said = []
     for kind, own in (
-        ("other method", [name for name in others if name not in VARIANTS]),
-        ("variant", [name for name in others if name in VARIANTS]),
+        ("other method", [name for name in others if not is_variant(name)]),
+        ("variant", [name for name in others if is_variant(name)]),
     ):
         if own:
             names = f" ({'; '.join(own)})" if len(others) <= SHOWN_METHODS else ""
@@ -247,7 +247,7 @@ def key_numbers(
             low, high = (form.format(factor * mine[end]) for end in ("low", "high"))
             interval = f"{low.removesuffix(' %')} to {high}"
         if by_method:
-            others = by_method.keys() - VARIANTS
+            others = [name for name in by_method if not is_variant(name)]
             best = max((by_method[name] for name in others or by_method),
                        key=lambda score: score["value"])  # fmt: skip
             what = "best other" if others else "best variant"

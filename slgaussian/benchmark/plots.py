@@ -123,10 +123,12 @@ def plot_reliability(found: Mapping[str, Reliability], ours: str) -> str:
     return as_svg(draw)
 
 
-def plot_worth(points: Sequence[tuple[str, float, float]], ours: str, label: str) -> str:
-    """IoU over what it costs, the best of each price joined: the Pareto front.
+def plot_worth(
+    points: Sequence[tuple[str, float, float]], ours: str, label: str, score: str = "IoU"
+) -> str:
+    """Draw a score over its cost, the best of each price joined: the Pareto front.
 
-    ``points`` are (method, IoU, cost); those on the front are named, and all where they are few,
+    ``points`` are (method, score, cost); those on the front are named, and all where they are few,
     but none whose name would lie on another.
     """
 
@@ -142,7 +144,7 @@ def plot_worth(points: Sequence[tuple[str, float, float]], ours: str, label: str
         for method, value, cost in points:
             color, size = (ACCENT, 8) if method == ours else (SOFT, 5.5)
             axes.plot(cost, value, "o", color=color, ms=size, mec="white")
-        axes.set(xscale="log", xlabel=label, ylabel="IoU")
+        axes.set(xscale="log", xlabel=label, ylabel=score)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())

@@ -255,10 +255,16 @@ def render_report(
     return Report(html, template("report.md.j2").render(**common))
 
 
-def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report:
+def with_times(
+    report: Report,
+    times: Times,
+    rows: Sequence[Row] = (),
+    novel: Sequence[tuple[str, str, float]] = (),
+) -> Report:
     """The report of :func:`render_report` with what is true of one run on one machine only.
 
     ``rows`` of the spec ``samples`` are set against the times; those of the first protocol count.
+    ``novel`` has data set, method and PSNR of new views (dB), a scene at a time.
     """
     leading = showcase.leading(rows)
     sizes: dict[str, dict[str, None]] = {}
@@ -272,7 +278,7 @@ def with_times(report: Report, times: Times, rows: Sequence[Row] = ()) -> Report
     shown = {
         "times": times,
         "speeds": times.speeds(),
-        "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.costs),
+        "tradeoffs": tradeoffs(scores, {k: tuple(v) for k, v in sizes.items()}, times.costs, novel),
         "claim": times.claim(),
         "whole": sum(cost.seconds for cost in times.stages.values()) or 1.0,
         "host": flatten(times.host),

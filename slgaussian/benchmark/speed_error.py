@@ -1,11 +1,13 @@
-"""What each method got right against what it cost: a table and two plots for each data set."""
+"""Speed against error: a table and plots of what each method gets right and costs, by data set."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from statistics import fmean
 from typing import Any
 
+from slgaussian.benchmark.baselines import is_swept
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.plots import plot_worth
 
@@ -19,40 +21,62 @@ class Worth:
     Attributes
     ----------
     method : str
-    iou, low, high : float
-        Mean IoU, 0 to 1, and its interval; no interval with a single place.
+    iou, low, high : float or None
+        Mean IoU, 0 to 1, and its interval; no interval with a single place, none without labels.
     hit : float or None
         Share of the points that are on the thing.
+    psnr : float or None
+        Of rendered new views against photographs, dB; without labels it stands for the IoU.
     cost : Cost
     quickest, smallest : bool
-        Whether no other method of a higher or the same IoU answers quicker, or takes less memory:
+        Whether no other method of a higher or the same score answers quicker, or takes less memory:
         the Pareto front.
     """
 
     method: str
-    iou: float
+    iou: float | None
     low: float | None
     high: float | None
     hit: float | None
+    psnr: float | None
     cost: Cost
-    quickest: bool
-    smallest: bool
+    quickest: bool = False
+    smallest: bool = False
+
+    @property
+    def seconds(self) -> float | None:
+        """Seconds of a query in a new view."""
+        return self.cost.view_query
+
+    @property
+    def whole(self) -> float | None:
+        """Seconds from photographs to an answer in a new view."""
+        if self.cost.build is None or self.seconds is None:
+            return None
+        return self.cost.build + self.seconds
 
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """The methods of a data set, best IoU first, the judging sizes, and plots as SVG by caption."""
+    """The methods of a data set, best score first, the judging sizes, and plots as SVG by caption.
+
+    With ``built``, methods have fields of their own, and the time is that of building as well.
+    """
 
     dataset: str
+    built: bool
     sizes: Sequence[str]
     lines: Sequence[Worth]
     plots: Mapping[str, str]
 
 
 def tradeoffs(
-    scores: Sequence[Row], sizes: Mapping[str, Sequence[str]], costs: Sequence[Cost]
+    scores: Sequence[Row],
+    sizes: Mapping[str, Sequence[str]],
+    costs: Sequence[Cost],
+    novel: Sequence[tuple[str, str, float]] = (),
 ) -> list[Tradeoff]:
-    """One a data set of which something is scored and timed.
+    """Set what methods get right against what they cost, a data set at a time.
 
     Parameters
     ----------
@@ -62,42 +86,60 @@ def tradeoffs(
         At which it was judged.
     costs : sequence of Cost
         Of the methods on the data sets, our own first.
+    novel : sequence of (data set, method, float)
+        PSNR of new views, dB, a scene at a time.
     """
-    found = []
-    for dataset in dict.fromkeys(score["dataset"] for score in scores):
-        own = {(s["method"], s["metric"]): s for s in scores if s["dataset"] == dataset}
-        known = [
-            cost
+    made = []
+    for dataset in dict.fromkeys(cost.dataset for cost in costs):
+        by_name = {(s["method"], s["metric"]): s for s in scores if s["dataset"] == dataset}
+        lines = [
+            _worth(cost, by_name, [value for of, method, value in novel
+                                   if (of, method) == (dataset, cost.method)])
             for cost in costs
-            if cost.dataset == dataset and (cost.method, "iou") in own and cost.view_query
-        ]
-        if not known:
+            if cost.dataset == dataset
+        ]  # fmt: skip
+        scored = any(line.iou is not None for line in lines)
+        score = "iou" if scored else "psnr"
+        lines = [line for line in lines if getattr(line, score) is not None and line.seconds]
+        if not lines:
             continue
-        ious = [own[cost.method, "iou"]["value"] for cost in known]
-        quick = front([cost.view_query for cost in known], ious)
-        small = front([cost.grown for cost in known], ious)
-        lines = []
-        for cost, quickest, smallest in zip(known, quick, small, strict=True):
-            iou, hit = own[cost.method, "iou"], own.get((cost.method, "hit_mask"))
-            value, low, high = (iou[name] for name in ("value", "low", "high"))
-            point = None if hit is None else hit["value"]
-            lines.append(Worth(cost.method, value, low, high, point, cost, quickest, smallest))
-        lines.sort(key=lambda line: -line.iou)
-        costs_by = {
-            "seconds of a query in a new view": [(w, w.cost.view_query) for w in lines],
+        built = any(is_swept(line.method) for line in lines)
+        values = [getattr(line, score) for line in lines]
+        times = [line.whole if built else line.seconds for line in lines]
+        quick, small = front(times, values), front([line.cost.grown for line in lines], values)
+        priced = {
+            "seconds from photographs to an answer" if built
+            else "seconds of a query in a new view": times,
             "memory beyond the scene, MB": [
-                (w, w.cost.grown and w.cost.grown / 1e6) for w in lines
+                line.cost.grown and line.cost.grown / 1e6 for line in lines
             ],
-        }
+        }  # fmt: skip
+        title = "IoU" if scored else "PSNR of new views, dB,"
         plots = {}
-        for label, priced in costs_by.items():
-            points = [(worth.method, worth.iou, price) for worth, price in priced if price]
+        for label, prices in priced.items():
+            points = [
+                (line.method, value, price)
+                for line, value, price in zip(lines, values, prices, strict=True)
+                if price
+            ]
             if points:
-                plots[f"IoU over {label}; the line is the front"] = plot_worth(
-                    points, costs[0].method, label
+                plots[f"{title} over {label}; the line is the front"] = plot_worth(
+                    points, costs[0].method, label, title.partition(",")[0]
                 )
-        found.append(Tradeoff(dataset, sizes.get(dataset, ()), lines, plots))
-    return found
+        marked = [
+            replace(line, quickest=one, smallest=other)
+            for line, one, other in zip(lines, quick, small, strict=True)
+        ]
+        marked.sort(key=lambda line: -getattr(line, score))
+        made.append(Tradeoff(dataset, built, sizes.get(dataset, ()), marked, plots))
+    return made
+
+
+def _worth(cost: Cost, scores: Mapping[tuple[str, str], Row], psnrs: Sequence[float]) -> Worth:
+    iou, hit = (scores.get((cost.method, name)) for name in ("iou", "hit_mask"))
+    value, low, high = (None if iou is None else iou[name] for name in ("value", "low", "high"))
+    psnr = fmean(psnrs) if psnrs else None
+    return Worth(cost.method, value, low, high, None if hit is None else hit["value"], psnr, cost)
 
 
 def front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:

@@ -31,7 +31,7 @@ class PlaneSweep:
     depth_candidates : int
         Most depths that are compared, 8 to 512. A pair gets one for each pixel of motion over the
         image, and no more than that; time and memory go with their number. More than the default
-        gain nothing that these are worth (`docs/measured/tradeoffs.md`).
+        gain nothing that these are worth.
     """
 
     near: float | None = None

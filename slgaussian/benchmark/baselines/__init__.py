@@ -158,7 +158,16 @@ ROWS = {
 ROWS |= {name: Row(name, "of another package") for name in brought(GROUP) if name not in ROWS}
 """The table of all methods, in its order."""
 
-VARIANTS = frozenset(name for name, row in ROWS.items() if row.variant)
+
+def is_swept(name: str) -> bool:
+    """Whether a method is the field built with other settings: its name ends in FIELD=VALUE."""
+    return name not in ROWS and "=" in name
+
+
+def is_variant(name: str) -> bool:
+    """Whether a method is the field with a part or a setting changed: no other method."""
+    return ROWS[name].variant if name in ROWS else is_swept(name)
+
 
 PAPER_ABLATION = {
     (False, False, False): "langsplat-like, optimised",

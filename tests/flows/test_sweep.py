@@ -1,0 +1,114 @@
+"""`slgaussian benchmark --sweep`: settings and numbers of views as methods of the one report."""
+
+import json
+
+import pyarrow.parquet as pq
+import pytest
+from command import run, said, save_photographs
+
+from flows import pipeline
+from flows.cli.own_scene import held_out, own_scene
+from flows.settings import make_settings
+from flows.sweep import combinations
+from slgaussian.errors import InputError
+from slgaussian.storage.store import ArtifactStore
+
+pytestmark = pytest.mark.usefixtures("server")
+
+SMALL = {"size": "64x96", "replicas": 1}
+DEPTHS = "planesweep.depth_candidates"
+NAME = "slgaussian, views={}, depth_candidates=16"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory, server):
+    """A room with 2, 3 and more views than it has, and few depths."""
+    folder = tmp_path_factory.mktemp("sweep")
+    values = {"rooms": "0", "out": folder / "out", **SMALL}
+    values["sweep"] = ["views=2,3,40", f"{DEPTHS}=16"]
+    settings = make_settings(values, "test")
+    return folder, settings, pipeline.run(settings, ArtifactStore(folder / "store"))
+
+
+def test_each_combination_is_a_method_that_is_asked_the_same(swept):
+    folder, _, finished = swept
+    samples = pq.read_table(folder / "out" / "samples.parquet").to_pylist()
+    asked = {}
+    for row in samples:
+        asked.setdefault(row["method"], set()).add((row["frame"], row["query"]))
+    assert list(asked) == ["slgaussian", *(NAME.format(v) for v in (2, 3))]
+    assert all(queries == asked["slgaussian"] for queries in asked.values())
+    psnr = [result.scene_metrics["psnr"] for result in finished.results]
+    assert len(set(psnr)) == 3
+    (failure,) = finished.failures
+    assert failure.scene == f"room_0: {NAME.format(40)}"
+    assert "found 8 context views" in failure.reason
+
+
+def test_what_a_setting_does_not_touch_is_not_made_again(swept):
+    folder, *_ = swept
+    rows = pq.read_table(folder / "out" / "artifacts.parquet").to_pylist()
+    digests = {(row["scene"], row["stage"]): row["digest"] for row in rows}
+    few = f"room_0: {NAME.format(2)}"
+    assert digests[few, "ingest"] == digests["room_0", "ingest"]
+    assert digests[few, "geometry"] != digests["room_0", "geometry"]
+
+
+def test_the_report_sets_scores_against_seconds_from_photographs_to_an_answer(swept):
+    folder, _, finished = swept
+    page = finished.report.read_text("utf-8")
+    assert "over seconds from photographs to an answer" in page
+    assert NAME.format(3) in page
+    assert "2 variants" in page  # of ours, and no other methods
+    rows = pq.read_table(folder / "out" / "times.parquet").to_pylist()
+    assert len({(row["method"], row["build_seconds"]) for row in rows}) == 3
+    manifest = json.loads((folder / "out" / "manifest.json").read_text())
+    assert len(manifest["methods"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("sweep", "sentence"),
+    [
+        (["views=1,2"], "views: found '1', expected a number from 2"),
+        (["views"], "expected FIELD=a,b,c with different values"),
+        ([f"{DEPTHS}=16,16"], "expected FIELD=a,b,c with different values"),
+        ([f"{DEPTHS}=16", f"{DEPTHS}=32"], "is named twice"),
+        (["replica=1"], "found no setting 'replica'; did you mean 'replicas'"),
+        (["replicas=many"], "replicas: found 'many'"),
+        (["mvsplat.depth_candidates=32"], "no part is 'mvsplat'"),
+        (["preset=quick"], "preset: found 'quick'"),
+    ],
+)
+def test_what_cannot_be_swept_is_one_sentence(sweep, sentence):
+    settings = make_settings({"rooms": "0", "sweep": sweep, **SMALL}, "test")
+    with pytest.raises(InputError) as error:
+        combinations(settings)
+    assert sentence in str(error.value)
+
+
+def test_what_is_the_run_itself_is_left_out():
+    values = {"rooms": "0", "sweep": ["replicas=1,5", "keep=needed,all"]}
+    names = [one.name for one in combinations(make_settings(values, "test"))]
+    assert "slgaussian, replicas=5, keep=needed" not in names and len(names) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "middle", "context", "targets"),
+    [
+        ("ab", False, "ab", ""),
+        ("abc", False, "ab", "c"),
+        ("abcd", True, "abd", "c"),
+    ],
+)
+def test_which_photograph_is_held_out(names, middle, context, targets):
+    assert held_out(names, middle) == (list(context), list(targets))
+
+
+def test_photographs_of_ones_own_are_a_scene(monkeypatch, capsys, tmp_path):
+    folder = save_photographs(tmp_path)
+    photos = [folder / f"view_0{k}.png" for k in (0, 2)]
+    scene, message = own_scene([str(photo) for photo in photos], folder)
+    assert scene.targets == [] and "add a third" in message
+    words = ["benchmark", "--cameras", folder / "transforms.json", "-o", tmp_path / "out"]
+    assert run(monkeypatch, *words) == 2
+    assert "is given without photographs" in said(capsys)
