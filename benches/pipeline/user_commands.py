@@ -29,6 +29,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -491,7 +492,7 @@ def main() -> None:
     record = commands.add_parser("record", help="run everything, and write a recording")
     record.add_argument("work", type=Path, help="an empty folder for all files")
     record.add_argument("out", type=Path, help="the recording, JSON")
-    record.add_argument("--data", type=Path, help="folder with office and office_walk")
+    record.add_argument("--data", type=data_folder("office/pairs.json", "office_walk"))
     record.add_argument("--program", nargs="+", help="a program that is installed already")
     record.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS))
     diff = commands.add_parser("diff", help="list the differences of two recordings")

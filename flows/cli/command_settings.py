@@ -76,8 +76,6 @@ COMMON = {
         "labels",
         "rooms",
         "preset",
-        "encoder",
-        "seed",
         *ENGINE,
     ),
     "run": ("preset", "seed", *ENGINE),

@@ -27,18 +27,17 @@ def benchmark(
     settings: dict,
     photos: Annotated[
         list[str] | None,
-        typer.Argument(metavar="PHOTO", help="Photographs without labels, or a folder of them."),
+        typer.Argument(metavar="PHOTO", help="Photographs without labels, or a folder."),
     ] = None,
     cameras: Annotated[
         Path | None,
-        typer.Option(help="Cameras of the photographs, as `field` takes them; found if left out."),
+        typer.Option(help="Their cameras; found if left out."),
     ] = None,
     sweep: Annotated[
         list[str] | None,
         typer.Option(
             metavar="<field=a,b>",
-            help="Compare values of a setting, or numbers of context views, speed against error; "
-            "may be repeated: all combinations.",
+            help="Compare settings, or numbers of views; may be repeated: all combinations.",
         ),
     ] = None,
     against: Annotated[
@@ -55,13 +54,10 @@ def benchmark(
     """Score the method, and others, on a labelled set.
 
     Builds a field from each scene's context views and asks it in its target views. Leaves a report,
-    tables, masks, fields, and failures.parquet. Of an index of RealEstate10K, it scores the clips
-    that are there. Of three photographs of your own the last is held out, of a folder the middle
-    one, and shows the error of a new view.
+    tables, masks, fields, and failures.parquet. One of three photographs of your own is held out.
 
     \b
     slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
-    slgaussian benchmark --data re10k/test --pairs evaluation_index_re10k.json
     slgaussian benchmark --rooms 0-19 --sweep views=2,3,4 --sweep planesweep.depth_candidates=32,64
     slgaussian benchmark a.jpg b.jpg c.jpg --sweep preset=fast,paper
     slgaussian benchmark --data office --pairs office/pairs.json \\
