@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import update_wrapper
 from typing import Any, TypeVar
 
 from prefect import Task
@@ -98,6 +99,8 @@ def at(site: Worksite) -> Iterator[None]:
 class Stage:
     """A function from small arguments to one artifact, as a Prefect task; made by :func:`stage`.
 
+    It goes to workers by its name, as a function does.
+
     It is called with all parameters of the function but the first, which is the
     :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
     method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
@@ -112,8 +115,8 @@ class Stage:
     def __init__(
         self, work: Callable[..., ArtifactRef], name: str, version: int, unkeyed: Collection[str]
     ) -> None:
+        update_wrapper(self, work)
         self.work, self.name, self.version, self.unkeyed = work, name, version, unkeyed
-        self.__doc__ = work.__doc__
         self.signature = inspect.signature(work)
         self.task = Task(
             self._found_or_made,
@@ -122,6 +125,9 @@ class Stage:
             cache_policy=NO_CACHE,
             persist_result=False,
         )
+
+    def __reduce__(self) -> str:
+        return self.__qualname__
 
     def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
         """What the function makes of these arguments, now or in an earlier run.

@@ -165,10 +165,11 @@ class Progress:
             self.total -= self.stages - self.left_out[scene]
             self.say_failed(told, trace)
 
-    def died(self, why: str, scenes: Sequence[str]) -> None:
-        """A worker died, with all that it had not told of these scenes."""
-        told = f"a worker died ({why}); its scenes are tried again"
-        log(logging.WARNING, "worker_died", told, reason=why, scenes=list(scenes))
+    def lost(self, died: bool, how: str, scenes: Sequence[str]) -> None:
+        """A worker ``died`` or raised an error, with all that it had not told of these scenes."""
+        told = f"a worker {how}; its scenes are tried again"
+        event = "worker_died" if died else "worker_raised"
+        log(logging.WARNING, event, told, reason=how, scenes=list(scenes))
         with self.lock:
             self.display.line(told)
 

@@ -7,6 +7,7 @@ small, plain and picklable; what is large goes through the store.
 from __future__ import annotations
 
 import os
+import pickle
 import time
 import traceback
 import urllib.request
@@ -107,14 +108,28 @@ class StoppedError(SLGaussianError):
     """The run is to end: raised by a listener, it ends the shard."""
 
 
+@dataclass(frozen=True)
 class Order:
-    """What a worker is asked to do; a plain object, which no task runner looks for futures in."""
+    """What a worker is asked to do.
 
-    def __init__(self, root: str, jobs: Sequence[Job], workers: int, seconds: float) -> None:
-        self.root, self.jobs, self.workers, self.seconds = root, jobs, workers, seconds
+    Attributes
+    ----------
+    root : str
+        The store, as :class:`~slgaussian.storage.store.ArtifactStore` takes it.
+    jobs : sequence of Job
+    workers : int
+        How many shards are worked on at the same time on this machine.
+    seconds : float
+        After so long no other job is begun.
+    """
+
+    root: str
+    jobs: Sequence[Job]
+    workers: int
+    seconds: float
 
 
-def work_through(order: Order) -> Shard:
+def work_through(pickled: bytes) -> Shard:
     """Take the jobs of an order down their roads, one after the other, until its time is over.
 
     So a shard may have thousands of scenes that are done already and still be a matter of seconds
@@ -122,11 +137,10 @@ def work_through(order: Order) -> Shard:
 
     Parameters
     ----------
-    order : Order
-        ``root`` is the store, as :class:`~slgaussian.storage.store.ArtifactStore` takes it;
-        ``workers`` how many shards are worked on at the same time on this machine; after
-        ``seconds`` no other job is begun.
+    pickled : bytes
+        An :class:`Order`, pickled for threads too: what one runner can send, all can.
     """
+    order: Order = pickle.loads(pickled)
     shard, store = Shard(), ArtifactStore(order.root)
     listener = watching.get() or shard.events.append
     end = time.perf_counter() + order.seconds
@@ -162,7 +176,7 @@ def work_on(
     """The refs of all stages of a job, or of those before the one that failed, and what stopped it.
 
     A damaged artifact that a stage finds is made again, once: the road is taken anew, and what is
-    not damaged is found in the store.
+    not damaged is found in the store. DamagedError if another job made it.
     """
     site = Worksite(store, job.scene, workers, listener, stage=job.first)
     remade: set[str] = set()
@@ -174,11 +188,13 @@ def work_on(
         except StoppedError:
             raise
         except DamagedError as error:
-            if error.uri not in remade and _made_here(error.uri, site.made):
+            if not _made_here(error.uri, site.made):
+                raise
+            if error.uri not in remade:
                 remade.add(error.uri)
                 continue
-            problem: Exception = error
-        except Exception as error:  # whatever it is, the other scenes go on
+            problem: Exception | SystemExit = error
+        except (Exception, SystemExit) as error:  # whatever it is, the other scenes go on
             problem = error
         failure = _failure(job.scene, site.stage, problem)
         known = isinstance(problem, SLGaussianError)
@@ -214,7 +230,7 @@ def answer_roll_call(root: str, probe: str, server: str) -> None:
 roll_call = Task(answer_roll_call, name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 
 
-def _failure(scene: str, stage: str, error: Exception) -> Failure:
+def _failure(scene: str, stage: str, error: Exception | SystemExit) -> Failure:
     reason = " ".join(str(error).split()) or type(error).__name__
     if not isinstance(error, SLGaussianError):
         reason = f"unexpected {type(error).__name__}: {reason}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 import queue
 import threading
 import uuid
@@ -39,7 +40,7 @@ from flows.runners.task_runners import abandon, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, encode_table
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError, encode_table
 from tasks.events import Event, Failed
 
 Made = TypeVar("Made")
@@ -68,6 +69,29 @@ class Outcome:
     refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
     begun: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
+
+
+DEAD = {
+    "BrokenProcessPool",
+    "KilledWorker",
+    "NodeDiedError",
+    "OutOfMemoryError",
+    "WorkerCrashedError",
+}
+"""Errors by which the runners say that a worker died; any other was raised by it."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """How a shard was lost: whether its worker died, or which error it raised."""
+
+    died: bool
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """Of the worker, without its subject."""
+        return f"died ({self.reason})" if self.died else f"raised {self.reason}"
 
 
 class WorkerPool:
@@ -128,7 +152,7 @@ class WorkerPool:
         order = Order(self.store.root, shard, self.workers, LONG)
         try:
             with without_interrupts():
-                future = self.runner.submit(shard_task(order), {"order": order})
+                future = self.runner.submit(shard_task(order), {"pickled": pickle.dumps(order)})
         except Exception as error:  # each runner has its own
             said = one_line(f"{type(error).__name__}: {error}")
             raise SLGaussianError(
@@ -138,18 +162,19 @@ class WorkerPool:
         self.running[future] = self.runner, shard
         future.add_done_callback(self.news.put)
 
-    def next(self) -> list[Event | tuple[list[Job], Shard | str]]:
+    def next(self) -> list[Event | tuple[list[Job], Shard | Lost | DamagedError]]:
         """What happened next: events, and a shard with what was made of it or how it was lost."""
         news = self.news.get()
         if isinstance(news, Event):
             return [news]
         runner, shard = self.running.pop(news)
         made = _result(news)
-        if isinstance(made, str):
-            if runner is self.runner and isinstance(runner, ProcessPoolTaskRunner):
-                self.runner = self.stack.enter_context(runner.duplicate())
-            return [(shard, made)]
-        return [*made.events, (shard, made)]
+        if isinstance(made, Shard):
+            return [*made.events, (shard, made)]
+        died = isinstance(made, Lost) and made.died
+        if died and runner is self.runner and isinstance(runner, ProcessPoolTaskRunner):
+            self.runner = self.stack.enter_context(runner.duplicate())
+        return [(shard, made)]
 
     def _heard(self, event: Event) -> None:
         if self.stop.is_set():
@@ -247,13 +272,20 @@ def work_through_all(jobs: Iterable[Job], pool: WorkerPool, progress: Progress) 
     """Have a pool do all the jobs.
 
     As many shards as it has workers are under way at a time, each with one scene in memory. An
-    error takes only its own scene out. When a worker dies, the jobs of its shard are tried again,
-    each by itself; those that were lost twice with no other beside them, so that it is known which
-    one is to blame.
+    error takes only its own scene out. When a worker dies or raises an error, the jobs of its
+    shard are tried again, each by itself; those that were lost twice with no other beside them, so
+    that it is known which one is to blame.
+
+    Raises
+    ------
+    DamagedError
+        In the end, if a job needs an artifact of another job that is damaged, and is removed.
     """
-    waiting, outcome = deque(jobs), Outcome()
+    outcome = Outcome()
+    waiting: deque[Job] = deque()
     alone: deque[Job] = deque()
     deaths: Counter[str] = Counter()
+    damaged: DamagedError | None = None
 
     def next_shard() -> list[Job]:
         size = min(MOST, len(waiting) // (2 * pool.workers))
@@ -263,18 +295,32 @@ def work_through_all(jobs: Iterable[Job], pool: WorkerPool, progress: Progress) 
             shard.append(waiting.popleft())
         return shard
 
-    def lost(job: Job, why: str) -> None:
-        deaths[job.scene] += 1
-        if deaths[job.scene] == DEATHS:
-            reason = (
-                f"its worker died {DEATHS} times, the last with nothing beside it ({why}); it may "
-                "need more memory than there is: try it with --workers 1"
-            )
-            outcome.failures.append(Failure(job.scene, job.first, "WorkerDied", reason))
-            progress.hear(Failed(job.scene, job.first, reason))
-        else:
-            (waiting if deaths[job.scene] == 1 else alone).append(job)
+    def leave_out(job: Job, kind: str, reason: str) -> None:
+        outcome.failures.append(Failure(job.scene, job.first, kind, reason))
+        progress.hear(Failed(job.scene, job.first, reason))
 
+    def lose(job: Job, loss: Lost) -> None:
+        deaths[job.scene] += 1
+        if deaths[job.scene] < DEATHS:
+            (waiting if deaths[job.scene] == 1 else alone).append(job)
+        elif loss.died:
+            leave_out(
+                job,
+                "WorkerDied",
+                f"its worker died {DEATHS} times, the last with nothing beside it ({loss.reason}); "
+                "it may need more memory than there is: try it with --workers 1",
+            )
+        else:
+            leave_out(job, "WorkerRaised", f"its worker raised {loss.reason}, {DEATHS} times")
+
+    for job in jobs:
+        try:
+            pickle.dumps(job)
+        except Exception as error:  # whatever it holds says why in its own way
+            reason = f"cannot be sent to a worker: unexpected {type(error).__name__}: {error}"
+            leave_out(job, type(error).__name__, one_line(reason))
+        else:
+            waiting.append(job)
     while waiting or alone or pool.busy:
         while waiting and pool.busy < pool.workers:
             pool.submit(next_shard())
@@ -290,24 +336,30 @@ def work_through_all(jobs: Iterable[Job], pool: WorkerPool, progress: Progress) 
                 outcome.failures += made.failures
                 outcome.begun |= made.begun
                 waiting.extendleft(reversed(shard[len(shard) - made.undone :]))
+            elif isinstance(made, DamagedError):
+                damaged = made
             else:
-                progress.died(made, [job.scene for job in shard])
+                progress.lost(made.died, made.sentence, [job.scene for job in shard])
                 for job in shard:
                     progress.dropped(job.scene)
-                    lost(job, made)
+                    lose(job, made)
+    if damaged is not None:
+        raise damaged
     outcome.failures.sort(key=lambda failure: failure.scene)
     return outcome
 
 
-def _result(future: PrefectFuture) -> Shard | str:
-    """What a worker made, or what is known of its end."""
+def _result(future: PrefectFuture) -> Shard | Lost | DamagedError:
+    """What a worker made, the artifact that it needs made again, or what is known of its end."""
     try:
         made = future.result(raise_on_failure=False)
-    except Exception as error:  # each runner has its own
-        made = error
-    if isinstance(made, Shard):
-        return made
-    return last_line(str(made) or type(made).__name__)
+        if isinstance(made, (Shard, DamagedError)):
+            return made
+        text = one_line(str(made))
+    except Exception as error:  # each runner has its own, with the traceback of the worker
+        made, text = error, last_line(str(error))
+    name = type(made).__name__
+    return Lost(True, text or name) if name in DEAD else Lost(False, f"{name}: {text}")
 
 
 def failures_table(failures: Sequence[Failure]) -> pa.Table:

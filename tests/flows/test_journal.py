@@ -23,7 +23,7 @@ def run_one(verbose: bool = False) -> Progress:
         for stage, cached in (("ingest", True), ("masks", False)):
             told.hear(Started("küche\n", stage))
             told.hear(Finished("küche\n", stage, 0.5, cached))
-        told.died("killed", ["hall"])
+        told.lost(True, "died (killed)", ["hall"])
         told.dropped("hall")
         told.hear(Started("hall", "ingest"))
         told.hear(Finished("hall", "ingest", 0.25, False))

@@ -3,12 +3,14 @@
 import importlib.util
 import io
 import json
+import re
 import sys
 import threading
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from command import ROOM, run, save_photographs
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
@@ -17,7 +19,7 @@ from flows.runners.progress import Progress
 from flows.runners.shard import NO_EVENTS, answer_roll_call
 from flows.runners.worker_pool import failures_table
 from flows.settings import make_settings
-from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -137,12 +139,90 @@ def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_pa
     assert log.read_text().count("killer make") == 1
 
 
-@needs["dask"]
-def test_work_that_cannot_be_sent_is_told(tmp_path):
-    """As when the cluster of a run has gone."""
-    plans = {"a": tiny(6, 1, tmp_path / "log", lock=threading.Lock())}
-    with pytest.raises(SLGaussianError, match=r"takes on no more work .*serialize.* goes on"):
-        run_tiny(ArtifactStore(tmp_path / "store"), plans, 1, runner="dask")
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory) -> Path:
+    """A configuration: photographs with a question, and a made-up room with its truth."""
+    folder = tmp_path_factory.mktemp("scenes")
+    save_photographs(folder, 128, 192)
+    names = [f"{name}.png" for name in ROOM["context"]]
+    mine = {"name": "mine", "format": "nerfstudio", "path": ".", "context": names}
+    tables = [{**mine, "queries": ["wall"], "near": 0.8, "far": 12.0}, ROOM]
+    text = 'size = "64x96"\nagainst = ["nearest-view"]\n'
+    for table in tables:
+        rows = (f"{key} = {_toml(value)}\n" for key, value in table.items())
+        text += f"[[scenes]]\n{''.join(rows)}"
+    (folder / "scenes.toml").write_text(text)
+    return folder / "scenes.toml"
+
+
+def _toml(value) -> str:
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key} = {_toml(own)}' for key, own in value.items())}}}"
+    return json.dumps(value)
+
+
+def run_scenes(monkeypatch, scenes: Path, runner: str, workers: int, folder: Path) -> tuple:
+    """What `slgaussian run` left there, but for times: its artifacts, and its files by name."""
+    store, out = ArtifactStore(folder / "store"), folder / "out"
+    words = ["--runner", runner, "--workers", workers, "--store", store.root, "-o", out]
+    assert run(monkeypatch, "run", scenes, *words) == 0
+    timed = {"log.jsonl", "artifacts.parquet", "report.html", "report.md"}
+    files = (p for p in out.rglob("*") if p.is_file() and p.name not in timed)
+    left = {str(p.relative_to(out)): p.read_bytes() for p in files if p.stem != "times"}
+    assert (out / "report.html").is_file()
+    return artifacts(store), left
+
+
+@pytest.fixture(scope="module")
+def reference(server, scenes, tmp_path_factory) -> tuple:
+    """What one thread makes of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        return run_scenes(patch, scenes, "threads", 1, tmp_path_factory.mktemp("reference"))
+
+
+@pytest.mark.parametrize("kind", ["threads", *ANY])
+def test_every_runner_goes_from_photographs_to_the_same_report(
+    kind, clusters, scenes, reference, tmp_path, monkeypatch
+):
+    made, left = run_scenes(monkeypatch, scenes, clusters(kind), 2, tmp_path)
+    known, wanted = reference
+    specs = {name.partition("/")[0] for name in known}
+    assert {"sample", "gaussians", "field", "objects", "scene_result", "report"} <= specs
+    assert made == known
+    assert {"scores.parquet", "samples.csv", "fields/mine/gaussians.npz"} <= wanted.keys()
+    assert any(name.startswith("predictions/") for name in wanted)
+    assert left == wanted
+
+
+class Unreadable:
+    """What can be sent, and not be read by whom it is sent to."""
+
+    def __reduce__(self):
+        return (int, ("no number",))
+
+
+@pytest.mark.parametrize("kind", ["threads", *ANY])
+def test_an_error_of_a_worker_is_told_and_is_no_death(kind, clusters, tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_pool, "DEATHS", 2)
+    log = tmp_path / "log"
+    plans = {
+        "defect": tiny(666, 1, log),
+        "exit": tiny(667, 1, log),
+        "good": tiny(8, 1, log),
+        "lock": tiny(6, 1, log, lock=threading.Lock()),
+        "unreadable": tiny(6, 1, log, what=Unreadable()),
+    }
+    told = Progress(len(plans), 3, stream=io.StringIO())
+    store = ArtifactStore(tmp_path / "store")
+    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=told)
+    assert sorted(outcome.refs) == ["good"]
+    reasons = {failure.scene: failure.reason for failure in outcome.failures}
+    assert reasons["defect"] == "unexpected ZeroDivisionError: a defect"
+    assert reasons["exit"] == "unexpected SystemExit: 3"
+    assert re.fullmatch("cannot be sent to a worker: .*cannot pickle.*lock.*", reasons["lock"])
+    assert reasons["unreadable"].startswith("its worker raised ValueError: invalid literal for int")
+    assert "a worker raised ValueError" in told.display.stream.getvalue()
+    assert "died" not in told.display.stream.getvalue() + str(reasons)
 
 
 @pytest.mark.parametrize("kind", ["dask", "ray"])

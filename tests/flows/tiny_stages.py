@@ -37,6 +37,8 @@ def make(site: Worksite, value: int, where: dict[str, str]) -> ArtifactRef:
         raise InputError(f"value {value}: expected a positive number")
     if value == 666:
         raise ZeroDivisionError("a defect")
+    if value == 667:
+        raise SystemExit(3)
     return site.store.put("labels", labels(value))
 
 
