@@ -20,6 +20,7 @@ from prefect.events import emit_event
 from prefect.flows import EntrypointType
 from prefect.runner import Runner
 from prefect.runtime import deployment
+from prefect.states import Completed, State
 from pydantic import ValidationError
 
 from flows.corpus_settings import read_corpus
@@ -34,10 +35,15 @@ from slgaussian.storage.locks import BusyError
 
 NAME = "slgaussian-nightly"
 
+NAMED = 50
+"""Scenes that a message names at most."""
+
 
 @flow(name=NAME, persist_result=False)
-def nightly(config: str, given: dict[str, Any] | None = None) -> str:
-    """What `slgaussian nightly` does, each time in a process of its own; what it says.
+def nightly(config: str, given: dict[str, Any] | None = None) -> State:
+    """What `slgaussian nightly` does, each time in a process of its own.
+
+    The message of the run's state says what came of it.
 
     What came of it is an event of Prefect's too, ``slgaussian.night.promoted`` for example, which
     automations can wait for. A night that fails fails the run.
@@ -53,25 +59,25 @@ def nightly(config: str, given: dict[str, Any] | None = None) -> str:
     try:
         had = _performed("nightly", lambda: read_night(file, given or {}))
     except BusyError as error:
-        return _said(str(error), ())
+        return _completed(str(error))
     resource = {"prefect.resource.id": f"slgaussian.night.{file.stem}"}
     payload = {"said": list(had.said), "page": str(had.page)}
     emit_event(f"slgaussian.night.{had.outcome.replace(' ', '-')}", resource, payload=payload)
-    return _said(f"{'; '.join(had.said)}; {had.outcome}; page: {had.page}", ())
+    return _completed(f"{'; '.join(had.said)}; {had.outcome}; page: {had.page}")
 
 
 @flow(name="slgaussian-report", persist_result=False)
-def report(config: str, given: dict[str, Any] | None = None) -> str:
+def report(config: str, given: dict[str, Any] | None = None) -> State:
     """What `slgaussian run` does, likewise: a benchmark and its report."""
     made = _performed("run", lambda: read_toml(Path(config), given or {}))
-    return _said(f"report: {made.report}" if made.report else "no report", made.failures)
+    return _completed(f"report: {made.report}" if made.report else "no report", made.failures)
 
 
 @flow(name="slgaussian-supervise", persist_result=False)
-def supervise(config: str, given: dict[str, Any] | None = None) -> str:
+def supervise(config: str, given: dict[str, Any] | None = None) -> State:
     """What `slgaussian supervise` does, likewise: what is new in a corpus is made into lessons."""
     made = _performed("supervise", lambda: read_corpus(Path(config), given or {}))
-    return _said(", ".join(f"{n} {stage}" for stage, n in made.rows.items()), made.failures)
+    return _completed(", ".join(f"{n} {stage}" for stage, n in made.rows.items()), made.failures)
 
 
 def _performed(command: str, read: Callable[[], Any]) -> Any:
@@ -84,10 +90,14 @@ def _performed(command: str, read: Callable[[], Any]) -> Any:
         raise
 
 
-def _said(what: str, failures: Sequence[Failure]) -> str:
-    more = f"; left out: {len(failures)}, the first {failures[0].scene}" if failures else ""
-    print(f"{what}{more}", flush=True)
-    return f"{what}{more}"
+def _completed(message: str, failures: Sequence[Failure] = ()) -> State:
+    """The state of a run that came to an end, whose message names the scenes that it left out."""
+    names = list(dict.fromkeys(failure.scene for failure in failures))
+    if names:
+        more = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
+        message += f"; left out: {', '.join(names[:NAMED])}{more}"
+    print(message, flush=True)
+    return Completed(message=message)
 
 
 def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | None) -> None:

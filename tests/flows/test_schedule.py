@@ -124,10 +124,14 @@ def test_a_report_by_the_clock_is_that_of_the_command(tmp_path, server, capsys):
     config = tmp_path / "report.toml"
     config.write_text('out = "scores"\nstore = "store"\nsize = "64x96"\n')
     lost = {**ROOM, "name": "lost", "options": {"seed": 1, "objects": 4, "views": 1}}
-    said = report(str(config), {"scenes": [{**ROOM, "queries": ["red ball"]}, lost]})
+    away = {**lost, "name": "away"}
+    report(str(config), {"scenes": [{**ROOM, "queries": ["red ball"]}, lost, away]})
     page = tmp_path / "scores" / "report.html"
-    assert page.is_file() and said == f"report: {page}; left out: 1, the first lost"
-    assert said in capsys.readouterr().out
+    message = f"report: {page}; left out: away, lost"
+    assert page.is_file() and message in capsys.readouterr().out
+    which = {"flows": {"name": {"any_": [report.name]}}, "sort": "END_TIME_DESC"}
+    states = [one["state"] for one in asked(server, "flow_runs/filter", which)]
+    assert [s["message"] for s in states if s["type"] == "COMPLETED"] == [message]
     first, *_, last = (tmp_path / "scores" / "log.jsonl").read_text("utf-8").splitlines()
     assert '"command": "run"' in first and '"how": "finished"' in last
 
