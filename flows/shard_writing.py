@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -52,15 +53,15 @@ def write_shards(
 ) -> Written:
     """Bring the shards and the index of a set to hold these samples and no others.
 
-    A shard that is there stays if all of its samples are still wanted as they are. The samples of
-    the others, and new ones, go into new shards in the order of their names, a split each. The
+    A shard that is there stays if it is whole and all of its samples are still wanted. The samples
+    of the others, and new ones, go into new shards in the order of their names, a split each. The
     index is written last, so that it is true at every moment; then what it does not name any more
     is removed.
 
     Raises
     ------
-    SpecError
-        If an artifact is damaged, which is then removed: run again.
+    DamagedError
+        If an artifact is damaged.
     OSError
         If something cannot be written.
     """
@@ -106,16 +107,23 @@ def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str, Finished]) -> bool:
-    """Whether a shard is whole, and all that is in it is wanted as it is."""
-    size = max(row["offset"] + row["bytes"] for row in rows) + len(END)
-    if not file.is_file() or file.stat().st_size != size:
-        return False
-    return all(
+    """Whether all that is in a shard is wanted as it is, and is what the index says."""
+    if not all(
         row["sample"] in wanted
         and row["split"] == wanted[row["sample"]].split
         and row["digest"] == wanted[row["sample"]].ref.meta["sha256"]
         for row in rows
-    )
+    ):
+        return False
+    try:
+        with file.open("rb") as shard:
+            for row in sorted(rows, key=lambda row: row["offset"]):
+                shard.seek(row["offset"])
+                if hashlib.sha256(shard.read(row["bytes"])).hexdigest() != row["digest"]:
+                    return False
+            return shard.read() == END
+    except OSError:
+        return False
 
 
 def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]]:

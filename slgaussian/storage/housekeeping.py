@@ -18,7 +18,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.records import FOLDER, Record, Records
 from slgaussian.storage.remote import troubles
 from slgaussian.storage.specs import spec_names
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, File, address
+from slgaussian.storage.store import ArtifactStore, File, ref_of
 
 Tell = Callable[[str, int, int], None]
 """Called with what is being gone through, how many files of it were, and their bytes."""
@@ -105,7 +105,7 @@ def collect(
                 if file.written < bound:
                     found.unfinished += 1
                     gone.append(file)
-            elif ref_of(file) is None:
+            elif ref_of(file.uri) is None:
                 continue  # nobody knows whose it is
             elif _name(file.uri) in kept:
                 found.kept += 1
@@ -162,7 +162,7 @@ def verify(
     in_use: dict[str, bool] = {}
 
     def look(file: File) -> str | None:
-        ref = ref_of(file)
+        ref = ref_of(file.uri)
         if ref is None:
             return None
         try:
@@ -213,19 +213,12 @@ def usage(store: ArtifactStore, tell: Tell = lambda *_: None) -> dict[tuple[str,
             makers[_name(uri)] = f"{record.stage} v{record.version}"
     for files in store.walk():
         for file in files:
-            maker = "" if ref_of(file) is None else makers.get(_name(file.uri), "")
+            maker = "" if ref_of(file.uri) is None else makers.get(_name(file.uri), "")
             row = rows.setdefault((_top(file), maker), [0, 0])
             row[0] += 1
             row[1] += file.size
         tell("files", len(files), sum(file.size for file in files))
     return dict(sorted(rows.items()))
-
-
-def ref_of(file: File) -> ArtifactRef | None:
-    """The ref of the artifact that a file is by its path; None if it is something else."""
-    spec, digest = _top(file), file.uri.rpartition("/")[2].partition(".")[0]
-    known = spec in spec_names() and file.uri == address(spec, digest) and len(digest) == 64
-    return ArtifactRef(spec, file.uri, digest) if known else None
 
 
 def _records(store: ArtifactStore, tell: Tell) -> Iterator[Record]:

@@ -45,15 +45,13 @@ class Records:
     def find(self, key: str) -> ArtifactRef | None:
         """What the work of this key made, if that is still there (:meth:`ArtifactStore.check`).
 
-        A record or an artifact that is lost or damaged is none: the work is done again. A file
-        whose size and time are still those of the record is taken to be as it was; whoever reads it
-        compares its digest anyway. InputError if the store does not answer.
+        A record or an artifact that is lost or damaged is none: the work is done again. Files
+        whose sizes and times are still those of the record are taken to be as they were; whoever
+        reads one compares its digest anyway. InputError if the store does not answer.
         """
         try:
-            ref, stamp = self._fetched(_place(key))
-            if stamp is not None and stamp == self.store.stamp(ref.uri):
-                self.store.check_parts(ref)
-            else:
+            ref, stamps = self._fetched(_place(key))
+            if stamps is None or stamps != self._stamps(ref):
                 self.store.check(ref)
                 if self.store.local:
                     self.keep(key, ref)
@@ -63,8 +61,14 @@ class Records:
 
     def keep(self, key: str, ref: ArtifactRef) -> None:
         """Note what the work of this key made; InputError if the store cannot be written to."""
-        record = {**asdict(ref), "stamp": self.store.stamp(ref.uri)}
+        record = {**asdict(ref), "stamp": self._stamps(ref)}
         self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
+
+    def _stamps(self, ref: ArtifactRef) -> list[str] | None:
+        """Those of the file and of its parts; None if one has none."""
+        stamps = [self.store.stamp(uri) for uri in (ref.uri, *ref.meta.get("parts", ()))]
+        known = [stamp for stamp in stamps if stamp is not None]
+        return known if len(known) == len(stamps) else None
 
     def all(self) -> Iterator[list[Record]]:
         """All records, those of a folder at a time."""
@@ -81,7 +85,7 @@ class Records:
         return Record(file, found["stage"], int(found["version"]), ref)
 
     def _fetched(self, uri: str) -> tuple[ArtifactRef, Any]:
-        """The ref in a record, and the stamp of its file; SpecError if there is none."""
+        """The ref in a record, and the stamps of its files; SpecError if there is none."""
 
         def understood(data: bytes) -> tuple[ArtifactRef, Any]:
             ref, stamp = _parse(data)
@@ -102,7 +106,7 @@ def _is_below(uri: str) -> bool:
 
 
 def _parse(data: bytes) -> tuple[ArtifactRef | None, Any]:
-    """The ref of a record, if it is one, and the stamp of its file."""
+    """The ref of a record, if it is one, and the stamps of its files."""
     try:
         fields = strict_json.parse(data)
         stamp = fields.pop("stamp", None)

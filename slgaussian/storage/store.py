@@ -32,7 +32,7 @@ from slgaussian.formats import strict_json
 from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.provenance import speaking, statement
 from slgaussian.storage.remote import explained, open_place, patiently, troubles
-from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
+from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch, spec_names
 
 if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
     import pyarrow as pa
@@ -56,10 +56,6 @@ READINGS = 3
 
 AT_ONCE = 16
 """Requests that are under way at the same time where many small ones are made."""
-
-
-COARSE, OFF = 10**7, 2 * 10**9
-"""Nanoseconds: disks whose times are multiples of the first are up to the second off them."""
 
 
 class DamagedError(SpecError):
@@ -266,62 +262,54 @@ class ArtifactStore:
     def lay_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
         """Make a new local file that is an artifact's: a hard link if it can be one, else a copy.
 
-        A link takes no room and no time. It outlives the artifact: what is removed from a store or
-        made anew there leaves it as it was. A copy has the artifact's time.
+        A link takes no room. It outlives the artifact: what is removed from a store or made anew
+        there leaves it as it was.
 
         Raises
         ------
         DamagedError
-            If the artifact is missing or, where it has to be copied, damaged.
+            If the artifact is missing or damaged.
         InputError
             If a store on another machine does not answer.
         OSError
             If the file cannot be written.
         """
         self._check_address(ref)
-        if self.local:
-            try:
-                os.link(f"{self.path}/{ref.uri}", path)
-                return
-            except FileNotFoundError as error:
-                raise self._damaged(ref.uri, "nothing", f"a {ref.spec} artifact") from error
-            except OSError:
-                pass  # on another disk, one that has no links, or of another user
-        _, written = self._size_and_time(ref.uri)
         what = f"a {ref.spec} artifact"
         data, _ = self.fetch(ref.uri, what, lambda data: self.understood(ref, data))
+        if self.local:
+            # It fails on another disk, one that has no links, or where another user owns the file.
+            with suppress(OSError):
+                os.link(f"{self.path}/{ref.uri}", path)
+                return
         with open(path, "wb") as file:
             file.write(data)
-        os.utime(path, ns=(written, written))
 
     def is_laid_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> bool:
-        """Whether a local file is still as :meth:`lay_out` made it, by its size and time."""
+        """Whether a local file holds what :meth:`lay_out` would make it hold."""
         try:
-            found = os.stat(path)
-            size, written = self._size_and_time(ref.uri)
-        except (OSError, SpecError):
+            self.understood(ref, Path(path).read_bytes())
+        except (OSError, DamagedError):
             return False
-        off = abs(found.st_mtime_ns - written)
-        same = off == 0 or (off <= OFF and found.st_mtime_ns % COARSE == 0)
-        return same and found.st_size == size
+        return True
 
     def check(self, ref: ArtifactRef) -> None:
-        """Raise :class:`DamagedError` if the artifact, or a part that it names, is not there.
+        """Raise :class:`DamagedError` if the artifact, or a part that it names, is not whole.
 
-        That of a local store is read and compared with its digest. Of one elsewhere it is only
-        asked whether it is there: to fetch everything for a run that finds all of it done would
-        take hours, and damage is found when it is read.
+        Those of a local store are read and compared with their digests. Of one elsewhere it is only
+        asked whether they are there: to fetch everything for a run that finds all of it done would
+        take hours, and damage is found when they are read.
         """
         self._check_address(ref)
-        if self.near:
-            self.get(ref)
-        else:
-            self.check_there(ref.uri)
-        self.check_parts(ref)
-
-    def check_parts(self, ref: ArtifactRef) -> None:
-        """Raise :class:`DamagedError` if a part that the artifact names is not there."""
-        self.at_once(self.check_there, list(ref.meta.get("parts", ())))
+        uris = [ref.uri, *ref.meta.get("parts", ())]
+        if not self.near:
+            self.at_once(self.check_there, uris)
+            return
+        for uri in uris:
+            one = ref_of(uri)
+            if one is None:
+                raise self._damaged(uri, "another path", "that of an artifact")
+            self.get(one)
 
     def stamp(self, uri: str) -> str | None:
         """Bytes and time (ns) of a file of a local store; None if it has none, or elsewhere."""
@@ -410,19 +398,6 @@ class ArtifactStore:
         """Do a request, one of a store elsewhere patiently."""
         return request() if self.near else patiently(request)
 
-    def _size_and_time(self, uri: str) -> tuple[int, int]:
-        """Bytes and Unix time (ns) of a file; DamagedError if it is not there."""
-        try:
-            if self.local:
-                found = os.stat(f"{self.path}/{uri}")
-                return found.st_size, found.st_mtime_ns
-            info = self._ask(lambda: self.fs.info(f"{self.path}/{uri}"))
-        except FileNotFoundError as error:
-            raise self._damaged(uri, "nothing", "an artifact") from error
-        except troubles() as error:
-            raise self._failed("read", error) from error
-        return info["size"], round(_written(info) * 1e9)
-
     def _remove(self, uri: str) -> None:
         if self.cache is not None:
             self.cache.drop(uri)
@@ -473,6 +448,13 @@ class ArtifactStore:
 def address(spec: str, digest: str) -> str:
     """Path of an artifact relative to the root of its store."""
     return f"{spec}/{digest[:2]}/{digest}{load_spec(spec).suffix}"
+
+
+def ref_of(uri: str) -> ArtifactRef | None:
+    """The ref of the artifact that a file of a store is by its path; None if it is another file."""
+    spec, digest = uri.partition("/")[0], uri.rpartition("/")[2].partition(".")[0]
+    known = spec in spec_names() and is_digest(digest) and uri == address(spec, digest)
+    return ArtifactRef(spec, uri, digest) if known else None
 
 
 def is_digest(text: str) -> bool:

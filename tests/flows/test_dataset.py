@@ -207,7 +207,10 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(made, tmp_path):
     assert len({name for name in after if name.endswith(".tar")} - shards) == 1
 
 
-def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, tmp_path):
+@pytest.mark.parametrize(
+    "harm", [lambda data: data[:-700], lambda data: data[:600] + b"\xff" + data[601:]]
+)
+def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, harm, tmp_path):
     folder, store, settings, _ = made
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_of(tmp_path / "set")
@@ -217,7 +220,7 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, tmp
         if r["clip"] != "kitchen"
     )
     shard = tmp_path / "set" / row["shard"]
-    shard.write_bytes(shard.read_bytes()[:-700])
+    shard.write_bytes(harm(shard.read_bytes()))
     dataset.dataset(settings_for(tmp_path, settings.sources[0]), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     assert "kitchen" not in {own["clip"] for own in rows} and len(rows) == 2

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 import shlex
 from dataclasses import replace
@@ -15,6 +16,7 @@ from command import run, said
 from flows import pipeline
 from flows.jobs import scene_job
 from flows.road import STAGES
+from flows.runners.commands import perform
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -24,6 +26,7 @@ from slgaussian.kernels import threads
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.parts.method import Method
 from slgaussian.storage.documents import read_document
+from slgaussian.storage.housekeeping import verify
 from slgaussian.storage.inspection import inspect
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
@@ -102,6 +105,42 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     told = capsys.readouterr().err
     assert "room  8 stages cached" in told
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
+
+
+def _flipped(data: bytes) -> bytes:
+    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 255]) + data[len(data) // 2 + 1 :]
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [lambda data: b"", lambda data: data[: len(data) // 2], _flipped],
+    ids=["emptied", "halved", "flipped"],
+)
+def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm, capsys):
+    """Every artifact at once: fields are links to some, reports and masks are written of others."""
+    folder, missing, _ = first
+    hidden = ("log", "artifacts", "times", "report.")  # they say when, or how fast
+    before = files_below(folder / "out", hidden)
+    store = ArtifactStore(folder / "store")
+    artifacts = files_below(folder / "store", ("keys/", ".prefect/", "digests/"))
+    for name, data in artifacts.items():
+        file = Path(store.path, name)
+        stamp = file.stat().st_mtime_ns
+        file.write_bytes(harm(data))
+        os.utime(file, ns=(stamp, stamp))  # a disk that forgets leaves the time as it is
+    assert files_below(folder / "out", hidden) != before
+    perform("run", settings_for(folder, missing, store=store.root))
+    assert files_below(folder / "out", hidden) == before
+    harmed = {name for name in artifacts if name.split("/")[0] in HANDED_OUT}
+    assert {name.split("/")[0] for name in harmed} == HANDED_OUT
+    for name in harmed:
+        assert Path(store.path, name).read_bytes() == artifacts[name], name
+    assert "damaged" in capsys.readouterr().err
+    collected = verify(store, remove=True)
+    assert not {uri.split("/")[0] for uri in collected.damaged} & HANDED_OUT
+
+
+HANDED_OUT = {"attribution", "bank", "field", "gaussians", "objects", "report", "scene_result"}
 
 
 def test_every_artifact_says_which_stage_made_it(first):

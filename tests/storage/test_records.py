@@ -36,7 +36,7 @@ def alter(store, ref, back_in_time: bool) -> None:
     os.utime(file, ns=(changed, changed))
 
 
-def noted(store) -> str:
+def noted(store) -> list[str]:
     (file,) = Path(store.path).glob("keys/train/v1/*/*.json")
     return json.loads(file.read_text())["stamp"]
 
@@ -59,7 +59,7 @@ def test_one_that_moved_is_checked_once_and_noted(store, ref):
     os.utime(file, ns=(1, 1))
     before = noted(store)
     assert Records(store).find(KEY) == ref
-    assert noted(store) == f"{file.stat().st_size} 1" != before
+    assert noted(store) == [f"{file.stat().st_size} 1"] != before
 
 
 def test_a_record_without_a_stamp_is_as_good(store, ref):
@@ -76,8 +76,8 @@ def test_an_artifact_that_is_gone_is_none(store, ref):
     assert Records(store).find(KEY) is None
 
 
-def test_a_record_whose_parts_are_gone_or_lie_elsewhere_is_none(store, ref, tmp_path):
-    """A part is asked for even where the artifact itself is known by its time."""
+def test_a_record_whose_parts_are_gone_damaged_or_elsewhere_is_none(store, ref, tmp_path):
+    """A part is looked at even where the artifact itself is known by its time."""
     part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
     whole = replace(ref, meta={"parts": [part.uri]})
     Records(store).keep(KEY, whole)
@@ -86,6 +86,11 @@ def test_a_record_whose_parts_are_gone_or_lie_elsewhere_is_none(store, ref, tmp_
     outside.write_bytes(b"")
     Records(store).keep(KEY, replace(ref, meta={"parts": ["../outside.npz"]}))
     assert Records(store).find(KEY) is None
+    for damage in (b"", Path(store.path, part.uri).read_bytes()[:100]):
+        Records(store).keep(KEY, whole)
+        Path(store.path, part.uri).write_bytes(damage)
+        assert Records(store).find(KEY) is None
+        store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
     Records(store).keep(KEY, whole)
     store.remove([part.uri])
     assert Records(store).find(KEY) is None
