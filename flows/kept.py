@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.storage import field_folder
 from slgaussian.storage.housekeeping import SIDE_BY_SIDE
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.tables import read_table
 from tasks.artifacts import about_field
 
 FOLDER = "fields"
@@ -83,7 +83,7 @@ def write_fields(
 def _earlier(out: Path) -> set[str]:
     """The folders that the table of an earlier run names; none if it is no such table."""
     try:
-        table = pq.read_table(out / f"{TABLE}.parquet", columns=["folder"])
+        table = read_table(out / f"{TABLE}.parquet", ["folder"])
         return {name for name in table["folder"].to_pylist() if file_name(name) == name}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return set()

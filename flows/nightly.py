@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from flows import corpus, hooks
 from flows.dataset import dataset
@@ -35,6 +34,7 @@ from slgaussian.formats import strict_json
 from slgaussian.semantic.versions import Versions, called
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore, decode_table, encode_table, write_atomic
+from slgaussian.storage.tables import read_table
 
 TOLD = ("promoted", "refused", "regressed", "failed")
 """Of these the hook is told."""
@@ -112,7 +112,7 @@ def _work(
     """The steps of a night, what they found put down in its record; the clips that there are."""
     prepared = corpus.supervise(settings, store, verbose)
     before = records.last_clips()
-    clips = clips_of(pq.read_table(settings.out / corpus.FILES["views"]))
+    clips = clips_of(read_table(settings.out / corpus.FILES["views"]))
     failed = failed_in(prepared)
     found = changes(before, clips, failed)
     record["changes"] = {kind: _some(names) for kind, names in asdict(found).items()}

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from flows import corpus
 from flows.runners.worker_pool import Outcome
@@ -22,6 +21,7 @@ from slgaussian.errors import InputError
 from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.locks import held
 from slgaussian.storage.store import ArtifactStore, table_digest
+from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """The settings of which another value asks for another training."""
@@ -79,7 +79,7 @@ def retrain(
     with alone(settings, "retrain"):
         prepared = corpus.supervise(settings, store, verbose)
         lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
-        known = clips_of(pq.read_table(settings.out / corpus.FILES["views"]))
+        known = clips_of(read_table(settings.out / corpus.FILES["views"]))
         more = {"clips": known, "failed": failed_in(prepared), "before": [prepared.outcome]}
         return learn(lessons, settings, store, verbose, **more), prepared
 

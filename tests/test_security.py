@@ -2,12 +2,16 @@
 
 import ast
 import io
+import json
+import re
 import struct
 import zipfile
 import zlib
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from hypothesis import given
@@ -24,10 +28,15 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import tensorfile
 from slgaussian.formats.images import MOST_PIXELS, TooLargeError, check_size, opened, read_npy
 from slgaussian.formats.strict_json import parse
+from slgaussian.language.clip import _colours
+from slgaussian.language.open_clip import _read_config
 from slgaussian.masks.precomputed import read_ids
+from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, find_model
 from slgaussian.predict.mvsplat.checkpoint import read_state
 from slgaussian.scene import Camera, View
+from slgaussian.storage import tables
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.tables import read_table
 
 ROOT = Path(__file__).parent.parent
 OWN = [path for part in ("slgaussian", "tasks", "flows") for path in (ROOT / part).rglob("*.py")]
@@ -289,11 +298,92 @@ def test_what_a_terminal_would_obey_is_escaped_in_errors():
 
 
 @pytest.mark.parametrize(
-    "text", ["[" * 100_000, '{"a":' * 100_000, '"\\ud800"', b"\xff", "", "9" * 5000]
+    "text",
+    ["[" * 100_000, '{"a":' * 100_000, '"\\ud800"', b"\xff", "", "9" * 5000]
+    + [f'{{"a": [{number}]}}' for number in ("1e400", "-1e400", "9" * 400)],
 )
 def test_json_is_read_or_a_value_error(text):
-    if text == "9" * 5000:
-        assert parse(text) == float("inf")
-        return
     with pytest.raises(ValueError):
         parse(text)
+
+
+def test_json_of_a_byte_order_mark_and_of_great_numbers():
+    assert parse(b'\xef\xbb\xbf{"a": 1e300}') == {"a": 1e300}
+    assert parse("9" * 40) == 1e40
+
+
+CONFIGS = {
+    "model.safetensors.index.json": {"weight_map": {"a": "model-1.safetensors"}},
+    "open_clip_config.json": {
+        "model_cfg": {"vision_cfg": {"head_width": 4}, "text_cfg": {"heads": 1}},
+        "preprocess_cfg": {"mean": [0.1, 0.2, 0.3]},
+    },
+}
+
+
+@pytest.mark.parametrize("value", ["1e400", "true", "[[]]", "null", "0.5", '"../x"'])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_configurations_of_models_are_used_or_named(tmp_path, name, value):
+    """Every value of every object in turn."""
+
+    def read():
+        found = find_model(tmp_path)
+        for file in found.files:
+            if file.name == OPEN_CLIP_CONFIG:
+                _read_config(file)
+                _colours(found)
+
+    (tmp_path / "config.json").write_text("{}")
+    for weights in ("model-1.safetensors", "open_clip_model.safetensors"):
+        (tmp_path / weights).write_bytes(b"")
+    places = []
+
+    def walk(node):
+        for key, own in node.items():
+            places.append((node, key))
+            if isinstance(own, dict):
+                walk(own)
+
+    content = json.loads(json.dumps(CONFIGS[name]))
+    walk(content)
+    (tmp_path / name).write_text(json.dumps(content))
+    read()
+    for node, key in places:
+        kept, node[key] = node[key], "@"
+        (tmp_path / name).write_text(json.dumps(content).replace('"@"', value))
+        node[key] = kept
+        with pytest.raises(InputError, match=rf"{re.escape(name)}: "):
+            read()
+
+
+class TestTables:
+    @pytest.mark.parametrize("nested", [False, True])
+    def test_a_text_that_a_dictionary_repeats_is_counted_before_it_is_unpacked(self, nested):
+        rows = 20_000
+        texts = pa.DictionaryArray.from_arrays(pa.array([0] * rows, pa.int32()), ["x" * 1_000_000])
+        column = pa.StructArray.from_arrays([texts], ["b"]) if nested else texts
+        data = as_parquet(pa.table({"a": column}))
+        assert len(data) < 2000
+        with pytest.raises(ValueError, match="unpacks to more than 8 GiB"):
+            read_table(data)
+
+    def test_numbers_that_are_all_alike_are_counted(self, monkeypatch):
+        data = as_parquet(pa.table({"a": np.zeros(2**20, np.int64)}))
+        assert len(data) < 2**13
+        assert read_table(data).num_rows == 2**20
+        monkeypatch.setattr(tables, "MOST_UNPACKED", 2**23)
+        with pytest.raises(ValueError, match="it unpacks to more"):
+            read_table(data)
+
+    def test_what_only_might_be_too_much_is_read(self):
+        texts = pa.DictionaryArray.from_arrays(
+            pa.array([0] * 9_999 + [1], pa.int32()), ["x", "y" * 1_000_000]
+        )
+        table = read_table(as_parquet(pa.table({"a": texts})))
+        assert table["a"].to_pylist() == ["x"] * 9_999 + ["y" * 1_000_000]
+
+
+def as_parquet(table: pa.Table) -> bytes:
+    out = io.BytesIO()
+    pq.write_table(table, out, compression="zstd", store_schema=False)
+    return out.getvalue()

@@ -7,7 +7,6 @@ protocol.
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.outputs import mask_place
@@ -24,8 +22,10 @@ from slgaussian.benchmark.score_tables import MAIN, MORE, Table, difference_tabl
 from slgaussian.benchmark.showcase import key_of, leading
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 from slgaussian.errors import InputError
+from slgaussian.formats import strict_json
 from slgaussian.formats.images import read_mask
 from slgaussian.storage.specs import load_spec
+from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]
 
@@ -170,7 +170,7 @@ def mask_change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _table(spec: str, file: Path) -> pa.Table:
     try:
-        table = pq.read_table(file)
+        table = read_table(file)
     except (OSError, ValueError, pa.ArrowException) as error:
         why = " ".join(str(error).split())
         raise InputError(f"{file}: cannot be read ({why}); {EXPECTED}") from error
@@ -180,7 +180,7 @@ def _table(spec: str, file: Path) -> pa.Table:
 
 def _mapping(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text("utf-8"))
+        content = strict_json.parse(file.read_bytes())
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:

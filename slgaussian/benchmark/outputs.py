@@ -16,17 +16,23 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slgaussian.benchmark.scores import score_table
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import encode_table, write_atomic
+from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]
 
 _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for n in range(10))}
 """What no file may be called on Windows, whatever its ending."""
+
+_FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r\n]")
+"""The start of a cell that spreadsheets run as a formula, or pass over before one (OWASP, "CSV
+Injection")."""
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 def write_samples(rows: Sequence[Row], out: str | Path) -> None:
@@ -53,7 +59,8 @@ def write_costs(rows: Sequence[Row], out: str | Path) -> None:
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:
     """Write a table of spec ``name`` as ``<name>.parquet`` and ``.csv`` into folder ``out``.
 
-    SpecError if the table is not what its spec says.
+    Texts that a spreadsheet would run begin with an apostrophe in the ``.csv``: what a person named
+    a thing is never a formula. SpecError if the table is not what its spec says.
     """
     file, spec = Path(out) / f"{name}.parquet", load_spec(name)
     spec.check_table(table, str(file))
@@ -61,8 +68,17 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
     text = io.StringIO()
     writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(table.to_pylist())
+    writer.writerows({n: as_cell(v) for n, v in row.items()} for row in table.to_pylist())
     write_file(Path(out) / f"{name}.csv", text.getvalue().encode())
+
+
+def as_cell(value: Any) -> Any:
+    """Return a value as a cell of a CSV file, in which no text is a formula or ends a row."""
+    if not isinstance(value, str):
+        return value
+    safe = not _FORMULA.match(value) or _NUMBER.fullmatch(value)
+    # The writer puts quotes around a line feed, not around a carriage return.
+    return ("" if safe else "'") + value.replace("\r", "\n")
 
 
 def write_predictions(
@@ -88,7 +104,7 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
     out = Path(out)
     columns = "method", "protocol", "scene", "frame", "query"
     try:
-        earlier = pq.read_table(out / "samples.parquet", columns=list(columns)).to_pylist()
+        earlier = read_table(out / "samples.parquet", columns).to_pylist()
         left = set(map(mask_place, earlier)) - set(map(mask_place, rows))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return

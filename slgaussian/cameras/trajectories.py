@@ -30,8 +30,9 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     Position and intrinsics are interpolated; the orientation is slerped (Shoemake, "Animating
     Rotation with Quaternion Curves", SIGGRAPH 1985), so that it turns at an even rate about one
     axis, the shorter way round. ``between(a, b, t)`` is ``between(b, a, 1 - t)`` but for the size
-    of the image and the depth range, which are the first camera's; intrinsics are brought to that
-    size.
+    of the image and the depth range, which are the first camera's. The second image is brought to
+    as many pixels and laid middle on middle, never stretched: a ball stays round on the way from a
+    landscape photograph to a portrait.
 
     Parameters
     ----------
@@ -57,7 +58,11 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     c2w = np.eye(4)
     c2w[:3, :3] = turn(t).as_matrix()
     c2w[:3, 3] = (1 - t) * a.center + t * b.center
-    return replace(a, K=(1 - t) * a.K + t * b.resized(a.width, a.height).K, c2w=c2w)
+    size, other = (np.array([one.width, one.height]) for one in (a, b))
+    scale = np.sqrt(size.prod() / other.prod())
+    K = b.K * [[scale], [scale], [1]]
+    K[:2, 2] += (size - scale * other) / 2
+    return replace(a, K=(1 - t) * a.K + t * K, c2w=c2w)
 
 
 def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]:

@@ -13,7 +13,6 @@ names: tar files as WebDataset has them (:mod:`slgaussian.datasets.shards`).
 from __future__ import annotations
 
 import io
-import json
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -27,6 +26,7 @@ from torch.utils.data import Dataset
 from slgaussian.datasets.photographs import rgb
 from slgaussian.datasets.shards import unpack
 from slgaussian.errors import InputError, SpecError
+from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.specs import load_spec
@@ -215,7 +215,10 @@ class TrainingSet(Dataset[dict[str, Any]]):
 
     def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
         try:
-            return json.loads(self._member(index, members, "about.json"))
+            about = strict_json.parse(self._member(index, members, "about.json"))
+            if not isinstance(about, dict):
+                raise ValueError("it is no object")
+            return about
         except ValueError as error:
             named = self._named(index, "about.json")
             raise SpecError(f"{named}: cannot be read ({error}); {ANEW}") from None

@@ -12,6 +12,7 @@ exact: there are readers that take every property for one, and read nonsense whe
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -41,6 +42,21 @@ _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
 _NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
+
+_SMOOTHING = "filter_3D"
+_HARMLESS = re.compile(
+    r"red|green|blue|alpha|\w*(label|class|segment|cluster|instance|object|track|part)s?(_?ids?)?|"
+    r"source|index|(\w*_)?ids?|(f_sem|obj_dc|sem\w*|seg\w*|ins_feat|language_feature\w*)_\d+|"
+    r"confidence|uncertainty|importance|quality|score|max_radii2D|xyz_gradient_accum|denom"
+)
+"""Properties that change no picture: what viewers of points show, names and features of objects,
+and what only training needs."""
+
+_ANTIALIASED = re.compile(
+    r"anti.?alias\w*\W+(1|true|yes|on)\b|mode\w*\W+(mip|anti.?alias)", re.IGNORECASE
+)
+"""Comments of a header by which Postshot, Brush and others say that Gaussians were trained with
+anti-aliasing: ``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
 
 _BLOCK = 4096  # rows whose columns are copied in turn while they are in the cache
 
@@ -113,7 +129,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     Ascii or binary of either byte order, columns of any number type in any order. Missing
     ``f_rest_*`` mean colours that do not depend on the view; without a ``source`` of whole numbers
     the Gaussians are numbered from 0. Rotations are normalised, normals are dropped, and infinite
-    logits of opacity are 0 and 1.
+    logits of opacity are 0 and 1. ``filter_3D``, the 3D smoothing filter of Mip-Splatting and its
+    kin, is applied to scales and opacities.
 
     Parameters
     ----------
@@ -125,30 +142,44 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         In float32. Of what :func:`save_ply` wrote the logit and logarithm were rounded: opacities
         are off by at most 6e-8, scales by 6e-8 of themselves times 1 + the size of their logarithm.
     extra : dict of str to [N]
-        Every other property by its name, in its own type; ``label`` as int32 if it is whole.
+        Every other property by its name, in its own type, such as ids and features of objects;
+        ``label`` as int32 if it is whole.
 
     Raises
     ------
     InputError
         If the file is missing, no ``.ply``, cut short, without the properties of Gaussians (as a
-        plain point cloud is), or holds a number that makes no Gaussian; the message names the file
-        and the property or vertex.
+        plain point cloud is), says or has a property by which they are to be drawn otherwise, or
+        holds a number that makes no Gaussian; the message names the file and the property or
+        vertex.
     """
-    table = _vertices(path)
+    table, comments = _vertices(path)
     n = len(table)
     # A list property is no column of numbers; it can only be extra.
     fields = table.dtype.names or ()
     names = [name for name in fields if table.dtype[name].kind != "O"]
     if missing := [name for name in _NEEDED if name not in names]:
         raise InputError(
-            f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
-            "a .ply of 3D Gaussian splatting, not a point cloud, a mesh or a compressed .ply"
+            f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; "
+            f"{_advice(path, missing, names)}"
         )
     rest, semantic = _numbered(names, "f_rest_"), _numbered(names, "f_sem_")
     if len(rest) not in REST:
         raise InputError(
             f"{path}: has {len(rest)} properties f_rest_*, expected one of "
             f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
+        )
+    used = {*_NEEDED, *_NORMALS, *rest, *semantic, _SMOOTHING}
+    if unknown := [name for name in fields if name not in used and not _HARMLESS.fullmatch(name)]:
+        raise InputError(
+            f"{path}: has {_some(unknown)}, by which its Gaussians may have to be drawn otherwise "
+            "than they are here; export it as plain 3D Gaussian splatting, or remove what changes "
+            "no picture"
+        )
+    if said := [comment for comment in comments if _ANTIALIASED.search(comment)]:
+        raise InputError(
+            f"{path}: says {said[0]!r:.80}: it was trained with anti-aliasing, without which its "
+            "small Gaussians are drawn too thick; train or export it without"
         )
     columns = _Columns(path, table)
     quats = columns.read(_ROTATIONS).astype(np.float64)
@@ -163,17 +194,21 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     sh[:, 0] = columns.read(_DC)
     sh[:, 1:] = columns.read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
     source = _whole(table["source"]) if "source" in names else None
+    scales, opacities = columns.read(_SCALES, np.exp), columns.read(["opacity"], expit)[:, 0]
+    if _SMOOTHING in names:
+        scales, opacities = _smoothed(scales, opacities, columns.read([_SMOOTHING]))
     arrays = {
         "means": columns.read(_MEANS),
-        "scales": columns.read(_SCALES, np.exp),
+        "scales": scales,
         "quats": (quats / lengths).astype(np.float32),
-        "opacities": columns.read(["opacity"], expit)[:, 0],
+        "opacities": opacities,
         "sh": sh,
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
     if semantic:
         arrays["features"] = columns.read(semantic)
-    used = {*_NEEDED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
+    if source is not None:
+        used.add("source")
     extra = {name: table[name] for name in fields if name not in used}
     # Copies in the machine's byte order, apart from the file, which is only mapped here.
     extra = {name: np.array(v, v.dtype.newbyteorder("=")) for name, v in extra.items()}
@@ -212,7 +247,37 @@ class _Columns:
         return values
 
 
-def _vertices(path: str | Path) -> np.ndarray:
+def _smoothed(
+    scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Convolve Gaussians with isotropic ones of standard deviations ``widths`` [N, 1].
+
+    Their peaks sink as they widen, so that each has as much opacity in all (Yu et al.,
+    "Mip-Splatting", CVPR 2024, eq. 9).
+    """
+    wide = np.hypot(scales.astype(np.float64), widths)
+    share = np.divide(scales, wide, out=np.ones_like(wide), where=wide > 0).prod(1)
+    return wide.astype(np.float32), (opacities * share).astype(np.float32)
+
+
+def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> str:
+    """What a file is that lacks properties of Gaussians, and what to do."""
+    if "packed_position" in names:
+        plain = f"{Path(path).stem.removesuffix('.compressed')}.plain.ply"
+        return (
+            "it is a compressed .ply of SuperSplat; convert it, as with "
+            f"`splat-transform {Path(path).name} {plain}`, and give the new file"
+        )
+    if list(missing) == [_SCALES[2]]:
+        return (
+            "it has the flat Gaussians of 2D Gaussian splatting, which are drawn by another rule; "
+            "train 3D ones"
+        )
+    return "expected a .ply of 3D Gaussian splatting, not a point cloud or a mesh"
+
+
+def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
+    """The table of a file, and the comments in its header."""
     try:
         _check_counts(Path(path))
         data = PlyData.read(str(path))
@@ -227,7 +292,8 @@ def _vertices(path: str | Path) -> np.ndarray:
     if "vertex" not in data:
         found = _some([element.name for element in data])
         raise InputError(f"{path}: has no element vertex, only {found}; give a .ply of Gaussians")
-    return data["vertex"].data
+    vertex = data["vertex"]
+    return vertex.data, [*data.comments, *data.obj_info, *vertex.comments]
 
 
 def _check_counts(path: Path) -> None:

@@ -30,6 +30,13 @@ LOWEST_SCALE = float(np.exp(-10.0))
 """Smaller scales become this one, in scene units."""
 
 MOST_BITS = 20
+MOST_UNPACKED = 2**30
+"""Bytes that a file may unpack to: 16 million Gaussians of degree 3, 53 million of degree 0."""
+
+ANTIALIASED, EXTENDED = 1, 2
+"""Flags: trained with anti-aliasing (Yu et al., "Mip-Splatting", CVPR 2024), and followed by
+extensions of vendors, one of which changes the axes."""
+
 TURN = np.array([1, -1, -1], np.float32)
 """From x right, y down, z forward to x right, y up, z backward, and back."""
 
@@ -87,22 +94,31 @@ def load_spz(path: str | Path) -> Gaussians:
     Raises
     ------
     InputError
-        If the file cannot be read, is no whole ``.spz``, or is of another version.
+        If the file cannot be read, is no whole ``.spz``, is of another version, has a flag that
+        changes how it is drawn, or unpacks to more than :data:`MOST_UNPACKED`.
     """
     try:
+        with open(path, "rb") as raw:
+            start = raw.read(8)
+        if start[:4] == struct.pack("<I", MAGIC) and len(start) == 8:  # not gzipped: from 4 on
+            raise _other_version(path, struct.unpack("<I", start[4:])[0])
         with gzip.open(path) as file:
-            data = file.read()
-        magic, version, n, degree, bits, _, _ = struct.unpack_from("<IIIBBBB", data)
+            magic, version, n, degree, bits, flags, _ = struct.unpack("<IIIBBBB", file.read(16))
+            if magic == MAGIC and version != VERSION:
+                raise _other_version(path, version)
+            terms = (degree + 1) ** 2
+            wide = [9, 1, 3, 3, 4, 3 * (terms - 1)]
+            size = n * sum(wide)
+            _check_header(path, magic, degree, bits, flags, size)
+            data = file.read(size + 1)
     except (OSError, EOFError, zlib.error, struct.error) as error:
         raise InputError(f"{path}: is not a whole .spz file ({error}); write it again") from error
-    terms = (degree + 1) ** 2
-    wide = [9, 1, 3, 3, 4, 3 * (terms - 1)]
-    if (magic, version) != (MAGIC, VERSION) or degree > 3 or len(data) != 16 + n * sum(wide):
+    if len(data) != size:
+        found = "more" if len(data) > size else f"{len(data):,}"
         raise InputError(
-            f"{path}: found version {version} and {len(data)} bytes of {n} Gaussians, expected an "
-            f".spz of version {VERSION} and {16 + n * sum(wide)} bytes"
+            f"{path}: found {found} bytes of {n:,} Gaussians, expected {size:,}; write it again"
         )
-    ends = 16 + n * np.cumsum(wide)
+    ends = n * np.cumsum(wide)
     columns = [
         np.frombuffer(data, np.uint8, n * width, end - n * width).reshape(n, width)
         for width, end in zip(wide, ends, strict=True)
@@ -125,6 +141,39 @@ def load_spz(path: str | Path) -> Gaussians:
             "source": np.arange(n, dtype=np.int32),
         }
     )
+
+
+def _other_version(path: str | Path, version: int) -> InputError:
+    return InputError(
+        f"{path}: is an .spz of version {version}, and only version {VERSION} is read; convert it, "
+        f"as with `splat-transform {Path(path).name} {Path(path).stem}.ply`, and load the .ply"
+    )
+
+
+def _check_header(
+    path: str | Path, magic: int, degree: int, bits: int, flags: int, size: int
+) -> None:
+    """InputError unless a header tells of Gaussians that can be read, drawn and held in memory."""
+    if magic != MAGIC or degree > 3 or bits > 24:
+        raise InputError(
+            f"{path}: found {magic:#x}, harmonics of degree {degree} and {bits} fractional bits, "
+            f"expected an .spz ({MAGIC:#x}) of degree 0 to 3 and at most 24 bits; write it again"
+        )
+    if flags & ANTIALIASED:
+        raise InputError(
+            f"{path}: was trained with anti-aliasing (flag 0x1), without which its small Gaussians "
+            "are drawn too thick; train or export it without"
+        )
+    if flags:
+        what = "extensions, which may change its axes" if flags == EXTENDED else "unknown flags"
+        raise InputError(
+            f"{path}: has {what} (flags {flags:#x}), expected none; write it again without"
+        )
+    if size > MOST_UNPACKED:
+        raise InputError(
+            f"{path}: unpacks to {size / 2**30:.1f} GiB, of which at most {MOST_UNPACKED >> 30} "
+            "is read; divide it, or convert it to .ply"
+        )
 
 
 def _bytes(values: np.ndarray) -> bytes:

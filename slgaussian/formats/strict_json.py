@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Iterator
 from typing import Any
 
 LONGEST = 18
@@ -13,18 +15,37 @@ _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def parse(text: str | bytes) -> Any:
-    """What a JSON text holds; whole numbers of more than :data:`LONGEST` digits as floats.
+    """Parse a JSON text, with or without a byte-order mark.
+
+    Whole numbers of more than :data:`LONGEST` digits become floats. NaN and Infinity pass, as other
+    programs write them where they do not matter: who uses a number names it.
 
     Raises
     ------
     ValueError
-        If it is not valid JSON, not UTF-8, nested too deeply, or has text with half of a pair of
-        code units, which can be written to no file.
+        If it is not valid JSON, not UTF-8, nested too deeply, has a number that no 64-bit float
+        holds, or text with half of a pair of code units, which can be written to no file.
     """
     if isinstance(text, bytes):
-        text = text.decode("utf-8")
+        text = text.decode("utf-8-sig")
+    odd: list[str] = []
+
+    def real(digits: str) -> float:
+        number = float(digits)
+        if not math.isfinite(number):
+            odd.append(digits)
+        return number
+
+    def whole(digits: str) -> float:
+        return int(digits) if len(digits) <= LONGEST else real(digits)
+
     try:
-        content = json.loads(text, parse_int=_number)
+        content = json.loads(text, parse_int=whole, parse_float=real)
+        # None where a later value of the same key has taken its place.
+        if odd and (found := next(_not_finite(content), None)):
+            raise ValueError(
+                f"{found[0] or 'it'} is {found[1]}, expected a number that 64 bits hold"
+            )
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     if _HALF.search(text):
@@ -35,5 +56,13 @@ def parse(text: str | bytes) -> Any:
     return content
 
 
-def _number(digits: str) -> float:
-    return int(digits) if len(digits) <= LONGEST else float(digits)
+def _not_finite(content: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """The numbers that are NaN or infinite, with their places, such as ``frames[0].cx``."""
+    if isinstance(content, float) and not math.isfinite(content):
+        yield place, content
+    elif isinstance(content, dict):
+        for key, value in content.items():
+            yield from _not_finite(value, f"{place}.{key}" if place else key)
+    elif isinstance(content, list):
+        for number, value in enumerate(content):
+            yield from _not_finite(value, f"{place}[{number}]")

@@ -18,6 +18,13 @@ PICKLES = 5
 """Pickles in a file that is no zip archive: three about the format, the content, its tensors."""
 
 
+SCRIPTED = (
+    "it is a TorchScript archive, which holds code; if you trust it, save its tensors alone: "
+    "torch.save(torch.jit.load(FILE, map_location='cpu').state_dict(), NEW_FILE)"
+)
+"""What is said of what ``torch.jit.save`` wrote, as OpenAI publishes CLIP."""
+
+
 class CodeError(ValueError):
     """A file that asks for code to be run; its text is the name of what it asks for."""
 
@@ -38,14 +45,16 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
     OSError
         If the file cannot be read.
     ValueError
-        If it is damaged, or packed: ``torch.save`` packs nothing, and what unpacks to a
-        thousandfold could fill the memory.
+        If it is damaged, a TorchScript archive, or packed: ``torch.save`` packs nothing, and what
+        unpacks to a thousandfold could fill the memory.
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         zipped = zipfile.is_zipfile(stream)
         if zipped:
             with zipfile.ZipFile(stream) as archive:
+                if any("/code/" in member.filename for member in archive.infolist()):
+                    raise ValueError(SCRIPTED)
                 if any(member.compress_type for member in archive.infolist()):
                     raise ValueError("it is packed")
                 for name in archive.namelist():

@@ -31,6 +31,7 @@ from slgaussian.parts.pretrained import (
     load_tokenizer,
     model_digest,
     read_json,
+    table_in,
     tokenizer_digest,
 )
 from slgaussian.parts.settings import check_settings, setting
@@ -279,13 +280,15 @@ def _colours(found: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
 
     if found.checkpoint is None:
         file, keys = found.folder / PREPROCESSOR, ("image_mean", "image_std")
-        said = read_json(file) if file.is_file() else {}
+        said: Mapping[str, Any] = read_json(file) if file.is_file() else {}
     else:
         file, keys = found.folder / OPEN_CLIP_CONFIG, ("mean", "std")
-        said = read_json(file).get("preprocess_cfg", {}) if file.is_file() else {}
+        said = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
     given = [said.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
     try:
         mean, std = (torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in given)
+        if not (mean.isfinite().all() and std.isfinite().all() and (std > 0).all()):
+            raise ValueError
     except (TypeError, ValueError, RuntimeError):
         raise InputError(
             f"{file}: {keys[0]} and {keys[1]} are {given[0]!r} and {given[1]!r}, expected three "

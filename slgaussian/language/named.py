@@ -19,6 +19,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
+from slgaussian.storage.store import unpacked
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -165,8 +166,8 @@ def _normal(name: str) -> str:
 
 def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
-        with np.load(file, allow_pickle=False) as content:
-            names, features = content["names"], content["features"]
+        content, _ = unpacked(file.read_bytes())
+        names, features = content["names"], content["features"]
     except OSError as problem:
         raise InputError(f"named table {file}: cannot be read ({problem})") from None
     except Exception as problem:  # a damaged file raises almost anything

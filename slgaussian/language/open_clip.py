@@ -19,7 +19,7 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json
+from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json, table_in
 
 HEAD_WIDTHS = {1280: 80, 1408: 88, 1664: 104, 1792: 112}
 """Channels of a head in the image towers of open_clip's ViT-H, g, bigG and e, by their width; 64
@@ -59,6 +59,9 @@ WHOLE = {
     "text_projection": "text_projection.weight",
     "logit_scale": "logit_scale",
 }
+OPENAI_SIZES = {"input_resolution", "context_length", "vocab_size"}
+"""Numbers among the tensors of OpenAI's own checkpoints, which all have QuickGELU."""
+
 TRANSPOSED = ("visual.proj", "text_projection")
 
 
@@ -104,6 +107,9 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
     """
     from transformers import CLIPConfig, CLIPModel
 
+    if OPENAI_SIZES & tensors.keys():
+        tensors = {name: tensor for name, tensor in tensors.items() if name not in OPENAI_SIZES}
+        config = {"quick_gelu": True, **config}
     layers = {tower: _count_layers(tensors, tower) for tower in TOWERS}
     names = _names(layers)
     missing, extra = sorted(names.keys() - tensors.keys()), sorted(tensors.keys() - names.keys())
@@ -211,16 +217,21 @@ def _sizes(
     return {"projection_dim": joint, "vision_config": vision, "text_config": text}
 
 
-def _read_config(file: Path) -> dict[str, Any]:
-    config = read_json(file).get("model_cfg", {})
+def _read_config(file: Path) -> Mapping[str, Any]:
+    config = table_in(read_json(file), "model_cfg", file)
     for table, known in UNDERSTOOD.items():
-        own = config.get(table, {}) if table else config
+        own = table_in(config, table, file) if table else config
         for key, value in own.items():
             if key not in known and value:
                 name = f"{table}.{key}" if table else key
                 raise InputError(
                     f"{file}: {name} is {value!r}, but models with it cannot be converted; give "
                     "one with a plain ViT and text transformer, such as ViT-B-16"
+                )
+            if key in ("head_width", "heads") and (type(value) is not int or value < 1):
+                raise InputError(
+                    f"{file}: {table}.{key} is {value!r:.60}, expected a whole number from 1 on; "
+                    "get it again"
                 )
     return config
 
@@ -238,7 +249,7 @@ def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
             f"model {file}: cannot be read as weights ({reason}); expected a .safetensors file, or "
-            "one of torch.save with nothing but tensors, not TorchScript"
+            "one of torch.save with nothing but tensors"
         ) from None
     if isinstance(content, dict) and isinstance(content.get("state_dict"), dict):
         content = content["state_dict"]

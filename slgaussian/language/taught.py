@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
+from slgaussian.formats import strict_json
 from slgaussian.formats.brief import brief
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.storage.specs import load_spec
@@ -349,7 +350,7 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
 def _brief(encoder: str) -> str:
     """An identity as a message says it."""
     try:
-        known = json.loads(encoder)
+        known = strict_json.parse(encoder)
         name = known.pop("encoder")
     except (ValueError, KeyError, AttributeError):
         return repr(encoder[:40])

@@ -328,8 +328,14 @@ def _found(folder: Path) -> ModelFiles:
                 return find_model(folder / name)
     files = [folder / CONFIG]
     if whole == [False, True]:
-        parts = read_json(folder / INDEX).get("weight_map", {}).values()
-        files += [folder / INDEX, *(folder / part for part in sorted(set(parts)))]
+        index = folder / INDEX
+        parts = table_in(read_json(index), "weight_map", index).values()
+        for part in parts:
+            if not isinstance(part, str) or Path(part).name != part or len(part) > 255:
+                raise InputError(
+                    f"{index}: weight_map names {part!r:.60}, expected a file beside it"
+                )
+        files += [index, *(folder / part for part in sorted(set(parts)))]
     else:
         files.append(folder / WEIGHTS)
     for file in files:
@@ -357,6 +363,14 @@ def read_json(file: Path) -> dict[str, Any]:
     except (OSError, ValueError) as problem:
         raise InputError(f"{file}: cannot be read as JSON ({problem}); get it again") from None
     return content if isinstance(content, dict) else {}
+
+
+def table_in(content: Mapping[str, Any], key: str, file: Path) -> Mapping[str, Any]:
+    """The object under a key of a JSON file, empty where there is none; else InputError."""
+    table = content.get(key, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{file}: {key} is {table!r:.60}, expected an object; get it again")
+    return table
 
 
 @contextlib.contextmanager

@@ -277,9 +277,16 @@ class Versions:
         if not file.exists():
             return 0, []
         try:
-            told = strict_json.parse(file.read_bytes())
-            number = int(told["version"])
-            return number, [Change(**change) for change in told.get("history", [])]
+            content = strict_json.parse(file.read_bytes())
+            number, entries = content["version"], content.get("history", [])
+            history = [Change(**entry) for entry in entries]
+            numbers = [number, *(n for change in history for n in (change.version, change.before))]
+            texts = [t for change in history for t in (change.when, change.by, change.why)]
+            if bad := [n for n in numbers if type(n) is not int or n < 0]:
+                raise ValueError(f"version {bad[0]!r:.40} is no whole number from 0 on")
+            if bad := [text for text in texts if not isinstance(text, str)]:
+                raise ValueError(f"{bad[0]!r:.40} in its history is no text")
+            return number, history
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise SpecError(
                 f'{file}: cannot be read ({error!r:.200}); write {{"version": NUMBER}} into it, '
@@ -352,7 +359,13 @@ def _read(file: Path) -> Version:
     try:
         table = decode_table(file.read_bytes(), spec, str(file), otherwise)
         (row,) = table.to_pylist()
-        return Version(**{**row, "facts": strict_json.parse(row["facts"])})
+        facts = strict_json.parse(row["facts"])
+        if not isinstance(facts, dict) or not 0 <= row["parent"] < row["number"] == int(file.stem):
+            raise ValueError(
+                f"it says to be version {row['number']} of parent {row['parent']}, with facts "
+                f"{row['facts']:.40}"
+            )
+        return Version(**{**row, "facts": facts})
     except OSError as error:
         raise SpecError(f"{file}: cannot be read ({error.strerror}); {otherwise}") from error
     except ValueError as error:

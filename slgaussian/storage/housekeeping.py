@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.records import FOLDER, Record, Records
 from slgaussian.storage.remote import troubles
 from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, File, ref_of
+from slgaussian.storage.tables import read_table
 
 Tell = Callable[[str, int, int], None]
 """Called with what is being gone through, how many files of it were, and their bytes."""
@@ -238,8 +238,8 @@ def _name(uri: str) -> bytes:
 
 def _uris_of(table: Path) -> list[str]:
     try:
-        return pq.read_table(table, columns=["uri"])["uri"].to_pylist()
-    except (OSError, pa.ArrowException, KeyError) as error:
+        return read_table(table, ["uri"])["uri"].to_pylist()
+    except (OSError, ValueError, pa.ArrowException, KeyError) as error:
         raise InputError(
             f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
         ) from error

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
@@ -22,6 +21,7 @@ from slgaussian.storage import field_folder
 from slgaussian.storage.documents import read_document
 from slgaussian.storage.specs import Spec, load_spec, mismatch, parse_label, spec_names
 from slgaussian.storage.store import arrays_digest, is_digest, stated, table_digest, unpacked
+from slgaussian.storage.tables import read_table
 
 RUN = (
     "artifacts.parquet",
@@ -181,7 +181,7 @@ def _checked(check: Callable[[], object]) -> str:
 def _table(path: Path, data: bytes) -> Inspected:
     try:
         said = stated(data)
-        table = pq.ParquetFile(pa.BufferReader(data)).read()
+        table = read_table(data)
         table.validate(full=True)
     except Exception as error:  # a damaged file raises almost anything
         raise _damaged(path, error) from error

@@ -33,6 +33,7 @@ from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.provenance import speaking, statement
 from slgaussian.storage.remote import explained, open_place, patiently, troubles
 from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch, spec_names
+from slgaussian.storage.tables import MOST_UNPACKED, read_table
 
 if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
     import pyarrow as pa
@@ -47,9 +48,6 @@ REPAIR = "delete the file and run again to have it made anew"
 
 PART = 16 * 2**20
 """Bytes of a part of an upload; from two of them on it is done in parts, shown when all arrived."""
-
-MOST_UNPACKED = 8 * 2**30
-"""Bytes of the arrays of one file; a packed one may be a thousandth of what it unpacks to."""
 
 READINGS = 3
 """So often a file of a store elsewhere is read before it counts as damaged."""
@@ -629,12 +627,8 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
         Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, are of
         another spec or a later version of it, or do not hold what ``spec`` says.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     with _whole(data, file, spec, repair):
-        # A third of the time of pq.read_table, which asks what else may be in a folder.
-        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+        table = read_table(data)
         table.validate(full=True)
         label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
     spec.check_stated(label, file, repair)

@@ -81,8 +81,10 @@ class Stage:
 
     def stand(self, camera: Camera, aspect: float) -> Stand:
         """Where to stand to see what ``camera`` sees, all of it, in a window of this aspect."""
-        half_height = camera.height / 2 / camera.K[1, 1]
-        half_width = camera.width / 2 / camera.K[0, 0]
+        # A window's middle is where one looks; the picture's need not be.
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        half_height = max(cy, camera.height - cy) / fy
+        half_width = max(cx, camera.width - cx) / fx
         fov = 2 * np.arctan(max(half_height, half_width / aspect))
         x, y, z, w = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()
         return Stand(np.array([w, x, y, z]), self.scale * camera.center, float(fov))

@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from slgaussian.benchmark.outputs import (
+    as_cell,
     clear_predictions,
     file_name,
     mask_place,
@@ -36,6 +37,19 @@ def test_sample_tables_hold_the_rows(tmp_path, result):
     assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
     with open(tmp_path / "scores.csv", newline="") as file:
         assert len(list(csv.DictReader(file))) == scores.num_rows
+
+
+def test_no_text_is_a_formula_where_tables_are_opened_as_sheets(tmp_path, result):
+    bad = ['=HYPERLINK("http://x","y")', "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\t=1", "\rx"]
+    bad += [" =1", "＝1", "-"]
+    good = ["-5", "+1.5e3", "red = blue", "", "a,\nb"]
+    rows = [{**result.rows[0], "query": text} for text in [*bad, *good]]
+    write_samples(rows, tmp_path)
+    with open(tmp_path / "samples.csv", newline="") as file:
+        cells = [row["query"] for row in csv.DictReader(file)]
+    assert cells == [*(f"'{text}".replace("\r", "\n") for text in bad), *good]
+    assert pq.read_table(tmp_path / "samples.parquet")["query"].to_pylist() == [*bad, *good]
+    assert as_cell(-0.25) == -0.25  # numbers stay numbers
 
 
 def test_an_empty_run_has_empty_tables(tmp_path):

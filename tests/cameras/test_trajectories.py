@@ -72,6 +72,41 @@ def test_between_two_sizes_of_picture_has_the_first_ones():
     np.testing.assert_allclose(between(b, a, 0.5).K, b.K)
 
 
+BALL = np.random.default_rng(0).normal(size=(4000, 3))
+BALL *= 0.05 / np.linalg.norm(BALL, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        ((320, 240), (240, 320)),
+        ((240, 320), (1280, 720)),
+        ((320, 240), (321, 240)),
+        ((300, 300), (900, 100)),
+    ],
+)
+def test_a_ball_is_round_between_photographs_of_any_shapes(sizes, t):
+    """By its outline at the principal point, of other places and zooms in each photograph."""
+    ends, places = [], ((0.4, 0.7), (0.55, 0.3))
+    for (width, height), focal, (u, v) in zip(sizes, (300, 450), places, strict=True):
+        lens = np.array([[focal, 0, u * width], [0, focal, v * height], [0, 0, 1]])
+        ends.append(Camera(lens, np.eye(4), width, height))
+    made = between(*ends, t)
+    assert (made.width, made.height) == sizes[0]
+    pixels, _ = made.project(BALL + [0, 0, 5])
+    wide, high = np.ptp(pixels, axis=0)
+    assert wide / high == pytest.approx(1, abs=0.005)
+    # In the middle of the first picture lies what lies in the middle of the second.
+    middles = [np.array(size) / 2 for size in sizes]
+    scale = np.sqrt(np.prod(sizes[0]) / np.prod(sizes[1]))
+    off = (1 - t) * (ends[0].K[:2, 2] - middles[0]) + t * scale * (ends[1].K[:2, 2] - middles[1])
+    np.testing.assert_allclose(made.K[:2, 2], middles[0] + off, atol=1e-9)
+    assert made.K[0, 0] == pytest.approx((1 - t) * 300 + t * scale * 450)
+    back = between(*ends[::-1], 1 - t)
+    np.testing.assert_allclose(back.K[[0, 1], [0, 1]] * scale, made.K[[0, 1], [0, 1]])
+
+
 @pytest.mark.parametrize("t", [-0.1, 1.001, float("nan")])
 def test_beyond_the_two_is_refused(t):
     with pytest.raises(InputError, match="from 0 to 1"):

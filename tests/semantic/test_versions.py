@@ -4,10 +4,13 @@ import json
 import multiprocessing
 import os
 
+import pyarrow as pa
 import pytest
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.versions import Versions
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import encode_table
 
 
 @pytest.fixture
@@ -96,6 +99,28 @@ def test_damage_is_one_sentence(versions):
         (versions.folder / "current.json").write_text(text)
         with pytest.raises(SpecError, match=r"current\.json: cannot be read|000009"):
             versions.current()
+
+
+@pytest.mark.parametrize(
+    "number", ["1e400", "-1e400", "NaN", "Infinity", "1" * 400, "true", '"1"', "1.0", "-1", "[1]"]
+)
+def test_a_number_that_is_none_is_refused(versions, number):
+    versions.add(b"one", {}, True, "the first")
+    entry = f'{{"when": "", "version": 1, "before": {number}, "by": "", "why": ""}}'
+    for text in (f'{{"version": {number}}}', f'{{"version": 1, "history": [{entry}]}}'):
+        (versions.folder / "current.json").write_text(text)
+        with pytest.raises(SpecError, match=r"current\.json: cannot be read"):
+            versions.current()
+
+
+def test_a_version_is_not_its_own_ancestor(versions):
+    first = versions.add(b"one", {}, True, "the first")
+    file = versions.folder / "versions" / "000001.parquet"
+    spec = load_spec("versions")
+    row = {**vars(first), "facts": "{}", "parent": 1}
+    file.write_bytes(encode_table(pa.Table.from_pylist([row], schema=spec.schema), spec))
+    with pytest.raises(SpecError, match="version 1 of parent 1"):
+        versions.version(1)
 
 
 def _add(folder, number):

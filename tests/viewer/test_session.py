@@ -40,7 +40,9 @@ def test_a_window_sees_what_a_camera_sees(session):
         again = stage.camera(stage.stand(camera, W / H), W, H)
         np.testing.assert_allclose(again.K, camera.K, rtol=1e-12)
         np.testing.assert_allclose(again.c2w, camera.c2w, atol=1e-12)
-        for aspect in (0.5, 2.0):  # all of the picture is in the window, whatever its shape
+        # All of the picture is in the window, whatever its shape, and wherever its middle is.
+        for aspect, du, dv in ((0.5, 0, 0), (2.0, 0, 0), (0.5, 0.4, 0), (2.0, -0.8, 0.3)):
+            camera = replace(camera, K=camera.K + [[0, 0, du * W], [0, 0, dv * H], [0, 0, 0]])
             wide = stage.camera(stage.stand(camera, aspect), round(400 * aspect), 400)
             corners = camera.unproject(np.full((H, W), 1.0))[[0, 0, -1, -1], [0, -1, 0, -1]]
             pixels, _ = wide.project(corners)
