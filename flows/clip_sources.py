@@ -74,11 +74,7 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
 
 def _scene_folder(path: Path) -> Path:
     """The folder by which a scene is called: that above a file of cameras or a COLMAP model."""
-    folder = (path.parent if path.is_file() else path).resolve()
-    for place in sorted(colmap.PLACES, key=len, reverse=True):
-        if place != "." and folder.match(place):
-            return folder.parents[len(Path(place).parts) - 1]
-    return folder
+    return colmap.scene_folder((path.parent if path.is_file() else path).resolve())
 
 
 def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:

@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 from flows.settings import SIDES, Engine, Method, checked, read_values, refuse_idle, sides
 from slgaussian.datasets import FILES
 from slgaussian.errors import InputError
+from slgaussian.formats.text import read_lines
 
 
 def _parse_sides(value: Any) -> tuple[int, int]:
@@ -118,7 +119,7 @@ class Withdrawal(BaseModel):
         if self.withdrawn is None:
             return set()
         try:
-            lines = self.withdrawn.read_text("utf-8").splitlines()
+            lines = read_lines(self.withdrawn)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(
                 f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, a "

@@ -473,7 +473,7 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
         If the file cannot be read.
     """
     try:
-        values = tomllib.loads(path.read_text("utf-8"))
+        values = tomllib.loads(path.read_text("utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

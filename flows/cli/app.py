@@ -1,6 +1,7 @@
 """The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
 
 import sys
+import warnings
 from typing import Annotated
 
 import typer
@@ -47,8 +48,13 @@ def slgaussian(
     """What all commands have."""
 
 
+def _show_warning(message: Warning | str, *where: object) -> None:
+    typer.echo(f"warning: {message}", err=True)
+
+
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
+    warnings.showwarning = _show_warning
     try:
         with compiling.told_to(Waiting(sys.stderr)):
             status = app(prog_name="slgaussian", standalone_mode=False)

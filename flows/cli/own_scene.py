@@ -6,11 +6,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.cli.posing import view_of
+from flows.cli.posing import listed_photographs, view_of
 from flows.settings import SceneSettings, Settings
-from slgaussian import datasets
 from slgaussian.datasets import unposed
-from slgaussian.datasets.recognise import recognise
+from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.things import COMMON_THINGS
 
@@ -70,15 +69,15 @@ def own_scene(photos: Sequence[str], cameras: Path | None) -> tuple[SceneSetting
             f"{cameras}: found {format}, expected cameras of {', '.join(CAMERAS)}; give other data "
             "with --data and --pairs"
         )
-    known = datasets.load(format, place)
+    known, start = posed_scene(cameras, photos)
     folder = place if place.is_dir() else place.parent
-    given = map(str, files.values()) if middle else photos
-    names = [view_of(known, photo, folder) for photo in given]
+    names = [view_of(known, photo, start) for photo in listed_photographs(known, photos, start)]
     context, targets = held_out(names, middle)
     scene = SceneSettings(
         name=folder.resolve().name or "photographs",
         dataset="photographs",
         format=format,
+        options={} if format == "nerfstudio" else {"images": str(start.resolve())},
         path=place,
         context=context,
         targets=targets,

@@ -62,7 +62,7 @@ def posed_sample(
         taken = {name: str(file.absolute()) for name, file in files.items()}
     else:
         scene, folder = posed_scene(cameras, photos)
-        photos = _placed(scene, photos, folder)
+        photos = _placed(scene, listed_photographs(scene, photos, folder), folder)
         names = [view_of(scene, photo, folder) for photo in photos]
         if keyframes is not None:
             among = [scene.cameras[name] for name in names]
@@ -101,6 +101,33 @@ def _placed(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
                 file=sys.stderr,
             )
     return [photo for photo in photos if Path(photo).resolve() not in left]
+
+
+def listed_photographs(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
+    """The photographs, with those in place of a folder that lie in it and have a camera.
+
+    Raises
+    ------
+    InputError
+        If none in a folder has.
+    """
+    listed: list[str] = []
+    for photo in photos:
+        if not Path(photo).is_dir():
+            listed.append(photo)
+            continue
+        inside = [
+            str(folder / name)
+            for name in sorted(scene.cameras)
+            if (folder / name).resolve().is_relative_to(Path(photo).resolve())
+        ]
+        if not inside:
+            raise InputError(
+                f"{photo}: none of the {len(scene.cameras)} photographs that have a camera lies in "
+                f"this folder; they are in {folder}"
+            )
+        listed += inside
+    return listed
 
 
 def view_of(scene: Scene, photo: str, folder: Path) -> str:

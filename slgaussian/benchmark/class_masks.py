@@ -14,6 +14,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_mask
 from slgaussian.formats.resampling import Window
+from slgaussian.formats.text import read_lines
 
 FILE = "classes.txt"
 INSIDE = 255
@@ -29,10 +30,10 @@ def classes(folder: str | Path) -> tuple[str, ...]:
     """The classes, sorted; InputError if there is none, or one twice."""
     file = Path(folder) / FILE
     try:
-        lines = file.read_text("utf-8-sig").splitlines()
+        lines = read_lines(file)
     except (OSError, UnicodeDecodeError) as bad:
         raise InputError(f"{file}: cannot be read ({bad})") from None
-    names = sorted(line.strip() for line in lines if line.strip())
+    names = sorted(name for line in lines if (name := line.strip(" \t")))
     if not names or len(set(names)) < len(names):
         raise InputError(f"{file}: found {names}, expected different classes, one a line")
     # Nothing outside the folder is a mask, and no name of more than 255 bytes a file's.

@@ -7,29 +7,39 @@ read that has a focal length; photographs without distortion do not need it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.lens import OUTSIDE, Maps
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
     image_folder,
     is_there,
+    name_in,
     posed_view,
     stored_size,
 )
-from slgaussian.datasets.sparse import SparseCamera, SparseModel, model_files, read_model
+from slgaussian.datasets.sparse import (
+    SparseCamera,
+    SparseModel,
+    count_images,
+    model_files,
+    read_model,
+)
 from slgaussian.errors import InputError
 from slgaussian.parts.extras import install_line
 from slgaussian.scene import Camera, Scene, View
 
-PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
-"""Where in the folder of a scene its model is looked for; the first is COLMAP's largest one."""
+PLACES = ("sparse", "colmap/sparse", ".")
+"""Where in the folder of a scene its model is looked for, or models in folders called 0, 1, ..."""
 
 TRACK = 3
 """Fewest images that must show a point for its depth to count."""
@@ -44,6 +54,9 @@ ROWS = 64
 def read(path: str | Path, images: str | None = None) -> Scene:
     """Read a scene; photographs are opened and straightened when a view is asked for.
 
+    Of several models (COLMAP writes one for each group of images that it cannot connect) the one
+    with most images is taken, with a warning that says so.
+
     Views are named by their path below the folder of photographs, as in the model, and sorted by
     it, whatever their ids. Straight views keep the focal lengths and principal point of the lens,
     so intrinsics may differ from view to view; what the lens did not see is black. Photographs that
@@ -56,7 +69,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     Parameters
     ----------
     path : path
-        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself.
+        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or that of one
+        model in it.
     images : str, optional
         Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
         on.
@@ -69,9 +83,20 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         its own view.
     """
     path = Path(path)
-    source = _place(path)
-    model = read_model(source)
+    models = models_in(path)
+    source = largest(models) if models else path / PLACES[0] / "0"
+    if len(models) > 1:
+        sizes = ", ".join(f"{count_images(place)} in {place.name}" for place in models)
+        warnings.warn(
+            f"{source.parent}: has several models ({sizes} images), of which {source.name} is "
+            f"taken; give the folder of another one to take that",
+            stacklevel=2,
+        )
+    path = scene_folder(path)
     folder = image_folder(path, images)
+    model = read_model(source)
+    named = {n: replace(i, name=name_in(folder, i.name)) for n, i in model.images.items()}
+    model = replace(model, images=named)
     names: dict[str, int] = {}
     for number, image in sorted(model.images.items(), key=lambda item: item[1].name):
         if image.name in names:
@@ -86,7 +111,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         lens = by_view[name] = lenses[image.camera]
         near, far = ranges.get(number, (None, None))
         try:
-            camera = Camera(lens.K, _inverse(image.w2c), *lens.size, near, far)
+            camera = checked_camera(Camera(lens.K, _inverse(image.w2c), *lens.size, near, far))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
         cameras[name] = camera
@@ -97,14 +122,34 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     return Scene(name, cameras, reader.read, sources=reader.sources)
 
 
-def _place(path: Path) -> Path:
-    for place in PLACES:
-        if model_files(path / place):
-            return path / place
-    raise InputError(
-        f"{path}: has no COLMAP model; expected cameras and images, .bin or .txt, in "
-        f"{path / PLACES[0]}"
-    )
+def models_in(path: Path) -> list[Path]:
+    """List the folders of the models of a scene, by number; none if there is no model."""
+    for place in (path / place for place in PLACES):
+        numbered = [f for f in place.glob("*") if f.name.isdecimal() and model_files(f)]
+        if numbered or model_files(place):
+            return sorted(numbered, key=lambda folder: int(folder.name)) or [place]
+    return []
+
+
+def largest(models: Sequence[Path]) -> Path:
+    """The model with most images, the first of equal ones."""
+    return models[0] if len(models) == 1 else max(models, key=count_images)
+
+
+def scene_folder(path: Path) -> Path:
+    """The folder of the scene that a model, or a folder of models, is in; else the folder itself.
+
+    Of two folders that may be it, as above ``colmap/sparse``, it is the one with photographs.
+    """
+    place = Path(os.path.abspath(path))
+    parts = (place.parent if place.name.isdecimal() else place).parts
+    above = [
+        Path(*parts[: -len(inside)])
+        for inside in (Path(inside).parts for inside in PLACES if inside != ".")
+        if parts[-len(inside) :] == inside
+    ]
+    with_images = (folder for folder in above if image_folder(folder).is_dir())
+    return next(with_images, above[0] if above else path)
 
 
 def _file(scene: Path, folder: Path, name: str) -> Path | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, stored_size
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_npy
@@ -120,4 +121,4 @@ def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
     c2w = np.eye(4)
     c2w[:3, :4] = np.stack([right, down, -back, matrix[:, 3]], 1)
     K = np.array([[focal * w / width, 0, w / 2], [0, focal * h / height, h / 2], [0, 0, 1]])
-    return Camera(K, c2w, w, h, float(near), float(far))
+    return checked_camera(Camera(K, c2w, w, h, float(near), float(far)))

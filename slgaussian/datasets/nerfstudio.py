@@ -1,6 +1,7 @@
-"""nerfstudio's ``transforms.json``: photographs, intrinsics, lens distortion, poses and depth.
+"""nerfstudio's ``transforms.json``: photographs, intrinsics, lens distortion, poses, masks, depth.
 
-The format is https://docs.nerf.studio/quickstart/data_conventions.html. Its poses are
+The format is https://docs.nerf.studio/quickstart/data_conventions.html, with what instant-ngp adds
+(https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md). Its poses are
 camera-to-world with OpenGL axes (y up, z backward); its principal point counts from the corner of
 the image, with pixel centres at +0.5, as here.
 """
@@ -10,6 +11,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import warnings
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -20,11 +24,14 @@ import cv2
 import numpy as np
 
 from slgaussian.cameras.found import FoundCameras
+from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
     is_there,
+    masked,
+    name_in,
     open_photograph,
     stored_size,
 )
@@ -46,6 +53,35 @@ OWN = "slgaussian"
 :meth:`slgaussian.cameras.found.FoundCameras.as_json` has it, and in each frame what else a camera
 is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
 
+USED = frozenset(
+    ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
+    + ("camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path")
+    + ("depth_unit_scale_factor", "applied_scale")
+)
+"""The keys that are read of those that :data:`CHANGES_PIXELS` knows."""
+
+IGNORED = ("aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale")
+"""Keys that change neither where a point is seen nor what is: ``scale`` and ``aabb_scale`` place
+the scene in instant-ngp's cube, and ``integer_depth_scale`` is of depth that is not read."""
+
+CHANGES_PIXELS = re.compile(
+    r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
+    r"|ortho|rectangular|latlong|pano(?!ptic)|spheri|omnidir|theta|projection|camera_?(model|type)"
+    r"|focal|fov|field_of_view|camera_?angle|intrinsic|principal|shift_?[xy]|matrix_(start|end)"
+    r"|^f(l?_?[xy])?$|^c_?[xy]$|^[kpsb]_?\d+$|^xi$",
+    re.IGNORECASE,
+)
+"""What names of keys have in them that say a lens, a distortion, a mask, a shutter or a scale."""
+
+NEUTRAL = ("", "none", "pinhole", "perspective", "global")
+"""Values of such keys, besides 0, false and null, that change nothing."""
+
+DEPTH_FILES = (".png", ".npy", ".tif", ".tiff", ".pgm", ".jpg", ".jpeg", ".webp", ".bmp")
+"""Endings of depth that is read."""
+
+AGREEMENT = 0.01
+"""Largest difference of two focal lengths for one axis, as a fraction, that say the same."""
+
 DEPTH_UNIT = 0.001
 """Scene units in one unit of a depth file, where ``depth_unit_scale_factor`` does not say."""
 
@@ -54,16 +90,20 @@ def read(path: str | Path) -> Scene:
     """Read a scene; photographs are opened, and undistorted once, when a view is asked for.
 
     Views are named by their ``file_path``. Every number may stand at the top or in a frame, which
-    wins. ``fl_y`` defaults to ``fl_x`` and that to ``camera_angle_x``; ``cx`` and ``cy`` to the
-    image's middle; ``w`` and ``h`` to the size of the first photograph that exists. Undistorted
-    views keep their K, and what the lens did not see is black, with depth 0.
+    wins, whatever it is called there: the focal length is ``fl_x``, or by an angle
+    ``camera_angle_x`` (radians) or ``x_fov`` (degrees), and for y alike, which defaults to that of
+    x. ``cx`` and ``cy`` default to the image's middle; ``w`` and ``h`` to the size of
+    the first photograph that exists. ``is_fisheye`` is the ``camera_model`` OPENCV_FISHEYE.
+    Undistorted views keep their K, and what the lens did not see is black, with depth 0.
 
     Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
     black, and known as such in ``View.opaque``; an EXIF orientation is applied only where w and h
     are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_rgb`.
-    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor``, resampled at the
-    image's pixel centres, and 0 where it is not a positive number; a view whose depth file is
-    missing has no depth, as no method needs it.
+    ``mask_path`` is one more alpha channel, black where nothing is seen.
+    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor`` and, as poses
+    were, by ``applied_scale``, resampled at the image's pixel centres, and 0 where it is not a
+    positive number. A view whose depth file is missing has no depth, as no method needs it; one
+    whose file is of a kind that is not read has none either, with a warning.
 
     Parameters
     ----------
@@ -73,14 +113,15 @@ def read(path: str | Path) -> Scene:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or a frame of it cannot be used. A missing or unreadable
+        If the file is missing or damaged, a frame of it cannot be used, or it has a key that may
+        change the picture (:data:`CHANGES_PIXELS`) and is not read. A missing or unreadable
         photograph is an error only of its own view.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
     meta = _load(file)
     frames: dict[str, _Frame] = {}
-    shared = {key: value for key, value in meta.items() if key != OWN}
+    shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
     found = meta.get(OWN, {})
     if not isinstance(found, dict):
         raise InputError(f"{file}: {OWN} is {found!r}, expected an object; write the file again")
@@ -88,9 +129,10 @@ def read(path: str | Path) -> Scene:
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name:
             raise InputError(f"{file}: frame {number} has no file_path; add the photograph's path")
+        name = name_in(file.parent, name)
         if name in frames:
             raise InputError(f"{file}: two frames have the file_path {name!r}; remove one")
-        frames[name] = _Frame(file, name, {**shared, **entry})
+        frames[name] = _Frame.of(file, name, entry, shared)
     size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
     name = file.resolve().parent.name or "scene"
@@ -171,7 +213,7 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     content = _parsed(file)
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
-        return {name: _Frame(file, name, content).camera(None)}
+        return {name: _Frame.of(file, name, content).camera(None)}
     return dict(read(path).cameras)
 
 
@@ -216,11 +258,17 @@ class _Reader:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame with the file's defaults filled in."""
+    """One frame; its own values come before the file's, and none is null."""
 
     file: Path
     name: str
-    values: Mapping[str, Any]
+    values: ChainMap[str, Any]
+
+    @staticmethod
+    def of(file: Path, name: str, *levels: Mapping[str, Any]) -> _Frame:
+        """The frame with its values, and those of the file where it has none."""
+        known = ({k: v for k, v in level.items() if v is not None} for level in levels)
+        return _Frame(file, name, ChainMap(*known))
 
     def error(self, what: str) -> InputError:
         return InputError(f"{self.file}: frame {self.name!r}: {what}")
@@ -231,7 +279,7 @@ class _Frame:
     def number(self, key: str, default: float | None = None) -> float | None: ...
     def number(self, key: str, default: float | None = None) -> float | None:
         value = self.values.get(key)
-        if value is None:  # missing, or null
+        if value is None:
             return default
         if (
             isinstance(value, bool)
@@ -253,12 +301,8 @@ class _Frame:
 
     def camera(self, size: tuple[int, int] | None) -> Camera:
         """The pinhole camera of the undistorted view; ``size`` stands in for absent w and h."""
-        model = self.values.get("camera_model", "OPENCV")
-        if model not in (*PERSPECTIVE, FISHEYE):
-            raise self.error(
-                f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
-                f"{FISHEYE}; undistort the photographs to PINHOLE first"
-            )
+        self._refuse_unread()
+        self._is_fisheye()  # raises for a model that cannot be read
         w, h = self.number("w"), self.number("h")
         if w is None or h is None:
             if size is None:
@@ -266,13 +310,11 @@ class _Frame:
             w, h = size
         if w != int(w) or h != int(h):
             raise self.error(f"w and h are {w:g} and {h:g}, expected whole numbers of pixels")
-        angle = self.number("camera_angle_x")
-        if angle is not None and not 0 < angle < math.pi:
-            raise self.error(f"camera_angle_x is {angle:g}, expected radians between 0 and pi")
-        fx = self.number("fl_x", None if angle is None else w / 2 / math.tan(angle / 2))
+        fx = self._focal("x", w)
         if fx is None:
             raise self.error("has neither fl_x nor camera_angle_x; add the focal length in pixels")
-        fy = self.number("fl_y", fx)
+        fy = self._focal("y", h)
+        fy = fx if fy is None else fy
         cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
         if "transform_matrix" not in self.values:
             raise self.error("has no transform_matrix; add its camera-to-world pose, or remove it")
@@ -285,10 +327,71 @@ class _Frame:
         c2w *= OPENGL
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
-            camera = Camera(K, c2w, int(w), int(h))
+            camera = checked_camera(Camera(K, c2w, int(w), int(h)))
             return camera if self.own is None else self._more(camera, self.own)
         except InputError as bad:
             raise self.error(str(bad)) from None
+
+    def _refuse_unread(self) -> None:
+        for key, value in self.values.items():
+            if key in USED or key in IGNORED or not CHANGES_PIXELS.search(key):
+                continue
+            is_colour = "mask" in key  # black is one, as any other
+            numbers = value if isinstance(value, list) and not is_colour else [value]
+            changes_nothing = str(value).lower() in NEUTRAL or not any(numbers)
+            if not changes_nothing and not (value == 1 and re.search("scale|aspect", key)):
+                raise self.error(
+                    f"{key} is {value!r:.60}, which may change where points are seen and is not "
+                    "read; undistort the photographs to a PINHOLE camera, or remove the key if it "
+                    "does not matter"
+                )
+
+    def _focal(self, axis: str, size: float) -> float | None:
+        """The focal length in pixels along x or y, by the first level that has one; else None."""
+        for level in self.values.maps:
+            stated = {}
+            alone = _Frame(self.file, self.name, ChainMap(level))
+            for key in (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov"):
+                value = alone.number(key)
+                if value is None:
+                    continue
+                if not key.startswith("fl"):
+                    angle = math.radians(value) if key.endswith("fov") else value
+                    if not 0 < angle < math.pi:
+                        unit = "degrees below 180" if key.endswith("fov") else "radians below pi"
+                        raise self.error(f"{key} is {value:g}, expected {unit} and above 0")
+                    value = size / 2 / math.tan(angle / 2)
+                stated[key] = value
+            for key, value in stated.items():
+                first, expected = next(iter(stated.items()))
+                if abs(value - expected) > AGREEMENT * abs(expected):
+                    raise self.error(
+                        f"{first} says a focal length of {expected:.6g} pixels and {key} one of "
+                        f"{value:.6g}; remove the wrong one"
+                    )
+            if stated:
+                return next(iter(stated.values()))
+        return None
+
+    def _is_fisheye(self) -> bool:
+        """Whether the lens is OpenCV's fisheye, by the first level that says so or otherwise."""
+        for level in self.values.maps:
+            model, flag = level.get("camera_model"), level.get("is_fisheye")
+            if flag not in (None, True, False):
+                raise self.error(f"is_fisheye is {flag!r}, expected true or false")
+            if model not in (None, *PERSPECTIVE, FISHEYE):
+                raise self.error(
+                    f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
+                    f"{FISHEYE}; undistort the photographs to PINHOLE first"
+                )
+            if None not in (model, flag) and (model == FISHEYE) != flag:
+                raise self.error(
+                    f"camera_model is {model} and is_fisheye {flag}, which contradict each other; "
+                    "remove the wrong one"
+                )
+            if model is not None or flag is not None:
+                return bool(flag) or model == FISHEYE
+        return False
 
     @property
     def own(self) -> dict[str, Any] | None:
@@ -299,7 +402,7 @@ class _Frame:
         return own
 
     def _more(self, camera: Camera, own: Mapping[str, Any]) -> Camera:
-        more = _Frame(self.file, self.name, own)
+        more = _Frame.of(self.file, self.name, own)
         said = own.get("estimated")
         try:
             estimated = None if said is None else Estimated.of(said)
@@ -313,7 +416,7 @@ class _Frame:
         """Where each pixel of the view lies in the stored photograph, as maps for cv2.remap."""
         k = [self.number(f"k{i}", 0.0) for i in range(1, 5)]
         p = [self.number(f"p{i}", 0.0) for i in range(1, 3)]
-        fisheye = self.values.get("camera_model") == FISHEYE
+        fisheye = self._is_fisheye()
         if not fisheye and not any((*k, *p)):
             return None
         size = (camera.width, camera.height)
@@ -340,14 +443,26 @@ class _Frame:
                 f"says {camera.width}x{camera.height}; resize it, or scale w, h, fl_x, fl_y, cx "
                 "and cy to its size"
             )
-        return pixels, opaque
+        mask = self.values.get("mask_path")
+        return (pixels, opaque) if mask is None else masked(pixels, opaque, self._place(mask))
+
+    def _place(self, name: Any) -> Path:
+        """The file of that name beside the camera file."""
+        return self.file.parent / name_in(self.file.parent, str(name))
 
     def depth(self, camera: Camera) -> np.ndarray | None:
         name = self.values.get("depth_file_path")
         if name is None:
             return None
-        path = self.file.parent / str(name)
+        path = self._place(name)
         if not is_there(path):
+            return None
+        if path.suffix.lower() not in DEPTH_FILES:
+            warnings.warn(
+                f"{path}: is depth of a kind that is not read, and its photograph goes without; "
+                "convert it to .npy, or a 16-bit .png in millimetres",
+                stacklevel=2,
+            )
             return None
         try:
             if path.suffix == ".npy":
@@ -362,9 +477,12 @@ class _Frame:
             raise InputError(
                 f"{path}: depth is {raw.dtype} {raw.shape}, expected one number a pixel"
             )
-        unit = self.number("depth_unit_scale_factor", DEPTH_UNIT)
-        if unit <= 0:
-            raise self.error(f"depth_unit_scale_factor is {unit:g}, expected a positive number")
+        unit = 1.0
+        for key, default in (("depth_unit_scale_factor", DEPTH_UNIT), ("applied_scale", 1.0)):
+            factor = self.number(key, default)
+            if factor <= 0:
+                raise self.error(f"{key} is {factor:g}, expected a positive number")
+            unit *= factor
         depth = (raw.astype(np.float64) * unit).astype(np.float32)
         depth[~(np.isfinite(depth) & (depth > 0))] = 0
         photograph = Window.whole(camera.width, camera.height)

@@ -90,6 +90,41 @@ def open_photograph(
     return pixels, None if opaque.all() else opaque
 
 
+def masked(
+    pixels: np.ndarray, opaque: np.ndarray | None, mask: Path
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Lay pixels uint8 [H, W, 3] over black by the file of a mask, as by one more alpha channel.
+
+    A mask is white where something is seen; one of 0 and 1 only is scaled.
+
+    Returns
+    -------
+    pixels : uint8 [H, W, 3]
+    opaque : bool [H, W], or None if all are
+        Those of ``opaque`` that the mask shows too.
+
+    Raises
+    ------
+    InputError
+        If the mask is not there, damaged, or of another size.
+    """
+    height, width = pixels.shape[:2]
+    if not is_there(mask):
+        raise InputError(f"{mask}: no such mask; put the file there, or remove its key mask_path")
+    alpha = open_rgb(mask, (width, height)).max(2)
+    if alpha.shape != (height, width):
+        raise InputError(
+            f"{mask}: is {alpha.shape[1]}x{alpha.shape[0]}, its photograph {width}x{height}; bring "
+            "it to that size"
+        )
+    if alpha.max() == 1:
+        alpha *= 255
+    shown = _by_rows(np.dstack([pixels, alpha]), lambda part: part[..., :3] * part[..., 3:] / 255)
+    seen = alpha >= OPAQUE
+    seen = seen if opaque is None else seen & opaque
+    return shown, None if seen.all() else seen
+
+
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Width and height that :func:`open_rgb` gives a photograph; None if it cannot be opened."""
     try:
@@ -120,11 +155,25 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def name_in(folder: Path, name: str) -> str:
+    """The name of a photograph below a folder, as a camera file gives it, with slashes.
+
+    Backslashes, as Windows writes them, and blanks at the ends are part of it only if there is such
+    a file.
+    """
+    return name if is_there(folder / name) else name.strip(" \t").replace("\\", "/")
+
+
 def photographs_in(folder: Path) -> list[Path]:
     """The photographs that lie in a folder, sorted by name; none if there is no such folder."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if path.suffix in EXTENSIONS)
+
+
+def photographs_of(scene: Path) -> list[Path]:
+    """The photographs in a folder or, if it has none, in its :func:`image_folder`, by name."""
+    return photographs_in(scene) or photographs_in(image_folder(scene))
 
 
 def image_folder(scene: Path, name: str | None = None) -> Path:

@@ -26,10 +26,12 @@ import fsspec
 import numpy as np
 from PIL import Image
 
+from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
+from slgaussian.formats.text import read_lines
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.store import write_atomic
@@ -292,6 +294,11 @@ def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
     row = np.asarray(row, np.float64)
     if row.shape != (ROW,) or not np.isfinite(row).all():
         raise InputError(f"camera row: found {row.tolist()}, expected {ROW} finite numbers")
+    if row[4:6].any():
+        raise InputError(
+            f"camera row: its numbers 5 and 6 are {row[4]:g} and {row[5]:g}, expected 0, as a lens "
+            "distortion there is not read; undistort the photographs first"
+        )
     fx, fy, cx, cy = row[:4] * (width, height, width, height)
     w2c = np.eye(4)
     w2c[:3] = row[6:].reshape(3, 4)
@@ -299,7 +306,8 @@ def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
     c2w = np.eye(4)
     c2w[:3, :3] = rotation.T
     c2w[:3, 3] = -rotation.T @ w2c[:3, 3]
-    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), c2w, width, height)
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return checked_camera(Camera(K, c2w, width, height), fractions=True)
 
 
 def row_of(camera: Camera) -> np.ndarray:
@@ -419,7 +427,9 @@ def encoded(clips: Sequence[Clip]) -> bytes:
 
 
 def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
-    """A raw camera file: the clip's address, timestamps int64 [N] and rows float32 [N, 18].
+    """Read a raw camera file: the clip's address, timestamps int64 [N], rows float32 [N, 18].
+
+    A file may lack the line of the address, which is empty then.
 
     Raises
     ------
@@ -428,11 +438,15 @@ def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
     """
 
     try:
-        address, *lines = Path(file).read_text("utf-8").splitlines() or [""]
+        lines = read_lines(file)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{file}: cannot be read ({error})") from None
+    has_address = len(lines[0].split()) != 1 + ROW
+    address = lines[0].strip() if has_address else ""
     times, rows = [], []
-    for number, line in enumerate(lines, 2):
+    for number, line in enumerate(lines, 1):
+        if number == 1 and has_address:
+            continue
         words = line.split()
         if not words:
             continue

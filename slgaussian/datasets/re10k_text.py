@@ -9,6 +9,7 @@ called as the camera file is: ``train/000c3ab189999a83.txt`` and ``train/000c3ab
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,8 @@ def is_camera_file(file: Path) -> bool:
     """Whether it begins with the address of a video, as these do."""
     try:
         with file.open("rb") as stream:
-            return file.suffix == ".txt" and stream.read(8).startswith((b"https://", b"http://"))
+            start = stream.read(11).removeprefix(codecs.BOM_UTF8)
+            return file.suffix == ".txt" and start.startswith((b"https://", b"http://"))
     except OSError:
         return False
 

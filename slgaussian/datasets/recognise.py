@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from slgaussian.datasets import colmap, llff, nerfstudio, re10k, re10k_text, unposed
-from slgaussian.datasets.photographs import image_folder, photographs_in
+from slgaussian.datasets.photographs import image_folder, photographs_of
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
@@ -29,8 +29,9 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
     path : path
         File or folder, see :data:`EXPECTED`.
     photographs : sequence of str
-        Those that views are wanted for. Of COLMAP and LLFF they may lie elsewhere than in the
-        folder ``images`` of the scene; of RealEstate10K they are named ``<clip>/<frame>``.
+        Those that views are wanted for, or folders of them. Of COLMAP and LLFF they may lie
+        elsewhere than in the folder ``images`` of the scene; of RealEstate10K they are named
+        ``<clip>/<frame>``.
 
     A folder of photographs without any such file has the cameras that are found for them.
 
@@ -49,10 +50,15 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         return _clip(place, photographs), place
     if format == "re10k_text":
         return re10k_text.read(place), re10k_text.frames_of(place)
-    scene = place if place.is_dir() else place.parent
     reader = {"colmap": colmap, "llff": llff}[format]
-    folder = image_folder(scene)
-    files = [Path(name).resolve() for name in photographs if Path(name).is_file()]
+    scene = place if place.is_dir() else place.parent
+    folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene)
+    files = [
+        file.resolve()
+        for place in map(Path, photographs)
+        for file in (photographs_of(place) if place.is_dir() else [place])
+        if file.is_file()
+    ]
     if files and not any(file.is_relative_to(folder.resolve()) for file in files):
         folder = files[0].parent if reader is llff else _root(scene, files) or folder
     return reader.read(place, str(folder.resolve())), folder
@@ -87,15 +93,13 @@ def recognise(path: Path) -> tuple[str, Path]:
     if path.is_dir():
         if (path / nerfstudio.FILE).is_file():
             return "nerfstudio", path
-        if any(model_files(path / place) for place in colmap.PLACES):
-            return "colmap", _scene_folder(path)
-        if model_files(path / "0"):  # the folder `sparse` itself
-            return "colmap", _scene_folder(path / "0")
+        if colmap.models_in(path):
+            return "colmap", _scene_of(path)
         if (path / llff.FILE).is_file():
             return "llff", path
         if (path / re10k.INDEX).is_file():
             return "re10k", path
-        photographs = photographs_in(path) or photographs_in(image_folder(path))
+        photographs = photographs_of(path)
         if photographs and not _scenes_in(path) and not any(path.glob("*.json")):
             return "photographs", path
         raise InputError(f"{path}: holds no cameras: {_found_in(path)}; expected {EXPECTED}")
@@ -107,7 +111,7 @@ def recognise(path: Path) -> tuple[str, Path]:
     if start.startswith(b"\x93NUMPY") or path.suffix == ".npy":
         return "llff", path
     if path in model_files(path.parent):
-        return "colmap", _scene_folder(path.parent)
+        return "colmap", _scene_of(path.parent)
     if re10k_text.is_camera_file(path):
         return "re10k_text", path
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")) or path.suffix == ".json":
@@ -115,14 +119,11 @@ def recognise(path: Path) -> tuple[str, Path]:
     raise InputError(f"{path}: is no file of cameras; expected {EXPECTED}")
 
 
-def _scene_folder(model: Path) -> Path:
-    """The folder of the scene that a folder with a COLMAP model belongs to: it has photographs."""
-    for folder in (model, *list(model.resolve().parents)[:3]):
-        inside = [(folder / place).resolve() for place in colmap.PLACES]
-        first = next((place for place in inside if model_files(place)), None)
-        if image_folder(folder).is_dir() and (folder == model or first == model.resolve()):
-            return folder
-    return model
+def _scene_of(path: Path) -> Path:
+    """The folder of a scene, if its model in ``path`` is the one that is read there; else that."""
+    scene = colmap.scene_folder(path)
+    model, usual = (colmap.largest(colmap.models_in(place)) for place in (path, scene))
+    return scene if model.resolve() == usual.resolve() else path
 
 
 def _root(scene: Path, files: Sequence[Path]) -> Path | None:

@@ -8,6 +8,7 @@ checked against what is left of the file.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
+from slgaussian.formats.text import read_lines
 from slgaussian.storage.store import write_atomic
 
 MODELS = {
@@ -30,6 +32,10 @@ MODELS = {
 """Camera models: name and number of parameters by the number that binary files have for them."""
 
 KINDS = ("cameras", "images", "points3D")
+
+IMAGE = re.compile(r"[ \t]*" + r"([^ \t]+)[ \t]+" * 8 + r"([^ \t]+)[ \t]?(.*)", re.DOTALL)
+"""The line of an image in a text file: id, quaternion, translation, camera; the rest is its name.
+"""
 
 T = TypeVar("T")
 
@@ -83,6 +89,18 @@ def model_files(folder: Path) -> list[Path]:
         if files[0].is_file() and files[1].is_file():
             return [file for file in files if file.is_file()]
     return []
+
+
+def count_images(folder: Path) -> int:
+    """Count the posed images of the model in a folder; 0 if its file of images is damaged."""
+    file = model_files(folder)[1]
+    try:
+        if file.suffix == ".txt":
+            return len(_text_images(file))
+        with file.open("rb") as stream:
+            return struct.unpack("<Q", stream.read(8))[0]
+    except (OSError, struct.error, _Wrong):
+        return 0
 
 
 def read_model(folder: Path) -> SparseModel:
@@ -224,7 +242,10 @@ def _binary_cameras(file: Path) -> dict[int, SparseCamera]:
 def _text_cameras(file: Path) -> dict[int, SparseCamera]:
     counts = dict(MODELS.values())
     cameras: dict[int, SparseCamera] = {}
-    for line, words in _lines(file):
+    for line, text in _lines(file):
+        words = text.split()
+        if not words:
+            continue
         try:
             number, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
             params = tuple(map(float, words[4:]))
@@ -269,18 +290,34 @@ def _binary_images(file: Path) -> dict[int, SparseImage]:
 
 def _text_images(file: Path) -> dict[int, SparseImage]:
     images: dict[int, SparseImage] = {}
-    lines = _lines(file, blank=True)
-    for line, words in lines:
-        if not words:
+    points_may_follow = False
+    for line, text in _lines(file):
+        # COLMAP writes a line of points below each image, blank where there is none. Files that
+        # were written from known poses often have no such lines.
+        if not text.strip() or (points_may_follow and _are_points(text)):
+            points_may_follow = False
             continue
+        match = IMAGE.fullmatch(text)
         try:
+            *words, name = match.groups() if match else ()
             number, pose, camera = int(words[0]), list(map(float, words[1:8])), int(words[8])
-            name = " ".join(words[9:])
-        except (ValueError, IndexError):
-            raise _Wrong(f"line {line} is no image") from None
+        except ValueError:
+            raise _Wrong(f"line {line} is no image, nor the points of one") from None
         _add_image(images, number, name, camera, pose)
-        next(lines, None)  # the points that the image shows, perhaps none
+        points_may_follow = True
     return images
+
+
+def _are_points(text: str) -> bool:
+    """Whether a line is triples of x, y and the id of a point, -1 for none."""
+    numbers = text.split()
+    try:
+        for k in range(0, len(numbers), 3):
+            x, y, point = numbers[k : k + 3]
+            float(x), float(y), int(point)
+    except ValueError:
+        return False
+    return True
 
 
 def _add_image(
@@ -288,7 +325,7 @@ def _add_image(
 ) -> None:
     if number in images:
         raise _Wrong(f"has two images {number}")
-    if not name:
+    if not name.strip():
         raise _Wrong(f"image {number} has no name")
     w, *xyz = pose[:4]
     length = float(np.linalg.norm(pose[:4]))
@@ -326,7 +363,10 @@ def _binary_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
     points, seen = [], []
-    for line, words in _lines(file):
+    for line, text in _lines(file):
+        words = text.split()
+        if not words:
+            continue
         try:
             points.append(tuple(map(float, words[1:4])))
             track = list(map(int, words[8:]))
@@ -338,12 +378,12 @@ def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(points).reshape(-1, 3), np.array(seen, np.int64).reshape(-1, 2)
 
 
-def _lines(file: Path, blank: bool = False) -> Iterator[tuple[int, list[str]]]:
-    """The words of each line that is no comment, with its number; blank ones if wanted."""
+def _lines(file: Path) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each line that is no comment."""
     try:
-        text = file.read_text("utf-8")
+        lines = read_lines(file)
     except UnicodeDecodeError:
         raise _Wrong("is not text") from None
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.startswith("#") and (blank or line.strip()):
-            yield number, line.split()
+    for number, line in enumerate(lines, 1):
+        if not line.lstrip().startswith("#"):
+            yield number, line

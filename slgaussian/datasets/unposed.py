@@ -23,7 +23,7 @@ from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, told_by, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
-from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, rgb
+from slgaussian.datasets.photographs import photographs_of, posed_view, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
 from slgaussian.scene import Camera, Sample, Scene, Size, View
@@ -99,7 +99,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
         if not place.is_dir():
             found.append(place)
             continue
-        inside = photographs_in(place) or photographs_in(image_folder(place))
+        inside = photographs_of(place)
         if not inside:
             raise InputError(
                 f"{place}: holds no photographs; expected files such as .jpg or .png there, or "

@@ -75,11 +75,11 @@ def write_model(
 
 
 def llff_row(
-    place=(0.0, 0.0, 0.0), turn=0.0, size=(HEIGHT, WIDTH), near=2.0, far=9.0
+    place=(0.0, 0.0, 0.0), turn=0.0, size=(HEIGHT, WIDTH), near=2.0, far=9.0, focal=FOCAL
 ) -> list[float]:
     """A row of poses_bounds for a camera turned about y, its axes written out by hand."""
     a = np.radians(turn)
     right, down = np.array([np.cos(a), 0, -np.sin(a)]), np.array([0.0, 1, 0])
     forward = np.cross(right, down)
-    matrix = np.column_stack([down, right, -forward, place, (*size, FOCAL)])
+    matrix = np.column_stack([down, right, -forward, place, (*size, focal)])
     return [*matrix.ravel(), near, far]

@@ -10,6 +10,7 @@ from posed_folders import HEIGHT, PINHOLE, WIDTH, Shot, picture, write_model, wr
 from scipy.ndimage import map_coordinates
 
 from slgaussian.datasets import colmap, load, nerfstudio
+from slgaussian.datasets.recognise import posed_scene
 from slgaussian.datasets.sparse import KINDS, MODELS, read_model
 from slgaussian.errors import InputError
 
@@ -94,6 +95,75 @@ class TestPoses:
     def test_the_model_may_lie_in_several_places(self, tmp_path, place):
         write_model(tmp_path / place, SHOTS, CAMERAS)
         assert len(colmap.read(tmp_path).cameras) == 3
+
+
+class TestTextFiles:
+    def test_need_no_lines_of_points(self, tmp_path):
+        # As written from known poses, and with points below some images only.
+        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS[:2], text=True)
+        file = tmp_path / "sparse/0/images.txt"
+        lines = file.read_text().splitlines()
+        poses = [line for line in lines if line.endswith(".png")]
+        points = "0.5 1 7 20 1e1 -1"
+        for texts in (
+            poses,
+            [poses[0], points, *poses[1:]],
+            [*poses, points],
+            [*poses[:2], "", poses[2]],
+        ):
+            file.write_text("\n".join(texts))
+            for name, camera in colmap.read(tmp_path).cameras.items():
+                assert camera.w2c[:3] == pytest.approx(SHOTS[name].w2c(), abs=1e-12)
+            assert len(colmap.read(tmp_path).cameras) == 3
+        file.write_text("\n".join([poses[0], points[:-3], *poses[1:]]))  # no more a triple
+        with pytest.raises(InputError, match=r"images\.txt: line 2 is no image, nor the points"):
+            colmap.read(tmp_path)
+
+    def test_names_are_what_stands_behind_the_camera(self, tmp_path):
+        names = [
+            "a  b.png",
+            "a b.png",
+            "c\u2028d.png",
+            "e\x85f.png",
+            "g\x0bh.png",
+            " i.png",
+            "i.png",
+        ]
+        others = ["j\\k.png", "l.png "]  # of Windows, and with a blank that no file has
+        write_pictures(tmp_path / "images", [*names, "j/k.png", "l.png"])
+        write_model(tmp_path / "sparse/0", {}, CAMERAS, text=True)
+        poses = [f"{n} 1 0 0 0 {n} 0 0 1 {name}\n\n" for n, name in enumerate([*names, *others], 1)]
+        (tmp_path / "sparse/0/images.txt").write_bytes(b"\xef\xbb\xbf" + "".join(poses).encode())
+        scene = colmap.read(tmp_path)
+        for seed, name in enumerate([*names, "j/k.png", "l.png"]):
+            view = scene.read(name)
+            assert (view.image == picture(seed)).all()
+            assert view.camera.center.tolist() == [-seed - 1, 0, 0]
+
+
+class TestSeveralModels:
+    @pytest.fixture
+    def several(self, tmp_path):
+        names = [f"{k:02}.png" for k in range(12)]
+        write_pictures(tmp_path / "images", names)
+        shots = [Shot(k + 1, place=(k, 0, 0)) for k in range(12)]
+        for number, part in (("0", slice(2)), ("1", slice(2, 12)), ("10", slice(1))):
+            some = dict(zip(names[part], shots[part], strict=True))
+            write_model(tmp_path / "sparse" / number, some, text=number == "1")
+        return tmp_path
+
+    @pytest.mark.parametrize("place", [".", "sparse"])
+    def test_the_largest_is_taken_and_that_is_said(self, several, place):
+        with pytest.warns(UserWarning, match=r"\(2 in 0, 10 in 1, 1 in 10 images\), of which 1 is"):
+            scene, _ = posed_scene(several / place)
+        assert len(scene.cameras) == 10 and scene.name == several.name
+        assert (scene.read("05.png").image == picture(5)).all()
+
+    @pytest.mark.parametrize("place", ["sparse/0", "sparse/0/images.bin"])
+    def test_another_one_may_be_given(self, several, place):
+        scene, folder = posed_scene(several / place)
+        assert list(scene.cameras) == ["00.png", "01.png"] and folder == several / "images"
+        assert (scene.read("01.png").image == picture(1)).all()
 
 
 class TestDepthRange:
@@ -310,6 +380,9 @@ class TestDamage:
             ("cameras", "2 SIMPLE_PINHOLE 96", "2 SIMPLE_PINHOLE 0", "camera 2 is 0x64 pixels"),
             ("cameras", "75", "-75", "focal lengths -75, -75 must be positive"),
             ("cameras", "75", "nan", "with parameters (nan"),
+            ("cameras", "75", "0.8", "focal length x is 0.8, which for 96x64 pixels is a field"),
+            ("cameras", "75", "75000", "expected 3 to 175; it is likely of a larger photograph"),
+            ("cameras", "75 40 30", "75 400 30", "principal point is (400, 30)"),
             (
                 "cameras",
                 "2 SIMPLE_PINHOLE",

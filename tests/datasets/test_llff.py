@@ -38,13 +38,13 @@ class TestCameras:
         assert (scene.read("b.png").image[..., 0] == 3).all()
 
     def test_the_focal_length_follows_the_size_of_the_photographs(self, tmp_path):
-        rows = [llff_row(size=(3024, 4032))]
+        rows = [llff_row(size=(3024, 4032), focal=3200.0)]
         write(tmp_path, rows, ["a.png"], "images_4", (1008, 756))
         write(tmp_path, rows, ["a.png"], "images_8", (504, 378))
         for settings, factor in (({}, 4), ({"images": "images_8"}, 8)):
             camera = load("llff", tmp_path, **settings).read("a.png").camera
             assert (camera.width, camera.height) == (4032 // factor, 3024 // factor)
-            assert np.allclose(camera.K[[0, 1], [0, 1]], FOCAL / factor)
+            assert np.allclose(camera.K[[0, 1], [0, 1]], 3200 / factor)
             assert np.allclose(camera.K[:2, 2] * factor, (2016, 1512))
 
     def test_photographs_may_be_portraits_and_differ_in_size(self, tmp_path):
@@ -74,6 +74,8 @@ class TestDamage:
             ),
             ([llff_row(), llff_row(size=(0, WIDTH))], "'b.png': says 96x0 pixels"),
             ([llff_row(), [0.0] * 17], "'b.png': says 0x0 pixels"),
+            ([llff_row(), llff_row(focal=0.8)], "'b.png': focal length x is 0.8"),
+            ([llff_row(), llff_row(focal=5000)], "field of view of 1.1 degrees"),
             (
                 [llff_row(), [2 * v for v in llff_row()]],
                 "'b.png': camera c2w: its 3x3 part is not a rot",

@@ -319,3 +319,132 @@ def test_sensor_depth_of_real_frames_warps_one_onto_another(real_data):
     known = there > 0
     error = np.abs(there - z[inside])[known] / z[inside][known]
     assert np.median(error) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("is_fisheye", "yes"),
+        ("fisheye_crop_radius", 40.0),
+        ("distortion_params", [0.1, 0, 0, 0, 0, 0]),
+        ("distortion_model", "kannala-brandt"),
+        ("k5", 0.01),
+        ("s1", 0.001),
+        ("xi", 0.9),
+        ("ftheta_p0", 0.2),
+        ("equirectangular", True),
+        ("latlong", True),
+        ("ortho", True),
+        ("camera_type", "panoramic"),
+        ("rolling_shutter", [0.0, 0.0, 0.03]),
+        ("rolling_shutter_time", 0.02),
+        ("mask_color", [0, 0, 0]),
+        ("scale_factor", 0.5),
+        ("depth_scale", 1000.0),
+        ("fx", 300.0),
+        ("fovx", 0.7),
+        ("intrinsics", [[80, 0, 48], [0, 80, 32], [0, 0, 1]]),
+        ("skew", 0.3),
+        ("crop", [0, 0, 10, 10]),
+        ("shift_x", 0.1),
+    ],
+)
+@pytest.mark.parametrize("at_top", [True, False])
+def test_a_key_that_changes_the_picture_and_is_not_read_is_refused(tmp_path, key, value, at_top):
+    top, own = ({key: value}, {}) if at_top else ({}, {key: value})
+    with pytest.raises(InputError, match=rf"frame 'a\.png': {key} is ") as refused:
+        nerfstudio.read(write(tmp_path, [frame("a.png", **own)], **top))
+    assert "\n" not in str(refused.value)
+    # By itself, as a viewpoint is given.
+    (tmp_path / "one.json").write_text(json.dumps(frame("a.png", **INTRINSICS, **{key: value})))
+    with pytest.raises(InputError, match=rf"{key} is "):
+        nerfstudio.read_cameras(tmp_path / "one.json")
+
+
+@pytest.mark.parametrize(
+    ("own", "sentence"),
+    [
+        ({"fl_x": 80.0, "camera_angle_x": 1.2}, "fl_x says a focal length of 80 pixels and camera"),
+        ({"camera_angle_y": 60.0}, "camera_angle_y is 60, expected radians below pi"),
+        ({"x_fov": 200.0}, "x_fov is 200, expected degrees below 180"),
+        ({"camera_model": "OPENCV", "is_fisheye": True}, "contradict each other"),
+        ({"fl_x": 0.8, "fl_y": 0.8}, "focal length x is 0.8, .* likely a fraction"),
+        ({"fl_x": 4.2 / 3, "fl_y": 82.0}, "focal length x is 1.4, "),
+        ({"camera_angle_x": 3.11}, "field of view of 178 degrees"),
+        ({"fl_x": 5000.0}, "field of view of 1.1 degrees.* likely of a larger photograph"),
+        ({"fl_y": 5000.0}, "focal length y is 5000"),
+        ({"cx": 0.49, "cy": 0.52}, r"principal point is \(0.49, 0.52\), .* likely fractions"),
+        ({"cx": 473.0}, r"principal point is \(473, 33.1\), .* likely of a larger photograph"),
+    ],
+)
+def test_intrinsics_that_cannot_be_are_said(tmp_path, own, sentence):
+    with pytest.raises(InputError, match=rf"transforms\.json: frame 'a\.png': .*{sentence}"):
+        nerfstudio.read(write(tmp_path, [frame("a.png", **own)]))
+
+
+class TestMasks:
+    def mask(self) -> np.ndarray:
+        levels = np.zeros((HEIGHT, WIDTH), np.uint8)
+        levels[10:50, 20:70] = 255
+        levels[10, 20:70] = 100
+        levels[11, 20:70] = 200
+        return levels
+
+    @pytest.mark.parametrize("lens", [{}, {"k1": 0.2}])
+    def test_count_as_the_same_alpha_channel_does(self, tmp_path, lens):
+        Image.fromarray(np.dstack([picture(), self.mask()])).save(tmp_path / "rgba.png")
+        (tmp_path / "m").mkdir()
+        Image.fromarray(self.mask()).save(tmp_path / "m/m.png")
+        frames = [frame("a.png", mask_path="m\\m.png"), frame("rgba.png")]
+        scene = nerfstudio.read(write(tmp_path, frames, **lens))
+        masked, with_alpha = scene.read("a.png"), scene.read("rgba.png")
+        assert np.array_equal(masked.image, with_alpha.image)
+        assert np.array_equal(masked.opaque, with_alpha.opaque)
+        if not lens:
+            assert np.array_equal(masked.opaque, self.mask() >= 128)
+            shown = np.round(picture() * (self.mask()[..., None] / 255))
+            assert np.array_equal(masked.image, shown)
+
+    def test_may_be_of_zeros_and_ones(self, tmp_path):
+        Image.fromarray((self.mask() >= 128).astype(np.uint8)).save(tmp_path / "m.png")
+        view = nerfstudio.read(write(tmp_path, [frame("a.png")], mask_path="m.png")).read("a.png")
+        assert np.array_equal(view.opaque, self.mask() >= 128)
+
+    def test_that_are_missing_or_of_another_size_are_said(self, tmp_path):
+        scene = nerfstudio.read(write(tmp_path, [frame("a.png", mask_path="m.png")]))
+        with pytest.raises(InputError, match=r"m\.png: no such mask"):
+            scene.read("a.png")
+        Image.fromarray(self.mask()[:30]).save(tmp_path / "m.png")
+        with pytest.raises(InputError, match=r"m\.png: is 96x30, its photograph 96x64"):
+            scene.read("a.png")
+
+
+class TestNames:
+    def test_of_windows_are_found(self, tmp_path):
+        (tmp_path / "images").mkdir()
+        Image.fromarray(np.full((HEIGHT, WIDTH), 1500, np.uint16)).save(tmp_path / "images/d.png")
+        entry = frame("images\\a.png", depth_file_path="images\\d.png")
+        scene = nerfstudio.read(write(tmp_path, [entry], ("images/a.png",)))
+        view = scene.read(scene.find("a.png"))
+        assert view.name == "images/a.png" and (view.image == picture()).all()
+        assert (view.depth == 1.5).all()
+
+    def test_are_taken_as_they_stand(self, tmp_path):
+        names = ["a  b.png", "a b.png", "c\\d.png", "e\u2028f.png", "e f.png", " g.png", "g.png"]
+        scene = nerfstudio.read(write(tmp_path, [frame(n) for n in names], names))
+        for seed, name in enumerate(names):
+            assert (scene.read(name).image == picture(seed)).all()
+
+
+def test_depth_of_a_kind_that_is_not_read_leaves_its_photograph(tmp_path):
+    (tmp_path / "d.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(100))
+    scene = nerfstudio.read(write(tmp_path, [frame("a.png", depth_file_path="d.exr")]))
+    with pytest.warns(UserWarning, match=r"d\.exr: is depth of a kind that is not read"):
+        view = scene.read("a.png")
+    assert view.depth is None and (view.image == picture()).all()
+
+
+def test_depth_is_scaled_as_poses_were(tmp_path):
+    Image.fromarray(np.full((HEIGHT, WIDTH), 1500, np.uint16)).save(tmp_path / "d.png")
+    file = write(tmp_path, [frame("a.png", depth_file_path="d.png")], applied_scale=0.5)
+    assert (nerfstudio.read(file).read("a.png").depth == 0.75).all()

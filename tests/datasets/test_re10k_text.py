@@ -49,6 +49,22 @@ def test_it_is_known_by_its_first_line(clip):
     assert EXPECTED in str(refused.value)
 
 
+def test_pixels_and_distortion_are_refused_and_a_missing_address_swallows_no_frame(clip):
+    address, *rows = clip.read_text().splitlines()
+    clip.write_text("\n".join(rows))
+    assert len(re10k_text.read(clip).cameras) == 3
+    words = rows[0].split()
+    for place, value, sentence in (
+        (1, "20.0", r"focal length x is 20, .* 2\.86 degrees, .* likely in pixels"),
+        (3, "20.0", r"principal point is \(20, 0\.5\), .* likely pixels"),
+        (5, "0.1", r"numbers 5 and 6 are 0\.1 and 0, expected 0"),
+    ):
+        changed = [*words[:place], value, *words[place + 1 :]]
+        clip.write_text("\n".join([address, " ".join(changed), *rows[1:]]))
+        with pytest.raises(InputError, match=rf"0123abcd\.txt: frame 100: .*{sentence}"):
+            re10k_text.read(clip)
+
+
 def test_frames_may_lie_in_a_folder_beside_the_cameras(clip):
     (clip.parent / "cameras/train").mkdir(parents=True)
     (clip.parent / "frames/train").mkdir(parents=True)

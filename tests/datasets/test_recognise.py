@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from flows.cli.own_scene import own_scene
+from flows.cli.posing import listed_photographs
 from slgaussian import datasets
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.datasets.photographs import open_rgb, stored_size
@@ -95,6 +97,22 @@ def test_photographs_may_lie_elsewhere(folder, kind):
     scene, start = posed_scene(folder / kind, photographs)
     assert start.resolve() == (folder / "mine").resolve()
     assert scene.read("b.png").image.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("kind", ["nerf", "llff/poses_bounds.npy", "colmap/sparse/0"])
+def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
+    root = folder / kind.split("/")[0]
+    for place in (root, root / "images"):
+        scene, start = posed_scene(folder / kind, [str(place)])
+        listed = listed_photographs(scene, [str(place)], start)
+        assert [Path(photo).resolve() for photo in listed] == [root / "images" / n for n in NAMES]
+        own, _ = own_scene([str(place)], folder / kind)
+        assert [Path(name).name for name in own.context] == list(NAMES)
+        options = {"images": own.options["images"]} if own.options else {}
+        assert len(datasets.load(own.format, own.path, **options).cameras) == 2
+    (folder / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty: none of the 2 photographs that have a camera"):
+        listed_photographs(scene, [str(folder / "empty")], start)
 
 
 @pytest.mark.parametrize(
