@@ -80,7 +80,7 @@ class Room:
         return datasets.SOURCES["procedural"]
 
 
-@stage("packed", version=1)  # to be raised too when other cameras are found in photographs
+@stage("packed", version=2)  # to be raised too when other cameras are found in photographs
 def packed(site: Worksite, source: PosedFolder | Room) -> ArtifactRef:
     """The scene of a source as a chunk of one clip: spec ``packed``.
 

@@ -111,7 +111,10 @@ def masked(
     height, width = pixels.shape[:2]
     if not is_there(mask):
         raise InputError(f"{mask}: no such mask; put the file there, or remove its key mask_path")
-    alpha = open_rgb(mask, (width, height)).max(2)
+    levels, inside = open_photograph(mask, (width, height))
+    alpha = levels.max(2)
+    if inside is not None and not alpha.any():  # black all over: its own alpha is the mask
+        alpha = inside.astype(np.uint8)
     if alpha.shape != (height, width):
         raise InputError(
             f"{mask}: is {alpha.shape[1]}x{alpha.shape[0]}, its photograph {width}x{height}; bring "

@@ -380,7 +380,7 @@ class TestDamage:
             ("cameras", "2 SIMPLE_PINHOLE 96", "2 SIMPLE_PINHOLE 0", "camera 2 is 0x64 pixels"),
             ("cameras", "75", "-75", "focal lengths -75, -75 must be positive"),
             ("cameras", "75", "nan", "with parameters (nan"),
-            ("cameras", "75", "0.8", "focal length x is 0.8, which for 96x64 pixels is a field"),
+            ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
             ("cameras", "75", "75000", "expected 3 to 175; it is likely of a larger photograph"),
             ("cameras", "75 40 30", "75 400 30", "principal point is (400, 30)"),
             (

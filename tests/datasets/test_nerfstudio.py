@@ -373,7 +373,7 @@ def test_a_key_that_changes_the_picture_and_is_not_read_is_refused(tmp_path, key
         ({"camera_angle_x": 3.11}, "field of view of 178 degrees"),
         ({"fl_x": 5000.0}, "field of view of 1.1 degrees.* likely of a larger photograph"),
         ({"fl_y": 5000.0}, "focal length y is 5000"),
-        ({"cx": 0.49, "cy": 0.52}, r"principal point is \(0.49, 0.52\), .* likely fractions"),
+        ({"cx": 0.49, "cy": 0.52}, r"principal point is \(0.49, 0.52\), .* likely a fraction"),
         ({"cx": 473.0}, r"principal point is \(473, 33.1\), .* likely of a larger photograph"),
     ],
 )
@@ -405,10 +405,14 @@ class TestMasks:
             shown = np.round(picture() * (self.mask()[..., None] / 255))
             assert np.array_equal(masked.image, shown)
 
-    def test_may_be_of_zeros_and_ones(self, tmp_path):
-        Image.fromarray((self.mask() >= 128).astype(np.uint8)).save(tmp_path / "m.png")
-        view = nerfstudio.read(write(tmp_path, [frame("a.png")], mask_path="m.png")).read("a.png")
-        assert np.array_equal(view.opaque, self.mask() >= 128)
+    def test_may_be_of_zeros_and_ones_or_an_alpha_channel(self, tmp_path):
+        seen = self.mask() >= 128
+        levels = seen.astype(np.uint8)
+        black = np.zeros_like(levels)
+        for stored in (levels, seen, np.dstack([black, black, black, 255 * levels])):
+            Image.fromarray(stored).save(tmp_path / "m.png")
+            file = write(tmp_path, [frame("a.png")], mask_path="m.png")
+            assert np.array_equal(nerfstudio.read(file).read("a.png").opaque, seen)
 
     def test_that_are_missing_or_of_another_size_are_said(self, tmp_path):
         scene = nerfstudio.read(write(tmp_path, [frame("a.png", mask_path="m.png")]))

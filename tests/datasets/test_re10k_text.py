@@ -56,7 +56,7 @@ def test_pixels_and_distortion_are_refused_and_a_missing_address_swallows_no_fra
     words = rows[0].split()
     for place, value, sentence in (
         (1, "20.0", r"focal length x is 20, .* 2\.86 degrees, .* likely in pixels"),
-        (3, "20.0", r"principal point is \(20, 0\.5\), .* likely pixels"),
+        (3, "20.0", r"principal point is \(20, 0\.5\), .* likely in pixels"),
         (5, "0.1", r"numbers 5 and 6 are 0\.1 and 0, expected 0"),
     ):
         changed = [*words[:place], value, *words[place + 1 :]]

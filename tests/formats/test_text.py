@@ -1,0 +1,30 @@
+"""Text that anybody wrote is read as it stands, with or without a byte-order mark."""
+
+import codecs
+import json
+
+import pytest
+
+from flows.corpus_settings import Withdrawal
+from flows.settings import read_values
+from slgaussian.benchmark import class_masks
+from slgaussian.datasets.re10k_text import is_camera_file
+from slgaussian.formats import strict_json
+from slgaussian.formats.text import read_lines
+
+NAMES = ["a  b", "a b", "c\u2028d", "e\x85f", "g\x0bh", "i\x0cj", "k\x1cl"]
+
+
+@pytest.mark.parametrize("mark", [b"", codecs.BOM_UTF8])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_names_are_what_stands_between_line_breaks(tmp_path, mark, end):
+    file = tmp_path / "classes.txt"
+    file.write_bytes(mark + end.join([*NAMES, ""]).encode())
+    assert read_lines(file) == [*NAMES, ""]
+    assert class_masks.classes(tmp_path) == tuple(sorted(NAMES))
+    assert Withdrawal(withdrawn=file).withdrawn_clips() == set(NAMES)
+    (tmp_path / "run.toml").write_bytes(mark + f'out = "x"{end}'.encode())
+    assert read_values(tmp_path / "run.toml", {})["out"] == str(tmp_path / "x")
+    assert strict_json.parse(mark + json.dumps(NAMES).encode()) == NAMES
+    file.write_bytes(mark + b"https://x" + end.encode())
+    assert is_camera_file(file)
