@@ -242,9 +242,11 @@ class _Reader:
     def sources(self, name: str) -> list[Path]:
         """List the camera file, the photograph of a view and all else that is named for it."""
         frame = self.frames[name]
-        places = [str(value) for key, value in frame.values.items() if key.endswith("_path")]
+        places = [
+            frame.place(value) for key, value in frame.values.items() if key.endswith("_path")
+        ]
         photograph = [] if frame.image_path is None else [frame.image_path]
-        return [self.file, *photograph, *(self.file.parent / place for place in places)]
+        return [self.file, *photograph, *places]
 
     def _missing(self, name: str) -> InputError:
         gone = [other for other, frame in self.frames.items() if frame.image_path is None]
@@ -444,9 +446,9 @@ class _Frame:
                 "and cy to its size"
             )
         mask = self.values.get("mask_path")
-        return (pixels, opaque) if mask is None else masked(pixels, opaque, self._place(mask))
+        return (pixels, opaque) if mask is None else masked(pixels, opaque, self.place(mask))
 
-    def _place(self, name: Any) -> Path:
+    def place(self, name: Any) -> Path:
         """The file of that name beside the camera file."""
         return self.file.parent / name_in(self.file.parent, str(name))
 
@@ -454,7 +456,7 @@ class _Frame:
         name = self.values.get("depth_file_path")
         if name is None:
             return None
-        path = self._place(name)
+        path = self.place(name)
         if not is_there(path):
             return None
         if path.suffix.lower() not in DEPTH_FILES:
