@@ -188,8 +188,9 @@ def test_large_photographs_are_shrunk_and_small_ones_left_alone():
     assert height / width == pytest.approx(1.5, abs=0.01)
     assert scene.sample(["big", "big2"], size="original").context[0].image.shape[0] == 3000
     small = {"a": camera(), "b": camera(x=1)}
-    again = Scene("s", small, lambda name: view(name, small[name])).sample(["a", "b"])
-    assert again.context[0].image.shape == (24, 32, 3)
+    scene = Scene("s", small, lambda name: view(name, small[name]))
+    for size, wanted in (("auto", (24, 32)), ("at most 12x16", (12, 16))):
+        assert scene.sample(["a", "b"], size=size).context[0].image.shape == (*wanted, 3)
 
 
 class TestFind:
