@@ -8,7 +8,7 @@ from slgaussian.language import descriptors
 from slgaussian.language.descriptors import ROOM, SURFACES
 
 
-@pytest.mark.parametrize("two_tone", [0.65, 0.7, 0.75])
+@pytest.mark.parametrize("two_tone", [0.7, 0.75, 0.78])
 def test_stripes_need_two_tones_from_six_to_eight_tenths_of_the_variance(two_tone):
     """Two tones 40 apart, each in halves: of the variance 20^2 + off^2 they explain 20^2."""
     off = 20 * np.sqrt(1 / two_tone - 1)
