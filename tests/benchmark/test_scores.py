@@ -277,7 +277,7 @@ def test_a_sample_that_only_one_has_a_score_of_does_not_count():
 
 
 def test_versions_of_a_protocol_do_not_compare():
-    other = [row | {"protocol": "slgaussian@2"} for row in ious(a=[0.7])]
+    other = [row | {"protocol": "slgaussian@1"} for row in ious(a=[0.7])]
     assert differences(ious(a=[0.9]), other) == []
 
 
