@@ -109,19 +109,19 @@ NERF = {  # what a file says, and the model and parameters of pycolmap's that it
         LENSES["OPENCV"],
     ),
     "radians": (
-        {"top": {"camera_angle_x": angle(150, WIDTH), "camera_angle_y": angle(120, HEIGHT)}},
+        {"top": {"camera_angle_x": angle(150, WIDTH), "camera_angle_y": angle(130, HEIGHT)}},
         "PINHOLE",
-        (150, 120, *MIDDLE),
+        (150, 130, *MIDDLE),
     ),
     "degrees": (
         {
             "top": {
                 "x_fov": np.degrees(angle(150, WIDTH)),
-                "y_fov": np.degrees(angle(120, HEIGHT)),
+                "y_fov": np.degrees(angle(130, HEIGHT)),
             }
         },
         "PINHOLE",
-        (150, 120, *MIDDLE),
+        (150, 130, *MIDDLE),
     ),
     "a frame's angle": (
         {"top": {"fl_x": 300.0}, "frame": {"camera_angle_x": angle(150, WIDTH)}},
