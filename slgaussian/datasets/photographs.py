@@ -12,7 +12,7 @@ from slgaussian.datasets.exif import SIDEWAYS, orientation_of
 from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
-from slgaussian.formats.images import opened, unreadable
+from slgaussian.formats.images import mask_levels, opened, unreadable
 from slgaussian.scene import Camera, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
@@ -111,10 +111,7 @@ def masked(
     height, width = pixels.shape[:2]
     if not is_there(mask):
         raise InputError(f"{mask}: no such mask; put the file there, or remove its key mask_path")
-    levels, inside = open_photograph(mask, (width, height))
-    alpha = levels.max(2)
-    if inside is not None and not alpha.any():  # black all over: its own alpha is the mask
-        alpha = inside.astype(np.uint8)
+    alpha = mask_levels(mask).copy()
     if alpha.shape != (height, width):
         raise InputError(
             f"{mask}: is {alpha.shape[1]}x{alpha.shape[0]}, its photograph {width}x{height}; bring "

@@ -74,44 +74,45 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
 def read_mask(
     source: str | Path | BinaryIO, least: int = 128, kinds: Sequence[str] = KINDS
 ) -> np.ndarray:
-    """Read a mask of any kind of image, bool [H, W].
-
-    Its grey levels are compared, of 16 bits scaled to 255; alpha that is not 255 everywhere is the
-    mask instead, unless what it shows is black and white itself, which is laid over black.
-
-    Parameters
-    ----------
-    least : int
-        Grey level, of 255, from which a pixel is set.
+    """Read a mask of any kind of image, bool [H, W]: its :func:`mask_levels` from ``least`` on.
 
     Raises
     ------
     InputError
         If it cannot be read, or no pixel is set though some are not black.
     """
-    try:
-        with opened(source, kinds) as image:
-            grey = _mask_levels(image)
-    except (OSError, ValueError) as bad:
-        raise unreadable(str(source), bad) from None
-    mask = grey >= least
-    if grey.any() and not mask.any():
+    levels = mask_levels(source, kinds)
+    mask = levels >= least
+    if levels.any() and not mask.any():
         raise InputError(
-            f"{source}: its brightest pixel is {grey.max()}, expected 255 where the mask is"
+            f"{source}: its brightest pixel is {levels.max()}, expected 255 where the mask is"
         )
     return mask
 
 
-def _mask_levels(image: Image.Image) -> np.ndarray:
-    """Grey levels uint8 [H, W] of an image that is a mask."""
-    if image.mode.startswith("I"):  # 16 bits of grey
-        return np.clip(np.asarray(image) / 257, 0, 255).astype(np.uint8)
-    if image.mode == "F":
-        raise ValueError("floating-point pixels")
-    if "A" not in image.getbands() and "transparency" not in image.info:
-        return np.asarray(image.convert("L"))
-    image = image.convert("RGBA")
-    grey, alpha = np.asarray(image.convert("L")), np.asarray(image.getchannel("A"))
+def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> np.ndarray:
+    """Read the levels of a mask, uint8 [H, W]: 255 where it is, 0 where not.
+
+    They are grey levels, of 16 bits scaled to 255. Alpha that is not 255 everywhere is the mask
+    instead, unless what it shows is black and white itself, which is laid over black.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        with opened(source, kinds) as image:
+            if image.mode == "F":
+                raise ValueError("floating-point pixels")
+            if image.mode.startswith("I"):  # 16 bits of grey
+                return np.clip(np.asarray(image) / 257, 0, 255).astype(np.uint8)
+            if "A" not in image.getbands() and "transparency" not in image.info:
+                return np.asarray(image.convert("L"))
+            layers = image.convert("RGBA")
+            grey, alpha = np.asarray(layers.convert("L")), np.asarray(layers.getchannel("A"))
+    except (OSError, ValueError) as bad:
+        raise unreadable(str(source), bad) from None
     if (alpha == 255).all():
         return grey
     levels = np.unique(grey[alpha > 0])
