@@ -77,7 +77,8 @@ def read(
                 "black where it does not show it"
             )
         mask = read_mask(file, INSIDE)
-        part = shown or Window.covering(*mask.shape[::-1], width, height)
-        part.check_shape(file, *mask.shape[::-1])
+        full_h, full_w = mask.shape
+        part = shown or Window.covering(full_w, full_h, width, height)
+        part.check_shape(file, full_w, full_h)
         masks[name] = part.mask(mask, height, width)
     return masks

@@ -83,6 +83,16 @@ class TestMasks:
         masks = read_labels(folder / "bed/segmentations", "01.jpg", WIDTH, HEIGHT)
         assert np.array_equal(masks["white sheet"], ring() > 0)
 
+    @pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (HEIGHT, HEIGHT)])
+    def test_of_another_shape_than_the_photograph_are_refused(self, folder, size):
+        """Whatever part of it is judged: a square of it does not make a square mask right."""
+        labels = folder / "bed/segmentations"
+        Image.fromarray(np.full(size, 255, np.uint8)).save(labels / "01/hand.png")
+        whole = load("ovs3d", folder, "bed").read("01.jpg")
+        for view in (whole, whole.resized(40, 40)):
+            with pytest.raises(InputError, match=r"hand\.png: is \d+x\d+, of another shape"):
+                read_truth(labels, CLASSES, [view])
+
     def test_count_only_white(self, folder):
         file = folder / "bed/segmentations/01/white sheet.png"
         mask = np.where(ring() > 0, 255, 254).astype(np.uint8)

@@ -178,6 +178,7 @@ def _rgb_16_bits(file):
             "160x20, of another shape",
         ),
         ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
+        ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int)), "120x160, of another shape"),
         ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),
     ],
 )

@@ -90,6 +90,9 @@ def test_targets_have_a_size_of_their_own(store):
     (target,), full = back.targets, scene.sample(["view_00", "view_02"], ["view_01"]).targets[0]
     np.testing.assert_array_equal(target.image, full.image)
     np.testing.assert_array_equal(target.camera.K, full.camera.K)
+    cropped = scene.sample(["view_00", "view_02"], size=(30, 20))
+    again = sample_from_arrays(through(store, "sample", sample_to_arrays(cropped)))
+    assert [v.window for v in again.context] == [v.window for v in cropped.context] != [None, None]
     truth = truth_from_instances(small)
     stored = truth_from_arrays(through(store, "truth", truth_to_arrays(truth, small)))
     assert {m.shape for m in stored.masks["view_01"].values()} == {(32, 48)}
