@@ -20,7 +20,6 @@ from slgaussian.labels import VISIBLE
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.placed import Layout, ask_placed
 from slgaussian.language.query import (
     BankReader,
     Description,
@@ -116,10 +115,7 @@ class FieldView:
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
         """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
-        if self.camera is None:
-            return ask(texts, self._objects, self.reader, Rules(**rules))
-        layout = self.field.layout(self.camera)
-        return ask_placed(texts, self._objects, self.reader, Rules(**rules), layout)
+        return ask(texts, self._objects, self.reader, Rules(**rules))
 
     def like(self, image: np.ndarray, **rules: Any) -> QueryResult:
         """What in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`."""
@@ -228,43 +224,10 @@ class SemanticField:
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
         """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
 
-        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part. Where a text says how
-        things lie to one another, it is as the first context camera sees them.
+        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part.
         """
-        if not self.reader.sentence(text).plain and self.cameras:
-            labels = np.where(np.isin(self.labels(), list(self.removed)), 0, self.labels())
-            seen = ObjectMap(labels[None], self.bank.ids)
-            layout = self.layout(next(iter(self.cameras.values())))
-            return ask_placed([text], seen, self.reader, Rules(**rules), layout)[0].objects
         there = ~np.isin(self.bank.ids, list(self.removed))
         return find(text, self.reader, Rules(**rules), there)
-
-    def layout(self, camera: Camera) -> Layout:
-        """Where the objects are to one another, as ``camera`` sees them."""
-        return Layout(camera, lambda: self.up, self._points)
-
-    @cached_property
-    def up(self) -> np.ndarray:
-        """Unit vector float64 [3] away from the floor, as the context views tell it."""
-        from slgaussian.geometry.room import find_room
-        from slgaussian.things import small
-
-        whole = self.changed(removed=frozenset())
-        cameras = [small(camera) for camera in self.cameras.values()]
-        return find_room(cameras, [whole.render(camera).depth for camera in cameras]).up
-
-    def _points(self, row: int) -> np.ndarray:
-        """Centres of the Gaussians of an object of the bank, float32 [P, 3]."""
-        order, spans = self._by_object
-        return self.gaussians.to_arrays()["means"][order[slice(*spans[row])]]
-
-    @cached_property
-    def _by_object(self) -> tuple[np.ndarray, np.ndarray]:
-        """The Gaussians in the order of their objects, and from where to where are whose."""
-        labels = self.labels()
-        order = np.argsort(labels, kind="stable")
-        sides = (np.searchsorted(labels[order], self.bank.ids, side) for side in ("left", "right"))
-        return order, np.stack(list(sides), 1)
 
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[Thing]:
         """What there is: every object with its best words, place and size, by id.

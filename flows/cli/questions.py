@@ -55,8 +55,7 @@ def ask(
         the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
         others (word: [other, similarity]), who answered (``kind``: ``known``, ``named``,
         ``taught``, ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a
-        name or a taught word would mean otherwise (``instead_of``), the ``count`` of things where a
-        number is asked for or None, ``notes`` on where things are, why it was ``refused`` or None,
+        name or a taught word would mean otherwise (``instead_of``), why it was ``refused`` or None,
         ``picture`` path or None.
 
     Raises
@@ -190,7 +189,6 @@ def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
             if answer["point"]:
                 lines.append("point  x {}, y {}".format(*answer["point"]))
             lines.append(f"{'objects' if answer['point'] else 'most like it'}  {ids or 'none'}")
-            lines += ["; ".join(answer["notes"])] if answer["notes"] else []
         blocks.append("\n".join(lines + _of_words(answer)))
     return "\n\n".join(dict.fromkeys(blocks))
 
@@ -251,8 +249,6 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "kind": hit.kind,
         "examples": list(hit.understood.examples),
         "instead_of": hit.understood.instead_of or None,
-        "count": hit.count,
-        "notes": list(hit.notes),
         "refused": None,
     }
 
@@ -268,7 +264,7 @@ def _refusal(text: str, why: str) -> dict[str, Any]:
     }
     answer |= {"objects": [], "pixels": 0, "read_as": None}
     answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
-    answer |= {"examples": [0, 0], "instead_of": None, "count": None, "notes": []}
+    answer |= {"examples": [0, 0], "instead_of": None}
     return answer | {"refused": why}
 
 
@@ -395,7 +391,7 @@ def sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], d
     refused = {}
     for text in dict.fromkeys(texts):
         try:
-            field.reader.meant(text)
+            field.reader.understood(text)
         except InputError as error:
             refused[text] = str(error)
     asked = [text for text in dict.fromkeys(texts) if text not in refused]

@@ -18,7 +18,6 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import USUAL, Confidence, confidence, signs
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
-from slgaussian.language.sentences import Sentence, parse
 from slgaussian.language.taught import TaughtWords, normal, spelled
 
 NEAR_BEST = 0.6
@@ -280,42 +279,13 @@ class BankReader(TextReader):
         examples = self.taught.examples(word) if who == "taught" else (0, 0)
         return Understood(word, (), {}, {}, who, examples, instead_of)
 
-    def sentence(self, text: str) -> Sentence:
-        """A text divided at what it says of where things are; names and taught words are whole."""
-        return parse(text) if self._who(text) == "known" else Sentence(text, text)
-
-    def meant(self, text: str) -> Understood:
-        """As :meth:`understood`, of a thing and of what it lies to.
-
-        InputError also if the text asks for what geometry does not answer.
-        """
-        read = self.sentence(text)
-        if read.plain:
-            return self.understood(text)
-        if read.problem:
-            raise InputError(f"query {text!r}: not answered: {read.problem}")
-        parts = [self.understood(read.noun)]
-        count = {None: "", 0: "how many"}.get(read.count, str(read.count))
-        words = [count, read.superlative, parts[0].read_as]
-        if read.anchor is not None:
-            parts.append(self.meant(read.anchor.text))
-            words += [read.relation, parts[1].read_as]
-        unknown = tuple(dict.fromkeys(word for part in parts for word in part.unknown))
-        return Understood(
-            " ".join(word for word in words if word),
-            unknown,
-            {word: why for part in parts for word, why in part.unused.items()},
-            {word: other for part in parts for word, other in part.taken_for.items()},
-            "unknown" if unknown else "known",
-        )
-
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that are left out; InputError as :meth:`meant`."""
-        return self.meant(text).unknown
+        """The words of ``text`` that are left out; InputError as :meth:`understood`."""
+        return self.understood(text).unknown
 
     def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
         """The words of ``text`` that count as others: the other one, and how alike they are."""
-        return self.meant(text).taken_for
+        return self.understood(text).taken_for
 
     def _who(self, text: str) -> str:
         """Who answers: a name wins over a taught word, and that over the encoder."""
@@ -360,11 +330,6 @@ class QueryResult:
     uncalibrated: str = ""
     """For what that was not measured, such as ``the encoder clip``; empty where it was, or where
     nothing is to be doubted."""
-    count: int | None = None
-    """How many things were found, if the text asks how many or for a number of them."""
-    notes: tuple[str, ...] = ()
-    """What there is to say of an answer about where things are: what it rests on, and why nothing
-    was found."""
 
     def __repr__(self) -> str:
         found = said([id_ for id_, _ in self.objects])
@@ -433,7 +398,7 @@ class QueryResult:
         A page says the same (``summary`` of ``viewer/page/words.js``).
         """
         if not self.mask.any():
-            why = "; ".join(self.notes) or f"the best object scores {self.score:.3f}"
+            why = f"the best object scores {self.score:.3f}"
             return f"not here: {why if len(self._ranked) else 'this view shows no object'}"
         if self.confidence is None:
             return f"found, uncalibrated for {self.uncalibrated}" if self.uncalibrated else "found"

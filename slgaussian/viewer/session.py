@@ -19,8 +19,7 @@ from slgaussian.field import SemanticField, shown
 from slgaussian.formats.ply import load_ply
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.placed import ask_placed
-from slgaussian.language.query import QueryResult, Rules
+from slgaussian.language.query import QueryResult, Rules, ask
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.things import BEST, Thing, words_for
@@ -207,7 +206,7 @@ class Session:
         refused, asked = {}, []
         for text in dict.fromkeys(texts):
             try:
-                own.reader.meant(text)
+                own.reader.understood(text)
                 asked.append(text)
             except InputError as error:
                 refused[text] = str(error)
@@ -216,9 +215,7 @@ class Session:
             labels = np.where(np.isin(self.labels, list(self.removed)), 0, self.labels)
             seen = ObjectMap(labels[None], own.bank.ids) if self.removed else self._objects
             assert seen is not None  # of a field there is one
-            # As the first photograph sees it: whoever looks, stands elsewhere.
-            layout = own.layout(next(iter(self.cameras.values())))
-            hits = ask_placed(asked, seen, own.reader, rules, layout)
+            hits = ask(asked, seen, own.reader, rules)
         self.answer = Answer(tuple(hits), refused, rules)
         mode = "relevancy" if hits else "colour"
         if hits or self.look.mode == "relevancy":

@@ -43,13 +43,10 @@ def answer(session: Session) -> str:
         said = f"{sign}**{plain(hit.text)}** ({_kind(hit)}): "
         said += plain(hit.summary)
         if hit.objects:
-            many = "" if hit.count is None else f"; {hit.count} of them"
             like = "; most like it: " if hit.verdict == "not here" else "; "
-            said += f"{many}; score {hit.score:.3f}{like}{_objects(session, hit.objects)}"
+            said += f"; score {hit.score:.3f}{like}{_objects(session, hit.objects)}"
         if len(found.hits) > 1:
             said += f"; {100 * shares[number]:.0f} % of the Gaussians"
-        if hit.objects and hit.notes:
-            said += f"; {plain('; '.join(hit.notes))}"
         lines.append(said)
         lines += _of_words(hit)
     lines += [f"**{plain(text)}** is refused: {plain(why)}" for text, why in found.refused.items()]
