@@ -308,7 +308,7 @@ def test_what_holds_arrays_prints_its_shapes(field):
         field.gaussians: "means=float32 [6144, 3]",
         field.bank: "present=bool [2, 2]",
         view: "ids=int32 [48, 64]",
-        view.query("red"): "QueryResult('red': score 0.",
+        view.query("red"): "QueryResult('red': not sure, score 0.",
         View("a", field.cameras["a"], view.rgb): "image=uint8 [48, 64, 3])",
     }
     for what, said in printed.items():

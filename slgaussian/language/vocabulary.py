@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
@@ -124,7 +124,7 @@ class Vocabulary:
                     "are found by what they are, not by what they are not; leave that part out"
                 )
         spelled, places = self._take_phrases(spelled)
-        end = next((i for i, s in enumerate(spelled) if s in self.relations), len(spelled))
+        end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         meant = [s for s in spelled[:end] if s not in self.stop]
         guesses = {
             s: found
@@ -169,6 +169,14 @@ class Vocabulary:
             s: (word.name, likeness) for s, (word, likeness) in guesses.items() if s not in unknown
         }
         return Reading(tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, taken_for)
+
+    def _relates(self, spelled: Sequence[str], i: int) -> bool:
+        """Whether what follows describes another object: after "on", or "left of" after a thing."""
+        if spelled[i] in self.relations:
+            return True
+        word = self._look_up(spelled[i])
+        of_another = spelled[i + 1 : i + 2] == ["of"] and any(map(self._look_up, spelled[:i]))
+        return word is not None and word.family == "place" and of_another
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
         """Every word that counts by family, with its synonyms."""

@@ -505,6 +505,7 @@ def test_left_and_right_are_told_apart(lexicon):
         ("box standing on the floor next to the door", ["box", "standing"], ("next", "to", "door")),
         ("cup on the table on the left", ["cup"], ("on", "table", "left")),
         ("ball to the left of the door", ["ball"], ("to", "left", "door")),
+        ("ball left of the door", ["ball"], ("left", "door")),
         ("on the floor", ["standing"], ()),
         ("red ball red ball", ["red", "ball"], ()),
     ],

@@ -77,21 +77,6 @@ def test_a_click_past_everything_selects_nothing(session):
     assert "Click a thing" in told.thing(session)
 
 
-def test_where_things_are_is_as_the_first_camera_sees_it(session):
-    named = session.field
-    for id_, name in ((GREEN, "screen"), (YELLOW, "cup")):
-        named = named.named(id_, name)
-    session.change(named)
-    answer = session.ask(["cup in front of the screen", "leftmost cup", "how many cup"], Rules())
-    assert [[id_ for id_, _ in hit.objects] for hit in answer.hits] == [[YELLOW]] * 3
-    assert [hit.count for hit in answer.hits] == [None, None, 1]
-    assert "as this camera sees it" in told.answer(session).replace("&#45;", "-")
-    session.ask(["cup behind the screen"], Rules())
-    assert "nothing that fits" in told.answer(session)
-    refused = session.ask(["largest nearest cup", "cup"], Rules()).refused
-    assert "only one of largest and nearest" in refused["largest nearest cup"]
-
-
 def test_what_is_clicked_has_an_outline(session):
     plain = session.colours().astype(int)
     session.click(session.cameras["a"], 54, 30)
