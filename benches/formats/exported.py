@@ -22,9 +22,7 @@ from slgaussian.benchmark.metrics import psnr
 from slgaussian.build import build_field
 from slgaussian.cameras.trajectories import between
 from slgaussian.field import SemanticField
-from slgaussian.formats.glb import save_glb
 from slgaussian.formats.ply import load_ply, save_ply
-from slgaussian.formats.splat import load_splat, save_splat
 from slgaussian.formats.spz import load_spz, save_spz
 from slgaussian.gaussians import Gaussians
 from slgaussian.parts.method import Method
@@ -37,7 +35,6 @@ SCENES = 3
 
 READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
     ".ply": (save_ply, lambda file: load_ply(file)[0]),
-    ".splat": (save_splat, load_splat),
     ".spz": (save_spz, load_spz),
 }
 
@@ -57,9 +54,6 @@ def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> 
             for camera, was in zip((*cameras, middle), true, strict=True)
         ]
         yield held | _row(suffix, file, min(errors[:-1]), errors[-1])
-    file = folder / "scene.glb"
-    save_glb(field.gaussians, file)
-    yield held | _row(".glb", file)
     # The camera between the views is one of the page's only for this.
     file = folder / "scene.html"
     file.write_text(scene_page(field), "utf-8")
@@ -76,11 +70,9 @@ def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> 
     yield held | _row(".html", file, min(errors[:-1]), errors[-1]) | {"megabytes": whole / 1e6}
 
 
-def _row(suffix: str, file: Path, context: float | None = None, novel: float | None = None) -> dict:
-    row: dict = {"format": suffix, "megabytes": file.stat().st_size / 1e6}
-    if context is not None:
-        row |= {"context": context, "between": novel}
-    return row
+def _row(suffix: str, file: Path, context: float, novel: float) -> dict:
+    megabytes = file.stat().st_size / 1e6
+    return {"format": suffix, "megabytes": megabytes, "context": context, "between": novel}
 
 
 def _drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:

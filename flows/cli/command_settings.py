@@ -97,7 +97,7 @@ COMMON = {
     "nightly": ("notify", "store"),
     "doctor": ("store", "runner", *PARTS, "lifting"),
 }
-"""The settings that most people need of a command: `--help` shows these, `--help-all` the rest."""
+"""The settings that most people need of a command, which its help shows first."""
 
 FIELDS, SCORES = "Build a field and ask it", "Score it"
 CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +14,14 @@ from flows.cli.things import meant
 from slgaussian.datasets.photographs import open_photograph
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.field import SemanticField
-from slgaussian.formats.glb import save_glb
 from slgaussian.formats.ply import load_ply, save_ply
-from slgaussian.formats.splat import save_splat
 from slgaussian.formats.spz import save_spz
 from slgaussian.formats.written import write_file
-from slgaussian.gaussians import Gaussians
 from slgaussian.parts.identity import file_digest
 from slgaussian.storage.origin import read_origin
 from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 
-PLAIN: dict[str, Callable[[Gaussians, Path], None]] = {
-    ".splat": save_splat,
-    ".spz": save_spz,
-    ".glb": save_glb,
-}
-"""What keeps Gaussians and nothing else, by suffix."""
-
-SUFFIXES = (".html", ".ply", *PLAIN)
+SUFFIXES = (".html", ".ply", ".spz")
 
 
 def export(
@@ -88,7 +78,7 @@ def export(
     elif suffix == ".ply":
         save_ply(field.gaussians, out, field.labels())
     else:
-        PLAIN[suffix](field.gaussians, out)
+        save_spz(field.gaussians, out)
 
 
 def _of_strangers(
@@ -105,7 +95,7 @@ def _of_strangers(
     elif suffix == ".ply":
         raise InputError(f"{source}: is a .ply already; name another format")
     else:
-        PLAIN[suffix](gaussians, out)
+        save_spz(gaussians, out)
 
 
 def _write_page(out: Path, page: str) -> None:

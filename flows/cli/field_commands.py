@@ -333,9 +333,7 @@ def export(
         Path,
         typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="File: .html, .ply, .splat, .spz or .glb.")
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
     what: Annotated[
         str | None,
         typer.Option("--object", help="Write this alone: a text, a name you gave, or an id."),
@@ -351,13 +349,13 @@ def export(
     A page (.html) opens from disk in any browser, without a network: look around, ask words, click
     things. It holds small copies of the photographs. A .ply keeps everything: each Gaussian also
     carries its ID code and weight (f_sem_0 and on; without codes the number of its object), the
-    pixel that it came from (source), and its object (label, 0 for none). A .splat and .spz keep
-    Gaussians in fewer bytes, a .glb their centres as points.
+    pixel that it came from (source), and its object (label, 0 for none). A .spz keeps
+    Gaussians in fewer bytes.
 
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
-    slgaussian export field/ --object "red chair" -o chair.glb
+    slgaussian export field/ --object "red chair" -o chair.ply
     """
     from flows.cli.exporting import export as write
 

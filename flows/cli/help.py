@@ -1,8 +1,7 @@
-"""Help that fits a screen: what people need at once, and the rest under headings when asked."""
+"""Help with what people need first, and the rest under headings."""
 
 from __future__ import annotations
 
-import copy
 import inspect
 import re
 from collections.abc import Callable, Iterable
@@ -17,8 +16,6 @@ from typer.models import CommandInfo
 
 from flows.cli.options import LATER
 from slgaussian.errors import did_you_mean
-
-ALL = "--help-all"
 
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 """Settings of the context of every command."""
@@ -59,12 +56,10 @@ class App(typer.Typer):
 
 
 class Command(TyperCommand):
-    """A command whose examples have a heading, and whose special options wait for `--help-all`.
+    """A command whose examples have a heading, and whose options come under theirs.
 
-    Special is what has a heading of its own, in Typer's terms a ``rich_help_panel``.
+    A heading is in Typer's terms a ``rich_help_panel``.
     """
-
-    _all: Any = None
 
     @property
     def params(self) -> list:
@@ -80,15 +75,6 @@ class Command(TyperCommand):
     @params.setter
     def params(self, params: list) -> None:
         self._params = params
-
-    def get_params(self, ctx: Any) -> list:
-        """The command's own, `--help` and `--help-all`."""
-        if self._all is None:
-            self._all = copy.copy(self.get_help_option(ctx))
-            self._all.name, self._all.opts = "help_all", [ALL]
-            self._all.help = "Show all options, by what they belong to, and exit."
-            self._all.callback = _show_all
-        return [*super().get_params(ctx), self._all]
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """`[OPTIONS]`, and the arguments by their names."""
@@ -106,24 +92,17 @@ class Command(TyperCommand):
                 formatter.write_text("\n\n".join(examples))
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments and options; with `--help-all` the special ones too, under their headings."""
-        params = self.get_params(ctx)
-        special = [param for param in params if _heading(param)]
-        common = [p for p in params if not _heading(p) and (special or p is not self._all)]
-        if arguments := self._arguments(ctx):
+        """Write arguments and common options, then the others under their headings."""
+        arguments = self._arguments(ctx)
+        if arguments:
             with formatter.section("Arguments"):
                 formatter.write_dl([(_usage(p), p.help) for p in arguments])
-        _write(ctx, formatter, "Options", [p for p in common if p not in arguments])
-        if ctx.meta.get(ALL):
-            for heading, under in groupby(sorted(special, key=_order(special)), _heading):
-                _write(ctx, formatter, heading, under)
-
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """How to see what is not shown."""
-        hidden = sum(_heading(param) is not None for param in self.get_params(ctx))
-        if hidden and not ctx.meta.get(ALL):
-            formatter.write_paragraph()
-            formatter.write_text(f"{hidden} more options: {ctx.command_path} {ALL}")
+        options = [p for p in self.get_params(ctx) if p not in arguments]
+        common = [p for p in options if not _heading(p)]
+        _write(ctx, formatter, "Options", common)
+        special = [p for p in options if _heading(p)]
+        for heading, under in groupby(sorted(special, key=_order(special)), _heading):
+            _write(ctx, formatter, heading, under)
 
     def _arguments(self, ctx: Any) -> list:
         return [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
@@ -165,13 +144,6 @@ def told(error: TyperException) -> str:
         said = f"no such option {name}{did_you_mean(name, names)}"
     said = re.sub(r"^\w|: [A-Z]", lambda begin: begin[0].lower(), said)
     return said if context is None else f"{said} (see `{context.command_path} --help`)"
-
-
-def _show_all(ctx: Any, _: Any, value: bool) -> None:
-    if value and not ctx.resilient_parsing:
-        ctx.meta[ALL] = True
-        typer.echo(ctx.get_help())
-        ctx.exit()
 
 
 def _usage(argument: Any) -> str:

@@ -32,8 +32,7 @@ def with_options(
     :class:`flows.cli.help.Command` asks its function :data:`LATER` for them.
 
     A name such as ``clip.model`` stands for one key of a table, whose default is not said. Those
-    that are not ``common`` get a heading, by which :class:`flows.cli.help.Command` knows that they
-    are for `--help-all`; otherwise all are common.
+    that are not ``common`` get a heading in the help; otherwise all are common.
 
     Those that the user set arrive as one dict in the parameter ``settings``, as a configuration
     file would have them; the others are left out of it, so that defaults and such files have their

@@ -65,24 +65,34 @@ def parts(
 
 @commands.command(rich_help_panel=UPKEEP)
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to look into.")],
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to inspect.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print all as JSON.")] = False,
 ) -> None:
-    """Say what a file holds, and what made it.
+    """Show the data spec, fields, units and origin of a file.
 
-    Takes a table (Parquet), arrays (NPZ), weights (safetensors) or JSON that slgaussian wrote, an
-    artifact of a store, the folder of a field, or the folder of a run's results. Says its data
-    spec, each field with type, sizes, unit, range found and meaning, what made it with which
-    settings, and its digest. The exit status is 1 if it is not what its spec says.
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON or Gaussians (.ply, .spz), or
+    a folder, such as a field or the results of a run, file by file. The exit status is 1 if a file
+    is damaged or not what its spec says.
 
     \b
     slgaussian inspect results/samples.parquet
     slgaussian inspect results/fields/kitchen --json
-    slgaussian inspect results
+    slgaussian inspect scene.spz
     """
-    from flows.cli.inspecting import told
+    import json
+    from dataclasses import asdict
+
     from slgaussian.storage.inspection import inspect as look
 
-    found = look(path)
-    typer.echo(found.as_json() if as_json else told(found))
-    raise typer.Exit(0 if found.sound else 1)
+    files = look(path)
+    if as_json:
+        typer.echo(json.dumps([asdict(file) for file in files], indent=1, ensure_ascii=False))
+    for file in [] if as_json else files:
+        typer.echo(f"{file.path}: {file.problem and 'BAD'}{file.spec} {file.digest[:12]}")
+        typer.echo(f"  {file.problem or file.meaning}")
+        for name, value in file.made.items():
+            typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
+        for row in file.fields:
+            unit = f" ({row['unit']})" if row["unit"] else ""
+            typer.echo(f"    {row['name']} {row['type']}{unit}: {row['meaning']}".rstrip(": "))
+    raise typer.Exit(any(file.problem for file in files))

@@ -385,7 +385,7 @@ def test_near_and_far_reach_the_cameras():
         room.sample(["view_00", "view_03"], near=3.0, far=2.0)
 
 
-@pytest.mark.parametrize("suffix", [".html", ".splat", ".spz", ".glb"])
+@pytest.mark.parametrize("suffix", [".html", ".ply", ".spz"])
 def test_export_writes_by_suffix(field, tmp_path, monkeypatch, capsys, suffix):
     out = tmp_path / f"scene{suffix}"
     assert run(monkeypatch, "export", field, "-o", out) == 0
@@ -399,10 +399,10 @@ def test_export_writes_by_suffix(field, tmp_path, monkeypatch, capsys, suffix):
 def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeypatch, capsys):
     ply = tmp_path / "scene.ply"
     assert run(monkeypatch, "export", field, "-o", ply) == 0
-    for suffix in (".html", ".splat", ".spz", ".glb"):
+    for suffix in (".html", ".spz"):
         assert run(monkeypatch, "export", ply, "-o", tmp_path / f"out{suffix}") == 0
     capsys.readouterr()
-    assert run(monkeypatch, "export", ply, "--object", "1", "-o", tmp_path / "a.glb") == 2
+    assert run(monkeypatch, "export", ply, "--object", "1", "-o", tmp_path / "a.spz") == 2
     assert "scene.ply: a .ply has no objects" in capsys.readouterr().err
 
 
@@ -410,12 +410,12 @@ def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeyp
     ("words", "sentence"),
     [
         (
-            ("-o", "scene.splt"),
-            "scene.splt: found '.splt', expected the name of the file to end in",
+            ("-o", "scene.splat"),
+            "scene.splat: found '.splat', expected the name of the file to end in",
         ),
         (("-o", "scene"), "found no suffix"),
         (("-o", "a.spz", "--text", "red"), "--text and --title are for pages"),
-        (("-o", "a.glb", "--object", "99"), "'99': is no object of the field"),
+        (("-o", "a.spz", "--object", "99"), "'99': is no object of the field"),
         (("-o", "a.html", "--text", "unicorn"), "none of its words can be used"),
     ],
 )

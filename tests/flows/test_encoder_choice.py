@@ -137,7 +137,7 @@ def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys
 
 def test_the_help_names_it(monkeypatch, capsys):
     for command in ("field", "benchmark", "run"):
-        assert run(monkeypatch, command, "--help-all") == 0
+        assert run(monkeypatch, command, "--help") == 0
         told = " ".join(capsys.readouterr().out.split())
         assert "lexicon, clip, named or auto. [default: lexicon]" in told
 

@@ -54,12 +54,12 @@ def test_the_page_about_the_architecture_shows_it_whole():
 
 
 def test_its_settings_are_options_with_bounds_and_help(asked):
-    text = asked(command("field", "--help-all"))
+    text = asked(command("field", "--help"))
     assert "Proposer ink:" in text
     assert "--ink-colours <path>" in text and "--ink-least <int>" in text
     assert "Greatest distance from a colour. [default: 40.0]" in " ".join(text.split())
-    assert "--ink-colours" in asked(command("doctor", "--help-all"))
-    assert "--ink-within" not in asked(command("doctor", "--help-all"))
+    assert "--ink-colours" in asked(command("doctor", "--help"))
+    assert "--ink-within" not in asked(command("doctor", "--help"))
 
 
 def test_it_is_listed_with_the_others(asked):
@@ -140,13 +140,13 @@ def test_a_name_that_is_taken_is_refused(asked, tmp_path):
         own,
     )
     assert said.startswith("mask proposer 'regions': the package mine brings one, but a mask ")
-    assert "--sam-model" in asked(command("field", "--help-all"), own)
+    assert "--sam-model" in asked(command("field", "--help"), own)
 
 
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
-    assert "--sam-model" in asked(command("field", "--help-all"), own)
+    assert "--sam-model" in asked(command("field", "--help"), own)
     listed = json.loads(asked(command("parts", "--json"), own))
     (problem,) = [part["problem"] for part in listed if part["name"] == "broken"]
     assert problem.startswith("encoder 'broken': broken:Encoder of the package broken cannot be ")
