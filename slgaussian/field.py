@@ -299,8 +299,8 @@ class SemanticField:
         other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
         return other
 
-    def teach(self, word: str, object_id: int, counter: bool = False) -> SemanticField:
-        """The field with an object as an example of ``word``, or as a counter-example.
+    def teach(self, word: str, object_id: int) -> SemanticField:
+        """The field with an object as an example of ``word``.
 
         The other objects of the field become its rivals. See :mod:`slgaussian.language.taught`.
 
@@ -311,9 +311,7 @@ class SemanticField:
         """
         feature, others = self._features(object_id)
         identity = encoder_identity(self.settings)
-        return self.changed(
-            taught=self.taught.with_example(word, feature, others, identity, not counter)
-        )
+        return self.changed(taught=self.taught.with_example(word, feature, others, identity))
 
     def forget(self, word: str) -> SemanticField:
         """The field without a taught word; InputError if it is none."""

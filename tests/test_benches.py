@@ -37,7 +37,7 @@ def test_another_folder_than_data_is_one_sentence(tmp_path):
 
 
 def test_a_bench_ends_so_before_it_works(tmp_path):
-    command = [sys.executable, "-m", "benches.language.synonym_threshold", "model", tmp_path]
+    command = [sys.executable, "-m", "benches.language.answer_confidence", tmp_path]
     made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert made.returncode == 1 and made.stderr.startswith("error: DATA: ")
     assert made.stderr.count("\n") == 1

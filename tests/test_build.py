@@ -84,7 +84,6 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             "keep": "needed",
             "bank": "groups",
             "planesweep": {"depth_candidates": 144, **given["planesweep"]},
-            "lexicon": {"synonyms": None},
             "separated": {"dimension": 3, "error": 0.01},
         }
         cameras = [view.camera for view in sample.context]

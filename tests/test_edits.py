@@ -109,7 +109,7 @@ def test_a_name_means_the_object_that_has_it_and_no_other(field, tmp_path):
         assert [id_ for id_, _ in hit.objects] == [GREEN]
         assert (hit.mask == (view.ids == GREEN)).all()
         assert (hit.kind, hit.verdict, hit.confidence) == ("named", "found", None)
-        assert hit.score == pytest.approx(1, abs=1e-3) and hit.understood.examples == (0, 0)
+        assert hit.score == pytest.approx(1, abs=1e-3) and hit.understood.examples == 0
         assert own.find("die wiese") == hit.objects
         # A name wins over what the encoder knows, which is said; and two may have the same.
         red = view.query("red", threshold=0.99, temperature=1)
@@ -155,12 +155,12 @@ def test_edits_are_saved_beside_the_field_and_taken_away_again(field, tmp_path):
     folder = tmp_path / "field"
     field.save(folder, {"photographs.json": b"{}"})
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    changed = field.teach("zorp", RED).teach("zorp", BLUE, counter=True)
+    changed = field.teach("zorp", RED).teach("zorp", BLUE)
     changed = changed.named(GREEN, "Die Wiese").without([YELLOW])
     changed.save_edits(folder)
     again = SemanticField.load(folder)
     assert again.names == {GREEN: "Die Wiese"} and again.removed == {YELLOW}
-    assert again.taught.examples("zorp") == (1, 1)
+    assert again.taught.examples("zorp") == 2
     one, other = (f.render(f.cameras["a"]).query("zorp") for f in (changed, again))
     np.testing.assert_array_equal(one.scores, other.scores)
     for name, data in before.items():

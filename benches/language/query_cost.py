@@ -67,9 +67,6 @@ class Drawn:
     def read_as(self, text: str) -> str:
         return text
 
-    def taken_for(self, text: str) -> dict[str, tuple[str, float]]:
-        return {}
-
 
 class DrawnField(SemanticField):
     encoder = Drawn()

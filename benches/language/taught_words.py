@@ -6,8 +6,7 @@ DATA holds ``office`` and ``places``, pairs of photographs with labelled targets
 pair is built once, and kept in DIR if it is given.
 
 Each label of a target is taught to its field by clicks on innermost points: first of the label,
-then of the larger of what is missed and what is taken by mistake, which makes a counter-example.
-Clicks are made in a context view, where it shows the surface. Then the word is asked at the target,
+then of what is missed. Clicks are made in a context view, where it shows the surface. Then the word is asked at the target,
 and at the targets of other pairs of the place that have the same label.
 """
 
@@ -41,7 +40,7 @@ CLOSE = 0.05
 """Relative depth within which a context view shows the surface that the target view shows."""
 
 FEWEST = 30
-"""Pixels of a label, or of a mistake, that are worth a click."""
+"""Pixels of a label that are worth a click."""
 
 WHERE = ("same field", "another pair")
 
@@ -126,36 +125,27 @@ def scored(hit: QueryResult | None, mask: np.ndarray) -> Row:
     return {"iou": float(iou), "point": float(hit.point is not None and bool(mask[y, x]))}
 
 
-def lessons(
-    one: Labelled, word: str, counters: bool, clicks: int = CLICKS
-) -> Iterator[taught.TaughtWords]:
-    """What is taught of a label after each click; ``counters`` are clicks on mistakes."""
-    mask, field, positive = one.masks[word], one.field, True
+def lessons(one: Labelled, word: str, clicks: int = CLICKS) -> Iterator[taught.TaughtWords]:
+    """Words taught of a label after each click."""
+    mask, field = one.masks[word], one.field
     todo: np.ndarray | None = mask
-    examples: set[int] = set()
     for _ in range(clicks):
         if todo is not None:
             x, y = central_point(todo)
-            id_ = int(one.under[y, x])
-            # Nobody says of a thing that it is an example and that it is none.
-            if id_ and (positive or id_ not in examples):
-                field = field.teach(word, id_, counter=not positive)
-                examples |= {id_} if positive else set()
+            if id_ := int(one.under[y, x]):
+                field = field.teach(word, id_)
         yield field.taught
         hit = one.asked(word, field.taught) if word in field.taught else None
-        taken = np.zeros_like(mask) if hit is None else hit.mask
-        missed, wrong = mask & ~taken, taken & ~mask
-        positive = not (counters and wrong.sum() > missed.sum())
-        todo = missed if positive else wrong
-        todo = todo if todo.sum() >= FEWEST else None
+        missed = mask if hit is None else mask & ~hit.mask
+        todo = missed if missed.sum() >= FEWEST else None
 
 
-def taught_rows(held: Sequence[Labelled], counters: bool, clicks: int = CLICKS) -> list[Row]:
+def taught_rows(held: Sequence[Labelled], clicks: int = CLICKS) -> list[Row]:
     """Scores of every label after every click, at its own target and at others of the place."""
     rows = []
     for one in held:
         for word in one.masks:
-            for click, words in enumerate(lessons(one, word, counters, clicks), 1):
+            for click, words in enumerate(lessons(one, word, clicks), 1):
                 for other in held:
                     if other.place != one.place or word not in other.masks:
                         continue
@@ -202,7 +192,7 @@ def absent(held: Sequence[Labelled]) -> list[Row]:
     rows = []
     for one in held:
         for word in one.masks:
-            words = next(lessons(one, word, counters=False, clicks=1))
+            words = next(lessons(one, word, clicks=1))
             for other in held:
                 there = {w for near in held if near.place == other.place for w in near.masks}
                 if word in there or word not in words:
@@ -234,22 +224,17 @@ def summary(rows: Sequence[Row], where: str) -> list[Row]:
     """A line a number of clicks: means over the office, over other places, and their spread."""
     lines = []
     for click in range(CLICKS + 1):
-        for label, counters in (("", None), ("examples only", False), ("and mistakes", True)):
-            own = [
-                row
-                for row in rows
-                if (row["where"], row["clicks"], row.get("counters")) == (where, click, counters)
-            ]
-            if not own:
-                continue
-            line: Row = {"clicks": "words" if click == 0 else f"{click} {label}".strip()}
-            for score in ("iou", "point"):
-                means = by_place(own, score)
-                others = [mean for place, mean in means.items() if place != "office"]
-                line[f"{score}_office"] = means["office"]
-                line[f"{score}_places"] = float(np.mean(others))
-                line[f"{score}_spread"] = float(np.std(others, ddof=1)) if len(others) > 1 else 0.0
-            lines.append(line)
+        own = [row for row in rows if (row["where"], row["clicks"]) == (where, click)]
+        if not own:
+            continue
+        line: Row = {"clicks": "words" if click == 0 else str(click)}
+        for score in ("iou", "point"):
+            means = by_place(own, score)
+            others = [mean for place, mean in means.items() if place != "office"]
+            line[f"{score}_office"] = means["office"]
+            line[f"{score}_places"] = float(np.mean(others))
+            line[f"{score}_spread"] = float(np.std(others, ddof=1)) if len(others) > 1 else 0.0
+        lines.append(line)
     return lines
 
 
@@ -294,18 +279,13 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         held = list(labelled(given.data, given.fields or Path(folder)))
-    rows = []
-    for counters in (False, True):
-        for row in taught_rows(held, counters):
-            # The first click is never a counter-example.
-            row["counters"] = None if row["clicks"] == 1 else counters
-            rows += [row] if counters or row["clicks"] > 1 else []
+    rows = taught_rows(held)
     rows += known_rows(held, rows)
     strange = absent(held)
     tried, refused = {}, []
     for value in TRIED:
         with mock.patch.object(taught, "EVEN", value):
-            tried[value] = taught_rows(held, counters=False, clicks=1)
+            tried[value] = taught_rows(held, clicks=1)
             found = [row["found"] for row in absent(held) if row["kind"] == "taught"]
             own = {where: [r for r in tried[value] if r["where"] == where] for where in WHERE}
             means = {where: list(by_place(r, "iou").values()) for where, r in own.items()}
@@ -351,17 +331,11 @@ def of_pictures(rows: Sequence[Row]) -> list[Row]:
 
 
 def place_table(rows: Sequence[Row]) -> list[Row]:
-    """IoU by place: of words, and of taught ones by clicks with counter-examples."""
+    """IoU by place: of words, and of taught ones by clicks."""
     lines: dict[str, Row] = {}
     for where in WHERE:
         for click in range(CLICKS + 1):
-            own = [
-                row
-                for row in rows
-                if row["where"] == where
-                and row["clicks"] == click
-                and row.get("counters") in (None, True)
-            ]
+            own = [row for row in rows if (row["where"], row["clicks"]) == (where, click)]
             for place, mean in by_place(own, "iou").items():
                 line = lines.setdefault(place, {"place": place})
                 line[f"{where.split()[0]}_{click}"] = mean

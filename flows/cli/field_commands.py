@@ -226,20 +226,17 @@ def teach(
         str | None,
         typer.Option(metavar="<name>", help="View of that pixel, by name or number. [default: 0]"),
     ] = None,
-    counter: Annotated[
-        bool, typer.Option("--not", help="The thing is not what the word means.")
-    ] = False,
     forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
 ) -> None:
     """Teach a field a word of your own by pointing at a thing.
 
     The word is kept in the field, and asked like any other. Point again, at other things or in
-    other views, for more examples; with --not at what is taken by mistake. Other fields of the same
-    place take the words with --words field/words.npz.
+    other views, for more examples. Other fields of the same place take the words with
+    --words field/words.npz.
 
     \b
     slgaussian teach field/ fox --at 312 140
-    slgaussian teach field/ fox --at 80 210 --view 1 --not
+    slgaussian teach field/ fox --at 80 210 --view 1
     slgaussian query field/ fox -o hit.png
     slgaussian teach field/ fox --forget
     """
@@ -252,11 +249,10 @@ def teach(
         typer.echo(f"{word!r} is forgotten")
         return
     assert at is not None
-    said = things.teach(field, word, at, view, counter)
-    yes, no = said["examples"]
-    typer.echo(f"{word!r} is {'not ' if counter else ''}object {said['object']}")
-    typer.echo(f"examples  {yes}, counter-examples  {no}")
-    typer.echo(f"it means  {things.told(said['found']) or 'nothing yet'}")
+    lesson = things.teach(field, word, at, view)
+    typer.echo(f"{word!r} is object {lesson['object']}")
+    typer.echo(f"examples  {lesson['examples']}")
+    typer.echo(f"it means  {things.told(lesson['found'])}")
 
 
 @commands.command(rich_help_panel=FIELDS)

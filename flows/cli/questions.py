@@ -52,11 +52,10 @@ def ask(
         ``confidence`` (``mask``, ``point``) or None, for what that is ``uncalibrated`` or None,
         ``score``, ``objects`` (``id``, ``relevancy``), of what is not here those most like it,
         ``point`` [x, y] and ``pixels`` of the mask, None and 0 if it is not here, what
-        the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), those ``taken_for``
-        others (word: [other, similarity]), who answered (``kind``: ``known``, ``named``,
-        ``taught``, ``unknown``, ``picture``) by how many ``examples`` and counter-examples, what a
-        name or a taught word would mean otherwise (``instead_of``), why it was ``refused`` or None,
-        ``picture`` path or None.
+        the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: why), who answered
+        (``kind``: ``known``, ``named``, ``taught``, ``unknown``, ``picture``) by how many
+        ``examples``, what a name or a taught word would mean otherwise (``instead_of``), why it was
+        ``refused`` or None, ``picture`` path or None.
 
     Raises
     ------
@@ -245,9 +244,8 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
         "read_as": hit.understood.read_as,
         "unknown": list(hit.unknown),
         "unused": dict(hit.understood.unused),
-        "taken_for": {word: list(other) for word, other in hit.taken_for.items()},
         "kind": hit.kind,
-        "examples": list(hit.understood.examples),
+        "examples": hit.understood.examples,
         "instead_of": hit.understood.instead_of or None,
         "refused": None,
     }
@@ -263,8 +261,8 @@ def _refusal(text: str, why: str) -> dict[str, Any]:
         "point": None,
     }
     answer |= {"objects": [], "pixels": 0, "read_as": None}
-    answer |= {"unknown": [], "unused": {}, "taken_for": {}, "kind": "unknown"}
-    answer |= {"examples": [0, 0], "instead_of": None}
+    answer |= {"unknown": [], "unused": {}, "kind": "unknown"}
+    answer |= {"examples": 0, "instead_of": None}
     return answer | {"refused": why}
 
 
@@ -278,8 +276,8 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     if answer["kind"] == "picture":
         return ["asked by picture"]
     if answer["kind"] in ("named", "taught"):
-        yes, no = answer["examples"]
-        lines = [f"a taught word: {_counted(yes, 'example')}, {_counted(no, 'counter-example')}"]
+        count = answer["examples"]
+        lines = [f"a taught word: {count} example{'' if count == 1 else 's'}"]
         if answer["kind"] == "named":
             lines = ["a name that you gave"]
         known = answer["instead_of"]
@@ -290,13 +288,7 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     for why in dict.fromkeys(answer["unused"].values()):
         words = [word for word, other in answer["unused"].items() if other == why]
         lines.append(f"set aside: {', '.join(words)} ({why})")
-    for word, (other, likeness) in answer["taken_for"].items():
-        lines.append(f"not known and taken for {other}: {word} (similarity {likeness:.2f})")
     return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _read_picture(file: Path) -> np.ndarray:

@@ -163,15 +163,13 @@ def remove(
     return rows
 
 
-def teach(
-    folder: Path, word: str, at: tuple[int, int], view: str | None, counter: bool
-) -> dict[str, Any]:
-    """Teach the field in ``folder`` that a word means what is at a pixel of a view, or does not.
+def teach(folder: Path, word: str, at: tuple[int, int], view: str | None) -> dict[str, Any]:
+    """Teach the field in ``folder`` that a word means what is at a pixel of a view.
 
     Returns
     -------
     dict
-        ``object``; ``examples``, how many of each kind the word has now; ``found``, the (id,
+        ``object``; ``examples``, how many the word has now; ``found``, the (id,
         relevancy) of what it means in the scene.
     """
     field = SemanticField.load(folder)
@@ -189,10 +187,9 @@ def teach(
             f"--at {x} {y}: view {viewpoint.name!r} shows no object there; point at one, which "
             "`slgaussian render` draws"
         )
-    taught = field.teach(word, id_, counter)
+    taught = field.teach(word, id_)
     taught.save_edits(folder)
-    found = taught.find(word) if word in taught.taught else ()
-    return {"object": id_, "examples": taught.taught.examples(word), "found": found}
+    return {"object": id_, "examples": taught.taught.examples(word), "found": taught.find(word)}
 
 
 def forget(folder: Path, word: str) -> None:

@@ -6,7 +6,7 @@ scores a method asks no more of it than this.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -20,9 +20,6 @@ class Reader(Protocol):
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError if none can be used."""
-
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """The words of ``text`` that count as others: the other one, and how alike they are."""
 
 
 @runtime_checkable
@@ -46,8 +43,6 @@ class Result(Protocol):
         The selected objects as (id, relevancy), best first; empty where a method has none.
     unknown : tuple of str
         Words of the text that were left out.
-    taken_for : {word: (other, similarity)}
-        Words that are not known and count as others.
     """
 
     @property
@@ -66,8 +61,6 @@ class Result(Protocol):
     def objects(self) -> tuple[tuple[int, float], ...]: ...  # noqa: D102
     @property
     def unknown(self) -> tuple[str, ...]: ...  # noqa: D102
-    @property
-    def taken_for(self) -> Mapping[str, tuple[str, float]]: ...  # noqa: D102
 
 
 @runtime_checkable

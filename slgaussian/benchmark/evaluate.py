@@ -490,11 +490,8 @@ def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
 
 def _note(hit: Result | None, absent: bool) -> str:
     notes = [] if hit is not None else [NOT_UNDERSTOOD]
-    if hit is not None:
-        if hit.unknown:
-            notes.append(f"unknown: {', '.join(hit.unknown)}")
-        for word, (other, likeness) in hit.taken_for.items():
-            notes.append(f"{word} taken for {other} ({likeness:.2f})")
+    if hit is not None and hit.unknown:
+        notes.append(f"unknown: {', '.join(hit.unknown)}")
     if absent:
         notes.append(ABSENT)
     return "; ".join(notes)

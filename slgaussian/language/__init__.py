@@ -61,9 +61,6 @@ class Encoder(Protocol):
     def read_as(self, text: str) -> str:
         """What is left of ``text``, in words of the encoder."""
 
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """Unknown words of ``text`` that count as others: the other one, and how alike they are."""
-
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
     """Make the encoder called ``name``; raises InputError if there is none."""

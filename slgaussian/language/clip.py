@@ -188,10 +188,6 @@ class Clip:
         """The text itself."""
         return text
 
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """None: words are what they are."""
-        return {}
-
     @property
     def _width(self) -> int:
         return self.network.config.projection_dim

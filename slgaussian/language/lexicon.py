@@ -14,8 +14,7 @@ silent. Two more axes make this work with cosines:
   over many habits ("picture") lies nearer to "object" than one that asks for a single measurement,
   and does not outbid a text that says more: relevancies of different texts compare.
 
-What cannot be seen is not claimed: an unknown word is left out and named, never guessed, unless a
-model of synonyms is given, and then what it is taken for is said. The words
+What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
 and how each is measured are listed in docs/reference/lexicon.md.
 """
 
@@ -24,16 +23,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.vocabulary import Reading, load_vocabulary
-from slgaussian.parts.pretrained import model_digest
-from slgaussian.parts.settings import setting
+from slgaussian.language.vocabulary import load_vocabulary
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -55,17 +51,6 @@ class Lexicon:
     """Regions and texts by the words of an explicit vocabulary, without weights.
 
     See the module.
-
-    Attributes
-    ----------
-    synonyms : path or str, optional
-        Model that finds known words for unknown ones, which are left out otherwise; see
-        :mod:`slgaussian.language.synonyms`.
-
-    Raises
-    ------
-    InputError
-        If that model cannot be used.
     """
 
     name: ClassVar[str] = "lexicon"
@@ -73,34 +58,18 @@ class Lexicon:
         mask=Curve(6.71, 1.82, -1.81, -5.11), point=Curve(8.82, 1.18, -1.19, -4.09)
     )
 
-    synonyms: str | Path | None = setting(
-        None,
-        "Model that finds known words for unknown ones, such as all-MiniLM-L6-v2: folder, or name "
-        "on the Hugging Face hub.",
-        content=model_digest,
-        optional=True,
-    )
-
     def __post_init__(self) -> None:
         from slgaussian.language.colours import ColourNames
         from slgaussian.language.descriptors import Descriptors
 
         self._vocabulary = load_vocabulary()
-        self._guess = None
-        if self.synonyms is not None:
-            from slgaussian.language.synonyms import Synonyms
-
-            self._guess = Synonyms(self.synonyms, self._vocabulary.words).nearest
         self._descriptors = Descriptors(
             ColourNames(self._vocabulary.colours), self._vocabulary.groups
         )
         self._axis = {name: i for i, name in enumerate(self._descriptors.names)}
         self.canonical = self._vocabulary.canonical
         # Of one text several things are asked one after the other.
-        self._read = lru_cache(REMEMBERED)(self._understood)
-
-    def _understood(self, text: str) -> Reading:
-        return self._vocabulary.read(text, self._guess)
+        self._read = lru_cache(REMEMBERED)(self._vocabulary.read)
 
     @property
     def width(self) -> int:
@@ -181,7 +150,3 @@ class Lexicon:
         """How many descriptors the words of ``text`` ask for."""
         words = self._read(text).words
         return len({name for word in words for name in word.weights})
-
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """Unknown words of ``text`` that count as known ones, with these and their similarity."""
-        return self._read(text).taken_for

@@ -111,10 +111,6 @@ class Named:
         """The text itself."""
         return text
 
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """None: words are what they are."""
-        return {}
-
     def _vector(self, text: str) -> np.ndarray:
         name = _normal(text)
         if name in self._rows:

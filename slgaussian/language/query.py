@@ -134,15 +134,13 @@ class Understood:
         Those that it does not know and leaves out.
     unused : {word: why}
         Others that do not count, though it may know them: "plant" of "plant pot".
-    taken_for : {word: (other, similarity)}
-        Those that it does not know and takes for others.
     kind : str
         ``known``: the encoder answers, and knows every word that counts. ``unknown``: it answers,
         but there are words that it does not know and leaves out. ``taught``: the text is a word
         that a user taught, and its examples answer. ``picture``: a picture or an object was asked
         for, no text.
-    examples : (int, int)
-        Of a taught word, how many examples and counter-examples answer.
+    examples : int
+        Of a taught word, how many examples answer.
     instead_of : str
         Of a name or a taught word that the encoder knows too: what it would have read.
     measurements : int
@@ -152,9 +150,8 @@ class Understood:
     read_as: str
     unknown: tuple[str, ...]
     unused: Mapping[str, str]
-    taken_for: Mapping[str, tuple[str, float]]
     kind: str = "known"
-    examples: tuple[int, int] = (0, 0)
+    examples: int = 0
     instead_of: str = ""
     measurements: int = USUAL
 
@@ -194,10 +191,6 @@ class TextReader:
         """The words of ``text`` that the encoder leaves out, as it does not know them."""
         return self._read(text)[1].unknown
 
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """The words of ``text`` that count as others: the other one, and how alike they are."""
-        return self._read(text)[1].taken_for
-
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         encoder = self.encoder
         vector = encoder.encode_text([text])[0]
@@ -206,7 +199,6 @@ class TextReader:
             encoder.read_as(text),
             unknown,
             encoder.unused_words(text),
-            encoder.taken_for(text),
             "unknown" if unknown else "known",
             measurements=getattr(encoder, "measurements", lambda _: USUAL)(text),
         )
@@ -276,16 +268,12 @@ class BankReader(TextReader):
         except InputError:
             instead_of = ""
         word = normal(text)
-        examples = self.taught.examples(word) if who == "taught" else (0, 0)
-        return Understood(word, (), {}, {}, who, examples, instead_of)
+        examples = self.taught.examples(word) if who == "taught" else 0
+        return Understood(word, (), {}, who, examples, instead_of)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError as :meth:`understood`."""
         return self.understood(text).unknown
-
-    def taken_for(self, text: str) -> Mapping[str, tuple[str, float]]:
-        """The words of ``text`` that count as others: the other one, and how alike they are."""
-        return self.understood(text).taken_for
 
     def _who(self, text: str) -> str:
         """Who answers: a name wins over a taught word, and that over the encoder."""
@@ -345,11 +333,6 @@ class QueryResult:
     def unknown(self) -> tuple[str, ...]:
         """Words of the text that the encoder does not know and left out."""
         return self.understood.unknown
-
-    @property
-    def taken_for(self) -> Mapping[str, tuple[str, float]]:
-        """Words that it does not know and took for others: {word: (other, similarity)}."""
-        return self.understood.taken_for
 
     @property
     def score(self) -> float:

@@ -1,21 +1,19 @@
 """Words that a user teaches: "this is the fox".
 
 An encoder may not know what a user calls a thing. A taught word has examples, the features of
-objects that the user pointed at; counter-examples; and rivals, the other objects of the scene where
-it was taught. An object fits as well as it is like the best example, and better than it is like any
-counter-example.
+objects that the user pointed at; and rivals, the other objects of the scene where it was taught. An
+object fits as well as it is like the best example.
 
 Features of regions all lie near each other, far from those of texts, so their plain cosines say
 little: two things of one photograph easily have 0.95. What all regions have in common is therefore
 taken out first: with m the mean of the word's rivals, and u(x) = (x - m) / |x - m|,
 
     likeness(L, e) = u(L) . u(e)
-    lead(L) = SCALE ( max_e likeness(L, e) - max(EVEN, max_c likeness(L, c)) )
+    lead(L) = SCALE ( max_e likeness(L, e) - EVEN )
 
-over the examples e and the counter-examples c. It is 0 where a thing is as like the examples as
-not, and takes the place of a text's lead over the canonical phrases in
-:mod:`slgaussian.language.relevancy`, so that temperature, threshold, views and groups mean what
-they mean for other words.
+over the examples e. It is 0 where a thing is as like the examples as not, and takes the place of a
+text's lead over the canonical phrases in :mod:`slgaussian.language.relevancy`, so that temperature,
+threshold, views and groups mean what they mean for other words.
 """
 
 from __future__ import annotations
@@ -74,8 +72,6 @@ class TaughtWords:
         The word of each example, as :func:`normal` writes it.
     features : float32 [E, C]
         Unit vectors in the encoder's space, of half precision.
-    positive : bool [E]
-        False for a counter-example.
     rival_words : str [R]
         The word that each rival competes with.
     rivals : float32 [R, C]
@@ -90,7 +86,6 @@ class TaughtWords:
     encoder: str = ""
     words: np.ndarray = field(default_factory=_texts)
     features: np.ndarray = field(default_factory=_vectors)
-    positive: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     rival_words: np.ndarray = field(default_factory=_texts)
     rivals: np.ndarray = field(default_factory=_vectors)
 
@@ -99,8 +94,7 @@ class TaughtWords:
     def __post_init__(self) -> None:
         examples, rivals = len(self.words), len(self.rival_words)
         width = self.features.shape[-1] if self.features.ndim == 2 else 0
-        expected = {"features": (examples, width), "positive": (examples,)}
-        expected |= {"rivals": (rivals, width)}
+        expected = {"features": (examples, width), "rivals": (rivals, width)}
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise InputError(
@@ -112,7 +106,7 @@ class TaughtWords:
                 raise InputError(f"taught words {name}: hold a vector that is no unit vector")
 
     def __iter__(self) -> Iterator[str]:
-        """The words that have at least one example, in order of the alphabet."""
+        """Iterate over the words in order of the alphabet."""
         return iter(self._known)
 
     def __len__(self) -> int:
@@ -121,16 +115,15 @@ class TaughtWords:
 
     @cached_property
     def _known(self) -> list[str]:
-        return np.unique(self.words[self.positive]).tolist()
+        return np.unique(self.words).tolist()
 
     def __contains__(self, text: object) -> bool:
         """Whether a text is a taught word, whatever its case and spaces."""
         return isinstance(text, str) and spelled(text) in self._known
 
-    def examples(self, word: str) -> tuple[int, int]:
-        """How many examples and counter-examples a word has."""
-        own = self.words == normal(word)
-        return int((own & self.positive).sum()), int((own & ~self.positive).sum())
+    def examples(self, word: str) -> int:
+        """Count the examples of a word."""
+        return int((self.words == normal(word)).sum())
 
     def with_example(
         self,
@@ -138,12 +131,10 @@ class TaughtWords:
         feature: np.ndarray,
         rivals: np.ndarray,
         encoder: str,
-        positive: bool = True,
     ) -> TaughtWords:
-        """The words with one example more.
+        """The words with one example more, of which each is there once.
 
-        An example that is there already takes the new sign. A thing that is an example is no rival
-        of that word any longer.
+        A thing that is an example is no rival of that word any longer.
 
         Parameters
         ----------
@@ -154,8 +145,6 @@ class TaughtWords:
             Unit vectors of the other things there.
         encoder : str
             Of :func:`encoder_identity`.
-        positive : bool
-            False for a counter-example.
 
         Raises
         ------
@@ -175,7 +164,6 @@ class TaughtWords:
         keep = (self.words != word) | (features != vector).any(1)
         words = np.append(self.words[keep], word)
         features = np.concatenate([features[keep], vector])
-        signs = np.append(self.positive[keep], positive)
         rival_words = np.append(self.rival_words, np.full(len(others), word))
         rivals = np.concatenate([old, others])
         taken = {one.tobytes() for one in features[words == word]}
@@ -183,7 +171,7 @@ class TaughtWords:
         for row in np.flatnonzero(~stay):
             stay[row] = rivals[row].tobytes() not in taken
             taken.add(rivals[row].tobytes())
-        return TaughtWords(encoder, words, features, signs, rival_words[stay], rivals[stay])
+        return TaughtWords(encoder, words, features, rival_words[stay], rivals[stay])
 
     def without(self, word: str) -> TaughtWords:
         """The words but this one, with all its examples; InputError if it is not there."""
@@ -198,7 +186,6 @@ class TaughtWords:
             self,
             words=self.words[keep],
             features=self.features[keep],
-            positive=self.positive[keep],
             rival_words=self.rival_words[stay],
             rivals=self.rivals[stay],
         )
@@ -230,7 +217,7 @@ class TaughtWords:
         """
         word = normal(word)
         own = self.words == word
-        if not (own & self.positive).any():
+        if not own.any():
             raise InputError(f"{word!r}: has no example; teach it first")
         if looks.ndim != 2 or looks.shape[1] != self.features.shape[1]:
             raise InputError(
@@ -240,11 +227,8 @@ class TaughtWords:
         rivals = self.rivals[self.rival_words == word].astype(np.float64)
         common = rivals.mean(0) if len(rivals) else np.zeros(looks.shape[1])
         seen = _directions(looks, common)
-        yes, no = (
-            np.einsum("pc,ec->pe", seen, _directions(self.features[own & signs], common))
-            for signs in (self.positive, ~self.positive)
-        )
-        return SCALE * (yes.max(1) - no.max(1, initial=EVEN))
+        likeness = np.einsum("pc,ec->pe", seen, _directions(self.features[own], common))
+        return SCALE * (likeness.max(1) - EVEN)
 
     def check_encoder(self, encoder: str, what: str) -> None:
         """InputError, naming ``what``, if these words are of another encoder than that one."""
@@ -260,7 +244,6 @@ class TaughtWords:
             "encoder": np.array(self.encoder),
             "words": self.words.astype(np.str_),
             "features": self.features.astype(np.float16),
-            "positive": self.positive,
             "rival_words": self.rival_words.astype(np.str_),
             "rivals": self.rivals.astype(np.float16),
         }
@@ -305,12 +288,13 @@ class TaughtWords:
                 f"words.npz of a field folder"
             ) from error
         arrays = decode_arrays(data, load_spec(SPEC), os.fspath(path), repair=REPAIR)
+        # Counter-examples, which files of version 1 may have, count no more.
+        yes = arrays.get("positive", np.ones(len(arrays["words"]), bool))
         try:
             words = TaughtWords(
-                str(arrays["encoder"]),
-                arrays["words"],
-                arrays["features"].astype(np.float32),
-                arrays["positive"],
+                _without_nulls(str(arrays["encoder"])),
+                arrays["words"][yes],
+                arrays["features"][yes].astype(np.float32),
                 arrays["rival_words"],
                 arrays["rivals"].astype(np.float32),
             )
@@ -341,10 +325,20 @@ def spelled(word: str) -> str:
 def encoder_identity(settings: Mapping[str, Any]) -> str:
     """Which encoder made a field's features, of the settings of the field: JSON, name and settings.
 
-    Files are there by content, so that words pass between machines.
+    Files are there by content, so that words pass between machines. What is not set is left out.
     """
     name = settings["encoder"]
-    return json.dumps({"encoder": name, **dict(settings.get(name, {}))}, sort_keys=True)
+    known = {"encoder": name, **dict(settings.get(name, {}))}
+    return json.dumps({k: v for k, v in known.items() if v is not None}, sort_keys=True)
+
+
+def _without_nulls(encoder: str) -> str:
+    """The identity of a file as :func:`encoder_identity` writes it today."""
+    try:
+        known = json.loads(encoder)
+        return encoder_identity({"encoder": known["encoder"], known.pop("encoder"): known})
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return encoder
 
 
 def _brief(encoder: str) -> str:

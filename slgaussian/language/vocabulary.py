@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
@@ -35,10 +35,6 @@ class Word:
     weights: Mapping[str, float]
 
 
-Guess = Callable[[str], tuple[Word, float] | None]
-"""From an unknown spelling to a known word and how alike they are, up to 1, or to None."""
-
-
 @dataclass(frozen=True)
 class Reading:
     """A text as understood.
@@ -51,14 +47,11 @@ class Reading:
         Spellings that are no word of the vocabulary.
     unused : {spelling: why}
         Those that do not count although they may be known.
-    taken_for : {spelling: (name, similarity)}
-        Unknown ones that were taken for known ones, and count as these.
     """
 
     words: tuple[Word, ...]
     unknown: tuple[str, ...]
     unused: Mapping[str, str]
-    taken_for: Mapping[str, tuple[str, float]]
 
 
 @dataclass(frozen=True)
@@ -99,15 +92,14 @@ class Vocabulary:
         """Of how many spellings phrases are, the longest first."""
         return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
 
-    def read(self, text: str, guess: Guess | None = None) -> Reading:
+    def read(self, text: str) -> Reading:
         """Understand a text as one noun and what describes it.
 
         Case, accents' encoding and plurals do not matter, stop words are dropped, a repeated word
         counts once. Left out are unknown words; everything from the first relation word on ("on the
         table" describes another object, while "on the left" is a place and counts); and all nouns
         but one: the last, as a plant pot is a pot, or the last before "of", as a picture of a plant
-        is a picture. A few compounds are one word, as a trash can is a bin. ``guess`` is asked for
-        a known word in place of an unknown one.
+        is a picture. A few compounds are one word, as a trash can is a bin.
 
         Raises
         ------
@@ -126,12 +118,7 @@ class Vocabulary:
         spelled, places = self._take_phrases(spelled)
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         meant = [s for s in spelled[:end] if s not in self.stop]
-        guesses = {
-            s: found
-            for s in meant
-            if guess and s not in self.unseen and not self._look_up(s) and (found := guess(s))
-        }
-        known = [(s, guesses[s][0] if s in guesses else self._look_up(s)) for s in meant]
+        known = [(s, self._look_up(s)) for s in meant]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
         # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
         whole = len(meant)
@@ -153,9 +140,8 @@ class Vocabulary:
                 f"({idle or 'they carry no meaning here'}); use the lexicon's words, which "
                 "`slgaussian words` lists"
             )
-        # A guess that does not count leaves its word as unknown as it was.
         unseen = {s: self.unseen[s] for s, _ in left_out if s in self.unseen}
-        unknown = [s for s, word in left_out if (word is None or s in guesses) and s not in unseen]
+        unknown = [s for s, word in left_out if word is None and s not in unseen]
         sought = "" if head is None else known[head][0]
         unused = {
             s: f"another thing, while {sought!r} is looked for"
@@ -165,10 +151,7 @@ class Vocabulary:
         unused |= unseen
         after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
         unused |= dict.fromkeys(elsewhere, after)
-        taken_for = {
-            s: (word.name, likeness) for s, (word, likeness) in guesses.items() if s not in unknown
-        }
-        return Reading(tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, taken_for)
+        return Reading(tuple(words.values()), tuple(dict.fromkeys(unknown)), unused)
 
     def _relates(self, spelled: Sequence[str], i: int) -> bool:
         """Whether what follows describes another object: after "on", or "left of" after a thing."""

@@ -80,8 +80,11 @@ class Part:
             If there is no such part, or it has no such setting.
         """
         name, places = identity[kind], places or {}
-        own = dict(identity.get(name, {}))
-        declared = _known(find_part(kind, name), name, {**own, **places})
+        part = find_part(kind, name)
+        # What is no setting any more and was not set never mattered.
+        stored = identity.get(name, {}).items()
+        own = {key: v for key, v in stored if v is not None or key in settings_of(part)}
+        declared = _known(part, name, {**own, **places})
         for key, setting in declared.items():
             place, digest = places.get(key), own.get(key)
             if setting.content is not None and not place is digest is None:

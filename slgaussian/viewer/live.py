@@ -287,14 +287,12 @@ class Page:
             like.on_click(self._in_turn(lambda event: self._set_thing(told.alike(self.session))))
             self._word = gui.add_text("word", "", hint="what you call it", disabled=True)
             teach = gui.add_button("Teach: this is it", disabled=True)
-            teach.on_click(self._in_turn(lambda event: self._teach(counter=False)))
-            counter = gui.add_button("Teach: this is not it", disabled=True)
-            counter.on_click(self._in_turn(lambda event: self._teach(counter=True)))
+            teach.on_click(self._in_turn(lambda event: self._teach()))
             rename = gui.add_button("Call this one so", disabled=True)
             rename.on_click(self._in_turn(lambda event: self._rename()))
             remove = gui.add_button("Remove", disabled=True)
             remove.on_click(self._in_turn(lambda event: self._remove()))
-            self._of_selected = (like, self._word, teach, counter, rename, remove)
+            self._of_selected = (like, self._word, teach, rename, remove)
             self._removed = gui.add_dropdown("removed", ("none",))
             restore = gui.add_button("Bring it back")
             restore.on_click(self._in_turn(lambda event: self._restore()))
@@ -389,11 +387,11 @@ class Page:
         stand = Stand(np.array(at.wxyz), np.array(at.position), float(at.fov))
         return self.session.stage.camera(stand, at.image_width, at.image_height)
 
-    def _teach(self, counter: bool) -> None:
+    def _teach(self) -> None:
         field, selected = self.session.field, self.session.look.selected
         if field is None or not selected:
             return
-        self.session.change(field.teach(self._word.value, selected, counter))
+        self.session.change(field.teach(self._word.value, selected))
         self._refresh()
 
     def _rename(self) -> None:

@@ -122,11 +122,5 @@ def _objects(session: Session, objects: Sequence[tuple[int, float]]) -> str:
 
 
 def _of_words(hit: QueryResult) -> list[str]:
-    lines = []
-    if hit.unknown:
-        lines.append(f"not known and left out: {plain(', '.join(hit.unknown))}")
-    lines += [
-        f"not known and taken for {plain(other)}: {plain(word)}"
-        for word, (other, _) in hit.taken_for.items()
-    ]
-    return lines
+    unknown = plain(", ".join(hit.unknown))
+    return [f"not known and left out: {unknown}"] if unknown else []

@@ -288,7 +288,7 @@ class CountingView:
 
 
 def _parts(hit, relevancy):
-    names = ("text", "mask", "point", "peak", "score", "objects", "unknown", "taken_for")
+    names = ("text", "mask", "point", "peak", "score", "objects", "unknown")
     return {name: getattr(hit, name) for name in names} | {"relevancy": relevancy}
 
 

@@ -1,4 +1,4 @@
-"""CLIP, named vectors and synonyms by command and by flow, with small random weights."""
+"""CLIP and named vectors by command and by flow, with small random weights."""
 
 import json
 import shutil
@@ -28,7 +28,6 @@ from tasks.geometry import geometry
 from tasks.masks import masks
 from tasks.stage import Worksite
 from tasks.supervision import supervision
-from tests.language.small_bert import save_bert
 from tests.language.small_clip import save_clip
 
 ROOM = {**command.ROOM, "queries": ["red basket"]}
@@ -39,12 +38,6 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def model(tmp_path_factory) -> Path:
     return save_clip(tmp_path_factory.mktemp("models") / "clip")
-
-
-@pytest.fixture(scope="module")
-def sentences(tmp_path_factory) -> Path:
-    """A sentence model that knows what a chesterfield is."""
-    return save_bert(tmp_path_factory.mktemp("models") / "bert")
 
 
 @pytest.fixture(scope="module")
@@ -248,39 +241,6 @@ def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
     assert np.mean([row["iou"] for row in rows]) > 0.4
 
 
-def test_words_are_taken_for_others_where_a_model_says_so(
-    photos, sentences, tmp_path, monkeypatch, capsys
-):
-    words = ["field", photos / "view_00.png", photos / "view_02.png", "--cameras", photos]
-    words += ["--near", "0.8", "--far", "12", "--replicas", "1", "-o", tmp_path / "field"]
-    assert run(monkeypatch, *words) == 0
-    ask = ["query", tmp_path / "field", "vermilion chesterfield"]
-    assert run(monkeypatch, *ask) == 2
-    capsys.readouterr()
-    # Regions do not depend on the model, so a field built without it can be asked with it.
-    # The room has no red sofa, which is status 3, where an unknown word alone is an error.
-    assert run(monkeypatch, *ask, "--json", "--lexicon-synonyms", sentences) == 3
-    answer = json.loads(capsys.readouterr().out)
-    assert {word: other for word, (other, _) in answer["taken_for"].items()} == {
-        "vermilion": "red",
-        "chesterfield": "sofa",
-    }
-    assert run(monkeypatch, *ask, "--lexicon-synonyms", sentences) == 3
-    assert "not known and taken for sofa: chesterfield (similarity 1.00)" in capsys.readouterr().out
-    assert run(monkeypatch, "query", tmp_path / "field", "red sofa", "--json") == 3
-    assert json.loads(capsys.readouterr().out)["score"] == answer["score"]
-
-    # Built with it, the field finds it where it was, and says when it is another one.
-    assert run(monkeypatch, *words, "--lexicon-synonyms", sentences) == 0
-    capsys.readouterr()
-    assert run(monkeypatch, *ask, "--json") == 3
-    assert json.loads(capsys.readouterr().out)["score"] == answer["score"]
-    other = shutil.copytree(sentences, tmp_path / "other")
-    (other / "vocab.txt").write_text((other / "vocab.txt").read_text() + "more\n")
-    assert run(monkeypatch, *ask, "--lexicon-synonyms", other) == 2
-    assert "is not what the field was built with" in said(capsys)
-
-
 def _toml(value) -> str:
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
@@ -311,20 +271,14 @@ def test_a_run_that_cannot_be_does_not_begin(model, tmp_path, monkeypatch, capsy
 def test_files_beside_the_configuration_are_found_and_a_name_is_left(tmp_path):
     (tmp_path / "clip.bin").touch()
     config = tmp_path / "run.toml"
-    config.write_text(
-        '[clip]\nmodel = "clip.bin"\ntokenizer = "a/b"\n[named]\ntable = "n.npz"\n'
-        '[lexicon]\nsynonyms = "sentences"\n'
-    )
-    (tmp_path / "sentences").mkdir()
+    config.write_text('[clip]\nmodel = "clip.bin"\ntokenizer = "a/b"\n[named]\ntable = "n.npz"\n')
     read = read_toml(config, {})
     assert read.clip.model == str(tmp_path / "clip.bin")
     assert read.clip.tokenizer == "a/b"
     assert read.named.table == tmp_path / "n.npz"
-    assert read.lexicon.synonyms == str(tmp_path / "sentences")
 
 
 def test_defaults_are_those_of_the_encoder():
     for name, value in TABLES["clip"]():
         assert value == Clip.__dataclass_fields__[name].default
     assert TABLES["named"]().table is None
-    assert TABLES["lexicon"]().synonyms is None

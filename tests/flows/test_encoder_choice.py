@@ -105,9 +105,9 @@ def test_without_transformers_it_is_the_lexicon(model, monkeypatch, capsys):
     assert encoder == "lexicon" and "transformers, which is not installed" in told
 
 
-def test_tables_of_both_may_be_given_and_of_no_other(model):
-    both = {"clip": {"model": str(model)}, "lexicon": {"synonyms": None}}
-    assert make_settings({"encoder": "auto", **both}, "test").encoder == "clip"
+def test_a_table_of_clip_may_be_given_and_of_no_other(model):
+    clip = {"clip": {"model": str(model)}}
+    assert make_settings({"encoder": "auto", **clip}, "test").encoder == "clip"
     with pytest.raises(InputError, match="settings of 'named' are given, but no part is 'named'"):
         make_settings({"encoder": "auto", "named": {"table": "names.npz"}}, "test")
 

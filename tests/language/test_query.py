@@ -299,7 +299,6 @@ def test_a_text_is_encoded_once_and_alone(scene, lexicon):
     class Counting:
         name, canonical, calibration = lexicon.name, lexicon.canonical, None
         unknown_words = staticmethod(lexicon.unknown_words)
-        taken_for = staticmethod(lexicon.taken_for)
         unused_words = staticmethod(lexicon.unused_words)
         read_as = staticmethod(lexicon.read_as)
 

@@ -1,6 +1,7 @@
 """Words by example: what they hold, how they score, and their file."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask
 from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity, normal
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import encode_arrays
 from tests.language.drawn import (
     BLUE,
     GREEN,
@@ -24,7 +27,7 @@ from tests.language.drawn import (
     photograph,
 )
 
-THIS = encoder_identity({"encoder": "lexicon", "lexicon": {"synonyms": None}})
+THIS = encoder_identity({"encoder": "lexicon"})
 OTHER = encoder_identity({"encoder": "clip", "clip": {"model": "1f2e"}})
 WIDTH = 12
 
@@ -36,8 +39,8 @@ def unit(seed: int, count: int = 1) -> np.ndarray:
     return vectors.astype(np.float32)
 
 
-def taught(word: str = "fox", seed: int = 0, positive: bool = True) -> TaughtWords:
-    return TaughtWords().with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS, positive)
+def taught(word: str = "fox", seed: int = 0) -> TaughtWords:
+    return TaughtWords().with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS)
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +68,13 @@ def feature(bank, row: int) -> np.ndarray:
     return mean / np.linalg.norm(mean)
 
 
-def reader(scene, *lessons: tuple[int, bool], word: str = "zorp") -> BankReader:
+def reader(scene, *lessons: int, word: str = "zorp") -> BankReader:
     """A reader that was taught a word by rows of the bank."""
     _, bank, encoder = scene
     words = TaughtWords()
-    for row, positive in lessons:
+    for row in lessons:
         others = np.stack([feature(bank, other) for other in range(len(bank)) if other != row])
-        words = words.with_example(word, feature(bank, row), others, THIS, positive)
+        words = words.with_example(word, feature(bank, row), others, THIS)
     return BankReader(bank, encoder, words)
 
 
@@ -82,87 +85,75 @@ def found(scene, reader: BankReader, text: str = "zorp", **rules):
 
 @pytest.mark.parametrize("row", range(4))
 def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row):
-    hit = found(scene, reader(scene, (row, True)), "  ZORP ")
+    hit = found(scene, reader(scene, row), "  ZORP ")
     assert [id_ for id_, _ in hit.objects] == [row + 1]
     assert hit.score > 0.6
-    assert hit.kind == "taught" and hit.understood.examples == (1, 0)
+    assert hit.kind == "taught" and hit.understood.examples == 1
     others = np.delete(hit.scores, row)
     assert others.max() < 0.5
 
 
-def test_several_examples_are_all_found_and_a_counter_example_is_not(scene):
-    both = found(scene, reader(scene, (0, True), (2, True)))
+def test_several_examples_are_all_found(scene):
+    both = found(scene, reader(scene, 0, 2))
     assert {id_ for id_, _ in both.objects} == {1, 3}
-    one = found(scene, reader(scene, (0, True), (2, True), (2, False)))
-    assert [id_ for id_, _ in one.objects] == [1]
-    assert one.scores[2] < 0.5
-    assert one.understood.examples == (1, 1)
-
-
-def test_a_counter_example_takes_from_what_is_like_it(scene):
-    """The grey ball is pulled down by a counter-example that is halfway to it, and not above."""
-    _, bank, _ = scene
-    plain = reader(scene, (0, True))
-    half = feature(bank, 0) + feature(bank, 3)
-    half /= np.linalg.norm(half)
-    others = np.stack([feature(bank, row) for row in range(1, 4)])
-    warned = plain.taught.with_example("zorp", half, others, THIS, positive=False)
-    before = plain.taught.leads("zorp", bank.features[:, 0])
-    after = warned.leads("zorp", bank.features[:, 0])
-    assert after[0] < before[0]
-    assert (after <= before + 1e-9).all()
+    assert both.understood.examples == 2
 
 
 def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
     known = found(scene, reader(scene), "blue")
     assert known.kind == "known" and known.objects[0][0] == 2
-    hit = found(scene, reader(scene, (2, True), word="blue"), "Blue")
+    hit = found(scene, reader(scene, 2, word="blue"), "Blue")
     assert [id_ for id_, _ in hit.objects] == [3]
     assert (hit.kind, hit.understood.instead_of) == ("taught", "blue")
-    assert found(scene, reader(scene, (2, True))).understood.instead_of == ""
+    assert found(scene, reader(scene, 2)).understood.instead_of == ""
     assert found(scene, reader(scene), "blue zorp").kind == "unknown"
 
 
 def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
-    asked = reader(scene, (3, True))
+    asked = reader(scene, 3)
     together = asked.gaps(["red", "zorp", "green cone"], Rules())
     for text, gaps in zip(["red", "zorp", "green cone"], together, strict=True):
         np.testing.assert_array_equal(asked.gaps([text], Rules())[0], gaps)
 
 
 def test_temperature_changes_the_scale_and_not_what_is_found(scene):
-    hits = [found(scene, reader(scene, (1, True)), temperature=t) for t in (1.0, 10.0, 40.0)]
+    hits = [found(scene, reader(scene, 1), temperature=t) for t in (1.0, 10.0, 40.0)]
     assert len({hit.objects[0][0] for hit in hits}) == 1
     assert hits[0].score < hits[1].score < hits[2].score
     assert all(np.array_equal(hit.mask, hits[0].mask) for hit in hits)
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=6),
-    st.integers(0, 50),
-)
-def test_an_example_leads_all_and_counter_examples_only_take_away(lessons, seed):
-    words, plain = TaughtWords(), TaughtWords()
-    signs = {**dict(lessons), 9: True}
-    for number, positive in signs.items():
-        lesson = ("fox", unit(number)[0], unit(200, 7), THIS)
-        words = words.with_example(*lesson, positive)
-        plain = plain.with_example(*lesson) if positive else plain
+@given(st.lists(st.integers(0, 5), max_size=6), st.integers(0, 50))
+def test_an_example_leads_all(lessons, seed):
+    words = TaughtWords()
+    for number in {*lessons, 9}:
+        words = words.with_example("fox", unit(number)[0], unit(200, 7), THIS)
     looks = np.concatenate([unit(seed + 300, 5), unit(9)]).astype(np.float64)
-    most, leads = (one.leads("fox", looks) for one in (plain, words))
-    assert most.argmax() == 5 and most[5] == pytest.approx(SCALE * (1 - EVEN), abs=1e-4)
-    assert (leads <= most + 1e-12).all() and leads[5] > 0
+    leads = words.leads("fox", looks)
+    assert leads.argmax() == 5 and leads[5] == pytest.approx(SCALE * (1 - EVEN), abs=1e-4)
     assert (leads >= -2 * SCALE).all()
 
 
-def test_an_example_given_again_takes_the_new_sign_and_is_no_rival():
+def test_an_example_given_again_is_there_once_and_no_rival():
     rivals = unit(7, 4)
     words = TaughtWords().with_example("fox", unit(1)[0], rivals, THIS)
-    again = words.with_example("Fox", unit(1)[0], rivals, THIS, positive=False)
-    assert again.examples("fox") == (0, 1) and "fox" not in again and not list(again)
+    assert words.with_example("Fox", unit(1)[0], rivals, THIS).examples("fox") == 1
     second = words.with_example("fox", rivals[2], np.concatenate([rivals[:2], unit(1)]), THIS)
-    assert second.examples("fox") == (2, 0)
+    assert second.examples("fox") == 2
     assert len(second.rivals) == 3  # neither example, and no rival twice
+
+
+def test_a_file_of_before_is_read_without_its_counter_examples(tmp_path):
+    words = taught().with_example("fox", unit(3)[0], unit(4, 2), THIS)
+    arrays = words.to_arrays() | {
+        "encoder": np.array('{"encoder": "lexicon", "synonyms": null}'),
+        "positive": np.array([True, False]),
+    }
+    spec = replace(load_spec("words"), version=1)
+    (tmp_path / "words.npz").write_bytes(encode_arrays(arrays, spec))
+    again = TaughtWords.load(tmp_path / "words.npz", THIS)
+    assert again.examples("fox") == 1
+    np.testing.assert_array_equal(again.features, words.features[:1])
 
 
 def test_a_word_that_is_forgotten_leaves_nothing():
@@ -176,13 +167,13 @@ def test_a_word_that_is_forgotten_leaves_nothing():
 
 
 def test_merging_keeps_the_examples_of_both():
-    both = taught(seed=1).merged(taught(seed=2, positive=False))
-    assert both.examples("fox") == (1, 1) and len(both.rivals) == 12
+    both = taught(seed=1).merged(taught(seed=2))
+    assert both.examples("fox") == 2 and len(both.rivals) == 12
     assert TaughtWords().merged(both) is both and both.merged(TaughtWords()) is both
 
 
 def test_a_file_gives_the_same_words_and_the_same_bytes(tmp_path):
-    words = taught().merged(taught("brass owl", 5, positive=False))
+    words = taught().merged(taught("brass owl", 5))
     words.save(tmp_path / "a.npz")
     again = TaughtWords.load(tmp_path / "a.npz", THIS)
     for name, array in words.to_arrays().items():
@@ -226,7 +217,7 @@ def test_no_word_is_refused(word):
     with pytest.raises(InputError, match="expected 1 to 80 letters"):
         taught(word)
     with pytest.raises(InputError, match="has no example"):
-        taught("owl", positive=False).leads("owl", unit(1))
+        taught("owl").leads("fox", unit(1))
 
 
 def test_words_are_compared_without_case_and_spaces():
@@ -234,5 +225,5 @@ def test_words_are_compared_without_case_and_spaces():
 
 
 def test_an_identity_has_the_settings_of_the_encoder_alone():
-    settings = {"encoder": "clip", "clip": {"model": "ab"}, "lexicon": {"synonyms": "x"}, "keep": 1}
+    settings = {"encoder": "clip", "clip": {"model": "ab"}, "keep": 1}
     assert json.loads(encoder_identity(settings)) == {"encoder": "clip", "model": "ab"}

@@ -35,7 +35,6 @@ def test_the_identity_is_flat_plain_and_complete():
         "keep": "needed",
         "bank": "groups",
         "planesweep": {"depth_candidates": 144},
-        "lexicon": {"synonyms": None},
         "separated": {"dimension": 3, "error": 0.01},
     }
     assert json.dumps(Method().identity()) == json.dumps(expected)
@@ -85,7 +84,7 @@ def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
     ("kind", "name", "values", "sentence"),
     [
         ("encoder", "lexcion", {}, "unknown encoder 'lexcion': expected one of .*did you mean"),
-        ("encoder", "lexicon", {"synonym": "a"}, "settings of 'lexicon': found 'synonym'; did you"),
+        ("encoder", "clip", {"modl": "a"}, "settings of 'clip': found 'modl'; did you"),
         ("lifting", "hard", {"x": 1}, "settings of 'hard': found 'x', expected some of: none"),
     ],
 )

@@ -18,7 +18,7 @@ What an absent view says plays no part: here views are mixed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -79,7 +79,6 @@ class DenseView:
             DenseResult(
                 text,
                 reader.unknown_words(text),
-                reader.taken_for(text),
                 self.gap(text, asked),
                 self.seen,
                 asked,
@@ -155,7 +154,6 @@ class DenseResult:
 
     text: str
     unknown: tuple[str, ...]
-    taken_for: Mapping[str, tuple[str, float]]
     gap: np.ndarray
     seen: np.ndarray
     rules: Rules

@@ -1,6 +1,6 @@
 """A method of another package: a text is where the picture has the colour that it names."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,9 +52,6 @@ class View:
             raise InputError(f"{text!r}: names no colour")
         return unknown
 
-    def taken_for(self, text):
-        return {}
-
     def query_all(self, texts, **rules):
         """Where each text is, on its own."""
         return [Answer(t, self._relevancy(t), self.within, self.unknown_words(t)) for t in texts]
@@ -76,7 +73,6 @@ class Answer:
     within: float
     unknown: tuple
     objects: tuple = ()
-    taken_for: dict = field(default_factory=dict)
 
     @property
     def mask(self):
