@@ -128,53 +128,29 @@ def score(
 
 @commands.command(rich_help_panel=SCORES)
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help="Folder that a run wrote.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN", help="Folders that benchmark, run or score wrote."),
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
     ] = None,
 ) -> None:
-    """Compare the settings and the scores of two reports.
+    """Compare the settings and the scores of two runs, or rank those of more.
 
-    Differences are B minus A, for each method, on the queries that both were asked, with bootstrap
-    intervals over scenes.
+    Of two, differences are the second minus the first, for each method, on the queries that both
+    were asked, with bootstrap intervals over scenes. Of more, methods are ranked in a table for
+    each data set, protocol and size; only what was asked the same is in one table.
 
     \b
     slgaussian benchmark --rooms 0-9 -o before
     slgaussian benchmark --rooms 0-9 --replicas 1 -o after
     slgaussian compare before after -o changes
+    slgaussian compare ours theirs another -o board
     """
     from flows.cli.comparing import compare as compared
 
-    typer.echo(compared(first, second, out))
-
-
-@commands.command(rich_help_panel=SCORES)
-def leaderboard(
-    results: Annotated[
-        list[Path],
-        typer.Argument(metavar="RESULTS", help="Folders that benchmark, score or run wrote."),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for leaderboard.html and leaderboard.md."),
-    ] = None,
-) -> None:
-    """Rank the methods of several runs: a leaderboard.
-
-    They may be of any machine, version or author. There is a table for each data set, protocol and
-    judging size: scores with intervals, seconds, memory, machine and version. Only methods that
-    were asked the same are ranked together; what was asked something else stands apart and says how
-    it differs. Other data and settings are named.
-
-    \b
-    slgaussian benchmark --rooms 0-9 --against all -o ours
-    slgaussian score masks --rooms 0-9 --size 416x576 -o theirs
-    slgaussian leaderboard ours theirs -o board
-    """
-    from flows.cli.leading import leaderboard as ranked
-
-    typer.echo(ranked(results, out))
+    typer.echo(compared(runs, out))
 
 
 @commands.command(rich_help_panel=SCORES)

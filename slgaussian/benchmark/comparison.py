@@ -143,7 +143,7 @@ def compare_reports(first: Made, second: Made) -> Reports:
         str(first.folder),
         str(second.folder),
         _said(first, second, pairs),
-        _settings(first.manifest, second.manifest),
+        differing_settings(first.manifest, second.manifest),
         difference_tables(gains, MAIN),
         difference_tables(gains, MORE),
         _changes(first.folder, second.folder, pairs),
@@ -254,8 +254,10 @@ def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], lis
     return mine, [theirs[_key(row)] for row in mine]
 
 
-def _settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """The leaves of two manifests that differ.
+def differing_settings(
+    first: Mapping[str, Any], second: Mapping[str, Any]
+) -> list[tuple[str, str, str]]:
+    """List the leaves of two manifests that differ.
 
     Those of the data in a line a scene; of more than :data:`SCENES` scenes in one for all.
     """
