@@ -6,8 +6,8 @@ DATA holds ``office`` and ``places``, pairs of photographs with labelled targets
 pair is built once, and kept in DIR if it is given.
 
 Each label of a target is taught to its field by clicks on innermost points: first of the label,
-then of what is missed. Clicks are made in a context view, where it shows the surface. Then the word is asked at the target,
-and at the targets of other pairs of the place that have the same label.
+then of what is missed. Clicks are made in a context view, where it shows the surface. Then the word
+is asked at the target, and at the targets of other pairs of the place that have the same label.
 """
 
 from __future__ import annotations
