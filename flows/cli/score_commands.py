@@ -58,7 +58,7 @@ def benchmark(
 
     \b
     slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
-    slgaussian benchmark --rooms 0-19 --sweep views=2,3,4 --sweep planesweep.depth_candidates=32,64
+    slgaussian benchmark --rooms 0-19 --sweep views=2,3 --sweep replicas=1,5
     slgaussian benchmark a.jpg b.jpg c.jpg --sweep preset=fast,paper
     slgaussian benchmark --data office --pairs office/pairs.json \\
         --labels office/labels -o scores
