@@ -181,7 +181,7 @@ def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
             blocks.append(f"{answer['text']!r} is {answer['summary']}")
             continue
         lines = [f"{answer['text']!r} in {answer['view']}"] if len(answers) > 1 else []
-        lines += [answer["summary"], *_number(answer)]
+        lines.append(answer["summary"])
         if answer["point"] or answer["objects"]:
             ids = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
             lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
@@ -264,11 +264,6 @@ def _refusal(text: str, why: str) -> dict[str, Any]:
     answer |= {"unknown": [], "unused": {}, "kind": "unknown"}
     answer |= {"examples": 0, "instead_of": None}
     return answer | {"refused": why}
-
-
-def _number(answer: Mapping[str, Any]) -> list[str]:
-    """How many things were found, if that was asked."""
-    return [] if answer["count"] is None else [f"number  {answer['count']}"]
 
 
 def _of_words(answer: Mapping[str, Any]) -> list[str]:
