@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from flows.settings import SIDES, Engine, Method, checked, read_values, refuse_idle, sides
-from slgaussian.datasets import FILES
+from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
 
@@ -90,7 +90,7 @@ class IndexSettings(PairSettings):
     model_config = ConfigDict(title="Which context views are taken")
 
     format: str = Field(
-        "nerfstudio", examples=list(FILES), description="Of the data, such as lerf_ovs or ovs3d."
+        "nerfstudio", examples=list(FROM_FILES), description="Of the data, such as lerf_ovs or ovs3d."
     )
     min_cover: float = Field(
         0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."

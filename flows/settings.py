@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from flows.encoder_choice import AUTO, CANDIDATES, settled
-from slgaussian.datasets import FILES
+from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
 from slgaussian.parts.method import BANK, KEEP, OWN
@@ -385,7 +385,7 @@ class Settings(Engine, Method):
     data: Path | None = Field(None, description="Folder of a labelled set, as its format has it.")
     format: str | None = Field(
         None,
-        examples=list(FILES),
+        examples=list(FROM_FILES),
         description="Its format, if the index does not say: nerfstudio if left out.",
     )
     pairs: Path | None = Field(

@@ -29,6 +29,9 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
+FROM_FILES = tuple(name for name in READERS if name not in ("stereo", "procedural"))
+"""The formats of data that people have; the others come with the program."""
+
 FILES = {name: READERS[name].replace(":read", ":files") for name in ("re10k", "photographs")}
 """What lists the files of a scene that takes long to read, by format."""
 

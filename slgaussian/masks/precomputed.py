@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.resampling import Window
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.settings import setting
 
@@ -97,6 +96,8 @@ class Precomputed:
             )
         ids = read_ids(file)
         height, width = view.image.shape[:2]
+        from slgaussian.formats.resampling import Window
+
         drawn_on, cropped = view.shown, Window.whole(width, height)
         if ids.shape == (height, width) or (
             cropped.has_shape(*ids.shape[::-1]) and not drawn_on.has_shape(*ids.shape[::-1])
