@@ -62,7 +62,8 @@ def canonical(value: Any, name: str = "value") -> Any:
     if isinstance(value, (list, tuple)):
         return [canonical(item, f"{name}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {key: canonical(item, f"{name}.{key}") for key, item in value.items()}
+        # In one order, whether it was just made or read from a record: files say it as it stands.
+        return {key: canonical(value[key], f"{name}.{key}") for key in sorted(value)}
     raise InputError(
         f"{name}: {type(value).__name__} {value!r:.60} cannot be part of a cache key; expected "
         "plain numbers, text, lists, tables with text keys, or artifact refs"
