@@ -90,7 +90,9 @@ class IndexSettings(PairSettings):
     model_config = ConfigDict(title="Which context views are taken")
 
     format: str = Field(
-        "nerfstudio", examples=list(FROM_FILES), description="Of the data, such as lerf_ovs or ovs3d."
+        "nerfstudio",
+        examples=list(FROM_FILES),
+        description="Of the data, such as lerf_ovs or ovs3d.",
     )
     min_cover: float = Field(
         0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."
