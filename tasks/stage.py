@@ -127,7 +127,7 @@ class Stage:
         )
 
     def __reduce__(self) -> str:
-        return self.__qualname__
+        return str(self.work.__qualname__)
 
     def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
         """What the function makes of these arguments, now or in an earlier run.
