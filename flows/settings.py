@@ -80,19 +80,21 @@ def _parse_count(value: Any) -> Any:
     raise PydanticCustomError("count", "expected a whole number or 'auto'")
 
 
-RUNNERS = ("threads", "processes", "dask", "ray")
-"""Who may do the work of a flow."""
+RUNNERS = ("threads", "processes")
+"""Who may do the work of a flow on this machine."""
+CLUSTERS = ("dask", "ray")
+"""Whose workers may, by the address of a cluster that runs."""
 
 
 def _parse_runner(value: Any) -> str:
     kind, _, address = str(value).partition("://")
     host, _, port = address.rpartition(":")
     given = "://" in str(value)
-    if kind in RUNNERS and (not given or (kind in RUNNERS[2:] and host and port.isdecimal())):
+    if kind in (CLUSTERS if given else RUNNERS) and (not given or (host and port.isdecimal())):
         return str(value)
     raise PydanticCustomError(
         "runner",
-        "expected threads, processes, dask or ray, or for a cluster that runs dask://host:port or "
+        "expected threads, processes, or for a cluster that runs dask://host:port or "
         f"ray://host:port{did_you_mean(kind, RUNNERS)}",
     )
 
@@ -362,7 +364,7 @@ class Engine(BaseModel):
     runner: Runner = Field(
         "threads",
         examples=list(RUNNERS),
-        description="Who does the work: threads, processes, dask or ray; or a cluster, as "
+        description="Who does the work: threads, processes, or a cluster that runs, as "
         "dask://host:port.",
     )
     workers: int = Field(

@@ -24,7 +24,7 @@ from benches.common.pages import publish
 from benches.common.process_cost import CLI, costing
 from benches.common.small_rooms import HEIGHT, WIDTH, write_rooms
 
-RUNNERS = ("threads", "processes", "dask", "ray")
+RUNNERS = ("threads", "processes")
 FEW = 4
 """Scenes of a run before, in which kernels are compiled."""
 
@@ -50,8 +50,7 @@ def once(work: Path, scenes: int, runner: str, workers: int) -> dict:
         "scenes": scenes,
         "start": cost.wall - took,
         "rate": 60 * scenes / took,
-        # Ray ends its workers in a way that nobody is told what they took.
-        **({} if runner == "ray" else {"cpu": cost.cpu / scenes}),
+        "cpu": cost.cpu / scenes,
         "flow": 1 - sum(event["seconds"] for event in stages) / (workers * took),
         "peak": cost.peak,
         "largest": cost.largest,

@@ -46,8 +46,6 @@ def _for_ray() -> dict[str, str]:
     """What Ray must know if it is the runner; Prefect may import it at any time."""
     variables = {
         "RAY_USAGE_STATS_ENABLED": "0",
-        # Without clusters of several machines, a cluster of ours listens on loopback only.
-        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
         # It would say so whenever a process begins another.
         "GRPC_VERBOSITY": "ERROR",
         # It hides all GPUs from tasks that do not book one.

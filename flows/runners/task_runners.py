@@ -24,7 +24,6 @@ from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
-from flows.runners.cluster import last_line, local_cluster
 from flows.runners.server import LOOPBACK
 from flows.runners.shard import NO_EVENTS, send_no_events
 from slgaussian.errors import InputError
@@ -71,7 +70,7 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
 
 @contextmanager
 def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRunner[Any]]:
-    """The task runner of a name, for a flow; its cluster, if it is ours, runs within the block.
+    """Make the task runner of a name, for a flow.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRun
     Raises
     ------
     InputError
-        As :func:`check_runner`, or if the cluster cannot be started or refuses us.
+        As :func:`check_runner`, or if the cluster refuses us.
     """
     check_runner(runner, store)
     kind, _, address = runner.partition("://")
@@ -92,8 +91,7 @@ def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRun
     elif kind == "processes":
         yield _Processes(max_workers=workers, initializer=become_worker)
     else:
-        cluster = {"dask": _dask, "ray": _ray}[kind]
-        with cluster(address, workers) as task_runner:
+        with {"dask": _dask, "ray": _ray}[kind](address) as task_runner:
             yield task_runner
 
 
@@ -154,41 +152,39 @@ class _Processes(ProcessPoolTaskRunner):
 
 
 @contextmanager
-def _dask(address: str, workers: int) -> Iterator[TaskRunner[Any]]:
+def _dask(address: str) -> Iterator[TaskRunner[Any]]:
     from distributed.comm import connect
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with ExitStack() as stack:
-        url = f"tcp://{address}" if address else stack.enter_context(local_cluster("dask", workers))
+    url = f"tcp://{address}"
 
-        async def greet() -> None:
-            comm = await connect(url, timeout=CONNECT)
-            await comm.close()
+    async def greet() -> None:
+        comm = await connect(url, timeout=CONNECT)
+        await comm.close()
 
-        try:
-            # Dask's clients wait for ever for the first words of what is no scheduler.
-            asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
-        except (OSError, ValueError) as error:
-            raise InputError(_nobody(f"dask://{address}", error)) from error
-        yield DaskTaskRunner(address=url)
+    try:
+        # Dask's clients wait for ever for the first words of what is no scheduler.
+        asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
+    except (OSError, ValueError) as error:
+        raise InputError(_nobody(f"dask://{address}", error)) from error
+    yield DaskTaskRunner(address=url)
 
 
 @contextmanager
-def _ray(address: str, workers: int) -> Iterator[TaskRunner[Any]]:
+def _ray(address: str) -> Iterator[TaskRunner[Any]]:
     import ray
     from prefect_ray import RayTaskRunner
     from prefect_ray.context import remote_options
 
     with ExitStack() as stack:
-        url = f"ray://{address}" if address else stack.enter_context(local_cluster("ray", workers))
+        url = f"ray://{address}"
         variables = {name: os.environ[name] for name in (NO_EVENTS,) if name in os.environ}
         connect = partial(
             ray.init,
             url,
             namespace="slgaussian",
-            # Workers of a cluster of ours have it all.
-            runtime_env={"env_vars": variables} if address else None,
+            runtime_env={"env_vars": variables},
             log_to_driver=False,
             logging_level=logging.CRITICAL,
         )
@@ -246,6 +242,11 @@ def _check_server(runner: str) -> None:
             "which is on loopback; start one that they can with `prefect server start --host "
             "0.0.0.0`, and set PREFECT_API_URL to its address"
         )
+
+
+def last_line(text: str) -> str:
+    """Return the last line of an error, which may bring another process's traceback along."""
+    return (text.strip().splitlines() or ["unknown"])[-1].strip()
 
 
 def _nobody(runner: str, error: Exception) -> str:

@@ -22,7 +22,6 @@ from prefect.futures import PrefectFuture
 from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner
 
-from flows.runners.cluster import last_line
 from flows.runners.journal import log
 from flows.runners.progress import Progress
 from flows.runners.shard import (
@@ -36,7 +35,7 @@ from flows.runners.shard import (
     shard_task,
     watching,
 )
-from flows.runners.task_runners import abandon, started, without_interrupts
+from flows.runners.task_runners import abandon, last_line, started, without_interrupts
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.specs import load_spec

@@ -28,14 +28,12 @@ ENDS = {
 QUICK = {
     ("threads", "kill -9"),
     ("processes", "Ctrl-C"),
-    ("dask", "SIGTERM"),
-    ("ray", "kill -9"),
 }
-"""Those that are tried every time: a cluster takes many seconds to start."""
+"""Those that are tried every time."""
 
 
 def cases():
-    for runner in ("threads", "processes", "dask", "ray"):
+    for runner in ("threads", "processes"):
         for end in ENDS:
             thorough = (runner, end) in QUICK or os.environ.get("SLG_TEST_THOROUGH")
             skip = pytest.mark.skipif(not thorough, reason="needs SLG_TEST_THOROUGH=1")
@@ -44,7 +42,6 @@ def cases():
 
 @pytest.mark.parametrize(("runner", "end"), list(cases()))
 def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, runner, end):
-    imported(runner)
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
     process = start(home, store, log, FOREVER, runner)
     # The second scene is being worked on, so the first is done and recorded.
@@ -76,28 +73,6 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, 
     assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
     whole = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
     assert whole.refs == outcome.refs
-
-
-@pytest.mark.parametrize("runner", ["dask", "ray"])
-def test_a_cluster_of_our_own_is_quiet_and_makes_the_same(tmp_path, home, server, runner):
-    imported(runner)
-    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
-    process = start(home, store, log, 0.0, runner)
-    printed, messages = process.communicate(timeout=180)
-    assert process.returncode == 0, messages.decode()
-    assert printed == b""
-    stages = ["make", "halve", "add", "all"]
-    assert lines_of(messages) == ["scene_0", "scene_1", "scene_2", *stages]
-    assert left_in(home) == []
-    again = run_tiny(ArtifactStore(store), three_scenes(log))
-    assert len(log.read_text().splitlines()) == 9
-    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
-    assert whole.refs == again.refs
-
-
-def imported(runner: str) -> None:
-    if runner in ("dask", "ray"):
-        pytest.importorskip(f"prefect_{runner}", reason=f"needs the extra `{runner}`")
 
 
 def left_in(home: Path) -> list[str]:

@@ -229,12 +229,16 @@ def test_an_error_of_a_worker_is_told_and_is_no_death(kind, clusters, tmp_path, 
 def test_a_package_that_is_not_installed_is_named(kind, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, f"prefect_{kind}", None)
     with pytest.raises(InputError, match=rf"{kind} is not installed.*`pip install .prefect-{kind}"):
-        run_tiny(ArtifactStore(tmp_path), {}, runner=kind)
+        run_tiny(ArtifactStore(tmp_path), {}, runner=f"{kind}://127.0.0.1:8786")
 
 
-@pytest.mark.parametrize("runner", ["slurm", "dask://", "dask://here", "threads://a:1", "ray:8"])
+@pytest.mark.parametrize(
+    "runner", ["slurm", "dask", "ray", "dask://", "dask://here", "threads://a:1", "ray:8"]
+)
 def test_a_runner_that_nobody_knows_is_named(runner):
-    with pytest.raises(InputError, match=r"runner: .*expected threads, processes, dask or ray"):
+    with pytest.raises(
+        InputError, match=r"runner: .*expected threads, processes, or for a cluster that runs dask"
+    ):
         make_settings({"runner": runner}, "run")
 
 
@@ -260,7 +264,7 @@ def test_a_cluster_elsewhere_cannot_reach_a_server_on_loopback(tmp_path):
         run_tiny(ArtifactStore(tmp_path), {}, runner="dask://192.0.2.1:8786")
 
 
-@pytest.mark.parametrize("runner", ["processes", "dask", "ray"])
+@pytest.mark.parametrize("runner", ["processes", "dask://127.0.0.1:8786", "ray://127.0.0.1:10001"])
 def test_a_store_in_memory_is_for_threads_only(runner, tmp_path):
     with pytest.raises(InputError, match=r"cannot see the store memory://x.*--store"):
         run_tiny(ArtifactStore("memory://x"), {}, runner=runner)
