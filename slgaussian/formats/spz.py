@@ -26,8 +26,6 @@ from slgaussian.gaussians import Gaussians
 
 MAGIC, VERSION = 0x5053474E, 3
 COLOUR = 0.15
-LOWEST_SCALE = float(np.exp(-10.0))
-"""Smaller scales become this one, in scene units."""
 
 MOST_BITS = 20
 MOST_UNPACKED = 2**30

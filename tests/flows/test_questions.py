@@ -95,23 +95,6 @@ def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
     assert "looked for" not in capsys.readouterr().out
 
 
-def test_where_things_are_is_answered_or_it_is_said_why_not(field, ask, monkeypatch, capsys):
-    status, (number, leftmost, related) = ask(
-        "query", field, "how many reds", "leftmost red", "red left of the yellow"
-    )
-    assert status == 3
-    assert number["objects"] and "things that touch count as one" in number["notes"]
-    assert leftmost["objects"] == ask("query", field, "red")[1][0]["objects"]
-    assert "as this camera sees it" in leftmost["notes"] and leftmost["count"] is None
-    assert not related["found"] and related["notes"] == ["'yellow' is probably not here"]
-    assert run(monkeypatch, "query", field, "how many reds", "red left of the yellow") == 3
-    printed = capsys.readouterr().out
-    assert f"number  {number['count']}" in printed
-    assert "not here: 'yellow' is probably not here" in printed
-    assert run(monkeypatch, "query", field, "largest leftmost red") == 2
-    assert "not answered: only one of largest and leftmost" in said(capsys)
-
-
 @pytest.mark.parametrize(
     ("name", "kind"), [("a.png", "PNG"), ("a.jpg", "JPEG"), ("b.JPEG", "JPEG")]
 )
