@@ -29,9 +29,6 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
-FROM_FILES = tuple(name for name in READERS if name not in ("stereo", "procedural"))
-"""The formats of data that people have; the others come with the program."""
-
 FILES = {name: READERS[name].replace(":read", ":files") for name in ("re10k", "photographs")}
 """What lists the files of a scene that takes long to read, by format."""
 
@@ -44,6 +41,9 @@ SOURCES = {
     "stereo": ("Middlebury Stereo 2014, Motorcycle (Scharstein et al.), by scikit-image", ""),
 }
 """Where the data of a format come from and their licence, where the format alone says so."""
+
+FROM_FILES = tuple(name for name in READERS if name not in SOURCES)
+"""The formats of data that people have; the others come with the program."""
 
 
 def load(format: str, *args: Any, **settings: Any) -> Scene:
@@ -125,7 +125,7 @@ def check_format(format: str) -> None:
     """InputError, with the formats that there are, if this is none that reads a folder."""
     resolve("data format", READERS, format)
     if format in SOURCES:
-        expected = ", ".join(name for name in READERS if name not in SOURCES)
+        expected = ", ".join(FROM_FILES)
         raise InputError(f"data format {format!r} reads no folder; expected {expected}")
 
 
