@@ -10,7 +10,6 @@ from flows.cli.command_settings import BUILD, COMMON, FIELDS, MASKS, RUN
 from flows.cli.help import App
 from flows.cli.options import with_options
 from flows.cli.running import run_and_say
-from slgaussian.errors import InputError
 
 commands = App()
 
@@ -62,14 +61,9 @@ def field(
         int | None,
         typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
     ] = None,
-    add: Annotated[
-        bool, typer.Option("--add", help="Add photographs to the field that is named last.")
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for the field. [default: field]")
-    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
-    """Build a field from two or more photographs, or add some to it.
+    """Build a field from two or more photographs.
 
     A field is a folder with the scene as Gaussians and what words need to find its objects.
     `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
@@ -77,20 +71,11 @@ def field(
 
     \b
     slgaussian field a.jpg b.jpg -o field/
-    slgaussian field --add c.jpg field/
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     """
-    if add:
-        given = "--refine" if refine else "--keyframes" if keyframes is not None else None
-        if given:
-            raise InputError(f"{given}: is for a new field, and not for --add; leave one out")
-        from flows.cli.adding import add as added
-
-        typer.echo(added(photos, cameras, out, settings))
-        return
     from flows.cli.fields import build
 
-    typer.echo(build(photos, cameras, refine, keyframes, out or Path("field"), settings))
+    typer.echo(build(photos, cameras, refine, keyframes, out, settings))
 
 
 @commands.command(rich_help_panel=FIELDS)

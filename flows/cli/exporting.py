@@ -18,7 +18,7 @@ from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.formats.spz import save_spz
 from slgaussian.formats.written import write_file
 from slgaussian.parts.identity import file_digest
-from slgaussian.storage.origin import read_origin
+from slgaussian.storage.inputs import read_photographs
 from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 
 SUFFIXES = (".html", ".ply", ".spz")
@@ -106,14 +106,10 @@ def _write_page(out: Path, page: str) -> None:
 
 def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:
     """The photographs of a field that are still where they were, by view."""
-    found = read_origin(folder)
-    if found is None:
-        return {}
     taken = {}
-    for name, place, digest in found[0].photographs:
-        file = Path(place)
+    for name, (file, digest) in read_photographs(folder).items():
         try:
-            if name in field.cameras and digest is not None and file_digest(file) == digest:
+            if name in field.cameras and file_digest(file) == digest:
                 taken[name], _ = open_photograph(file, upright=True)
         except (InputError, OSError):  # it was moved; what the field drew is shown
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ from slgaussian.scene import Sample
 from slgaussian.storage.account import Account
 from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import check_target
-from slgaussian.storage.origin import Origin
+from slgaussian.storage.inputs import describe_photographs
 from slgaussian.things import COMMON_THINGS
 
 if TYPE_CHECKING:
@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 
 Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 """A picture uint8 [H, W, 3], z-depth float [H, W], and further pictures with captions."""
-
-
-READING = {"size", "near", "far", "trust_cameras"}
-"""The settings of how photographs are read, which the parts of a method do not know."""
 
 
 def build(
@@ -60,29 +56,20 @@ def build(
     """
     settings = make_settings(options, "field")
     check_target(out)
-    derived, start = Derived(), time.perf_counter()
-    with keeping(derived):
-        sample, taken = posed_sample(photos, cameras, refine, settings, keyframes)
-        kept = settings.model_dump(mode="json", include=READING)
-        origin = Origin.of(taken, cameras, refine, kept)
-        made(sample, settings.built_by, origin, derived, out, start)
+    start = time.perf_counter()
+    with keeping(Derived()):
+        sample, places = posed_sample(photos, cameras, refine, settings, keyframes)
+        seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
+        field = _built(sample, settings.built_by, settings.trust_cameras, seconds)
+    field.save(out, describe_photographs(places))
+    _report(field, out, seconds, time.perf_counter() - start)
     return out
 
 
-def made(
-    sample: Sample,
-    method: Method,
-    origin: Origin,
-    derived: Derived,
-    out: Path,
-    start: float,
-    settled: Callable[[SemanticField], SemanticField] = lambda field: field,
-) -> None:
-    """Build the field of a sample, save it to folder ``out`` with its origin, and say what it is.
-
-    ``start`` is when the work began, by ``time.perf_counter``. What ``settled`` makes of the field
-    is saved.
-    """
+def _built(
+    sample: Sample, method: Method, trusted: bool, seconds: dict[str, float]
+) -> SemanticField:
+    """Build the field of a sample; the seconds of each step are added to ``seconds``."""
     ahead.begin()
     height, width = sample.context[0].image.shape[:2]
     parts = ", ".join(part.name for part in method.parts)
@@ -90,12 +77,13 @@ def made(
         f"building a field from {len(sample.context)} views of {width}x{height} with {parts}",
         file=sys.stderr,
     )
-    seconds = {"cameras" if origin.cameras is None else "reading": time.perf_counter() - start}
-    trusted = origin.settings["trust_cameras"]
-    field = settled(build_field(sample, method, trusted, seconds.__setitem__))
-    field.save(out, origin.files(derived))
-    found = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
-    print(f"{found}, {time.perf_counter() - start:.1f} s", file=sys.stderr)
+    return build_field(sample, method, trusted, seconds.__setitem__)
+
+
+def _report(field: SemanticField, out: Path, seconds: dict[str, float], whole: float) -> None:
+    """Print what a field is, how good it is, what it took, and what to do with it."""
+    size = f"{len(field.gaussians)} Gaussians, {len(field.bank)} objects"
+    print(f"{size}, {whole:.1f} s", file=sys.stderr)
     quality = Quality(**field.settings["quality"])
     for warning in quality.warnings():
         print(f"warning: {warning}", file=sys.stderr)

@@ -1,0 +1,63 @@
+"""Photographs that a field was built from, in a file beside it.
+
+``photographs.json`` has the place and the digest of each. Only a page made of the field reads it,
+to show the photographs themselves. A field without it is whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from slgaussian.errors import SpecError
+from slgaussian.formats import strict_json
+from slgaussian.parts.identity import file_digest
+from slgaussian.storage.field_folder import AGAIN
+
+FILE = "photographs.json"
+FORMAT = 2
+ABOUT = "The photographs that the field in this folder was built from. No question needs this file."
+
+
+def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the file by its name, of photographs by view name and place.
+
+    A place is a file by its path from the root, which is read for its digest, or the name of a
+    view that a camera file knows, which is left out.
+    """
+    known = {
+        name: [place, file_digest(place)] for name, place in places.items() if os.path.isabs(place)
+    }
+    content = {"format": FORMAT, "what": ABOUT, "photographs": known}
+    return {FILE: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()}
+
+
+def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
+    """Return place and SHA-256 (hexadecimal) of a field's photographs by view name.
+
+    None where the file is not there, or of an earlier version.
+
+    Raises
+    ------
+    SpecError
+        If the file is damaged, or of a later version.
+    """
+    file = folder / FILE
+    if not file.is_file():
+        return {}
+    try:
+        content = strict_json.parse(file.read_bytes())
+        if content["format"] == 1:
+            return {}
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r:.40}, expected {FORMAT}")
+        known = {}
+        for name, (place, digest) in content["photographs"].items():
+            if not isinstance(place, str) or not isinstance(digest, str):
+                raise ValueError("a place is no text")
+            known[name] = Path(place), digest
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
+    return known
