@@ -32,7 +32,8 @@ from slgaussian.benchmark.summary import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 
-KERNELS = ("Haswell", "SkylakeX", "Zen")
+WIDE = "avx512f" in Path("/proc/cpuinfo").read_text()
+KERNELS = ("Haswell", *(["SkylakeX"] if WIDE else []), "Zen")
 """Processors whose kernels OpenBLAS is told to use, by OPENBLAS_CORETYPE."""
 
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
