@@ -112,6 +112,8 @@ class Stage:
     the stage, its version and the settings.
     """
 
+    __qualname__: str  # that of the function, by which it is sent
+
     def __init__(
         self, work: Callable[..., ArtifactRef], name: str, version: int, unkeyed: Collection[str]
     ) -> None:
