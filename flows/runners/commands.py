@@ -76,6 +76,8 @@ def perform(command: str, settings: Any, verbose: bool = False) -> Any:
                     ) from error
                 damaged[error.uri] = str(error)
                 store.remove([error.uri])
-                message = f"{store.root}/{error.uri} is damaged; it is removed, and the work begins anew"
+                message = (
+                    f"{store.root}/{error.uri} is damaged; it is removed, and the work begins anew"
+                )
                 log(logging.WARNING, "damaged", message)
                 print(message, file=sys.stderr, flush=True)
