@@ -117,9 +117,12 @@ class FieldView:
         """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
         return ask(texts, self._objects, self.reader, Rules(**rules))
 
-    def like(self, image: np.ndarray, **rules: Any) -> QueryResult:
-        """What in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`."""
-        return self._likest(*self.field.picture_words(image), rules)
+    def like(self, image: np.ndarray, mask: np.ndarray | None = None, **rules: Any) -> QueryResult:
+        """Find what in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`.
+
+        ``mask``, bool [H, W], says where the thing is in the picture: everywhere if left out.
+        """
+        return self._likest(*self.field.picture_words(image, mask), rules)
 
     def like_object(self, object_id: int, **rules: Any) -> QueryResult:
         """What in this view is like an object of the field, itself first; as :meth:`query`."""
@@ -377,10 +380,20 @@ class SemanticField:
         found = self._ranked(*self.object_words(object_id))
         return tuple(one for one in found if one[0] != object_id)
 
-    def picture_words(self, image: np.ndarray) -> tuple[str, TaughtWords]:
-        """A word whose one example is a picture uint8 [H, W, 3], and these words."""
-        whole = np.ones((1, *image.shape[:2]), bool)
-        feature = self.encoder.encode_regions(image, whole)[0]
+    def picture_words(
+        self, image: np.ndarray, mask: np.ndarray | None = None
+    ) -> tuple[str, TaughtWords]:
+        """A word whose one example is a picture uint8 [H, W, 3] of a thing, and these words.
+
+        ``mask``, bool [H, W], is as :meth:`FieldView.like` takes it.
+        """
+        where = np.ones(image.shape[:2], bool) if mask is None else mask
+        if not where.any():
+            raise InputError("picture: its mask is empty; give one that shows a thing")
+        rows, columns = (np.flatnonzero(where.any(axis)) for axis in (1, 0))
+        frame = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        image, where = np.ascontiguousarray(image[frame]), where[frame]
+        feature = self.encoder.encode_regions(image, where[None])[0]
         rivals = np.stack([self._feature(row) for row in self._held])
         return self._asked("the picture", feature, rivals)
 

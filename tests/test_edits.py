@@ -147,6 +147,14 @@ def test_ask_by_object_and_by_picture(field):
     crop = np.full((20, 20, 3), COLOURS[BLUE], np.uint8)
     assert field.like(crop)[0][0] == BLUE
     hit = view.like(crop)
+    # A cut-out: what lies around the thing plays no part.
+    around = np.full((3 * crop.shape[0], 3 * crop.shape[1], 3), (200, 10, 10), np.uint8)
+    where = np.zeros(around.shape[:2], bool)
+    where[crop.shape[0] : 2 * crop.shape[0], crop.shape[1] : 2 * crop.shape[1]] = True
+    around[where] = crop.reshape(-1, 3)
+    assert view.like(around, where).objects[0][0] == BLUE
+    assert np.array_equal(view.like(around, where).scores, hit.scores)
+    assert not np.array_equal(view.like(around).scores, hit.scores)
     assert hit.kind == "picture" and hit.point is not None
     assert view.ids[hit.point[1], hit.point[0]] == BLUE
 

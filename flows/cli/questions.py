@@ -74,7 +74,7 @@ def ask(
             found = seen.query_all(asked, **rules) if asked else []
             hits = dict(zip(asked, found, strict=True))
             hits |= {
-                str(file): replace(seen.like(crop, **rules), text=str(file))
+                str(file): replace(seen.like(*crop, **rules), text=str(file))
                 for file, crop in zip(like, crops, strict=True)
             }
             for text in [*texts, *map(str, like)]:
@@ -286,15 +286,19 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
 
 
-def _read_picture(file: Path) -> np.ndarray:
-    """The photograph in a file, upright, uint8 [H, W, 3]."""
+def _read_picture(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read a photograph, upright, uint8 [H, W, 3]; where it is opaque, bool [H, W], if not all."""
     from PIL import ImageOps
 
     try:
         with images.opened(file) as image:
-            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+            pixels = np.asarray(ImageOps.exif_transpose(image).convert("RGBA"))
     except (OSError, ValueError) as bad:
         raise images.unreadable(file, bad) from None
+    opaque = pixels[..., 3] >= 128
+    if not opaque.any():
+        raise InputError(f"{file}: is transparent everywhere; give a picture that shows a thing")
+    return np.ascontiguousarray(pixels[..., :3]), None if opaque.all() else opaque
 
 
 def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
