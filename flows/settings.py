@@ -95,7 +95,7 @@ def _parse_runner(value: Any) -> str:
     raise PydanticCustomError(
         "runner",
         "expected threads, processes, or for a cluster that runs dask://host:port or "
-        f"ray://host:port{did_you_mean(kind, RUNNERS)}",
+        f"ray://host:port{did_you_mean(kind, (*RUNNERS, *CLUSTERS))}",
     )
 
 

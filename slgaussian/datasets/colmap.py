@@ -149,7 +149,7 @@ def scene_folder(path: Path) -> Path:
         if parts[-len(inside) :] == inside
     ]
     with_images = (folder for folder in above if image_folder(folder).is_dir())
-    return next(with_images, above[0] if above else path)
+    return next(with_images, above[-1] if above else path)
 
 
 def _file(scene: Path, folder: Path, name: str) -> Path | None:

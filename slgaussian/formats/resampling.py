@@ -8,12 +8,15 @@ half of the new pixel; ids and depths are those at its centre. All of them move 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.sparse import csr_array
 
 from slgaussian.errors import InputError
+
+if TYPE_CHECKING:  # a question waits for no SciPy
+    from scipy.sparse import csr_array
 
 MOST_ASPECT = 0.01
 """Relative difference of aspect up to which two images can be of one photograph."""
@@ -233,6 +236,8 @@ def _slopes(inverse: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _overlap(old: int, start: float, stop: float, new: int) -> csr_array:
     """Share of each of ``new`` pixels, from ``start`` to ``stop``, that each of ``old`` covers:
     float32 [new, old]."""
+    from scipy.sparse import csr_array
+
     edges = start + (stop - start) * np.arange(new + 1) / new
     cuts = np.union1d(edges, np.arange(np.ceil(start), np.floor(stop) + 1))
     middle = (cuts[:-1] + cuts[1:]) / 2

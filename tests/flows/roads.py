@@ -19,7 +19,7 @@ def calls_of(job: Job, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, A
         bound.apply_defaults()
         _, *given = bound.arguments.items()
         calls[stage.name] = dict(given)
-        return ArtifactRef(stage.name, f"{stage.name}/x", "x")
+        return ArtifactRef(stage.name, f"{stage.name}/x", "x", {"targets": []})
 
     with monkeypatch.context() as patch:
         patch.setattr(Stage, "__call__", called)

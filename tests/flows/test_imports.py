@@ -27,7 +27,7 @@ def imported(*words: str) -> tuple[str, set[str]]:
     """What ``slgaussian WORDS`` prints in a process of its own, and the heavy modules it loads."""
     given = [sys.executable, "-c", CODE, json.dumps(words)]
     done = subprocess.run(given, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode in (0, 3), done.stderr  # what is asked for may not be there
     return done.stdout, HEAVY & set(json.loads(done.stderr.splitlines()[-1]))
 
 
