@@ -332,6 +332,8 @@ EXPECTED = {
     "query": (0, 3),
     "query absent": (0, 3),
     "query unknown": (1, 2, 3),
+    "query between": (0, 3),
+    "query picture": (0, 3),
     "query like": (0, 3),
     "query taught": (0, 3),
     "run killed": (-signal.SIGKILL,),

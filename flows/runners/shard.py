@@ -7,6 +7,7 @@ small, plain and picklable; what is large goes through the store.
 from __future__ import annotations
 
 import os
+import pickle
 import time
 import traceback
 import urllib.request
@@ -107,8 +108,9 @@ class StoppedError(SLGaussianError):
     """The run is to end: raised by a listener, it ends the shard."""
 
 
+@dataclass(frozen=True)
 class Order:
-    """What a worker is asked to do; a plain object, which no task runner looks for futures in.
+    """What a worker is asked to do.
 
     Attributes
     ----------
@@ -121,16 +123,24 @@ class Order:
         After so long no other job is begun.
     """
 
-    def __init__(self, root: str, jobs: Sequence[Job], workers: int, seconds: float) -> None:
-        self.root, self.jobs, self.workers, self.seconds = root, jobs, workers, seconds
+    root: str
+    jobs: Sequence[Job]
+    workers: int
+    seconds: float
 
 
-def work_through(order: Order) -> Shard:
+def work_through(pickled: bytes) -> Shard:
     """Take the jobs of an order down their roads, one after the other, until its time is over.
 
     So a shard may have thousands of scenes that are done already and still be a matter of seconds
     where they are not. One job at least is done. An error takes only its own scene out.
+
+    Parameters
+    ----------
+    pickled : bytes
+        An :class:`Order`, pickled for threads too: what one runner can send, all can.
     """
+    order: Order = pickle.loads(pickled)
     shard, store = Shard(), ArtifactStore(order.root)
     listener = watching.get() or shard.events.append
     end = time.perf_counter() + order.seconds

@@ -151,7 +151,7 @@ class WorkerPool:
         order = Order(self.store.root, shard, self.workers, LONG)
         try:
             with without_interrupts():
-                future = self.runner.submit(shard_task(order), {"order": order})
+                future = self.runner.submit(shard_task(order), {"pickled": pickle.dumps(order)})
         except Exception as error:  # each runner has its own
             said = one_line(f"{type(error).__name__}: {error}")
             raise SLGaussianError(
@@ -314,7 +314,7 @@ def work_through_all(jobs: Iterable[Job], pool: WorkerPool, progress: Progress) 
 
     for job in jobs:
         try:
-            pickle.dumps(job)  # for threads too: what one runner can send, all can
+            pickle.dumps(job)
         except Exception as error:  # whatever it holds says why in its own way
             reason = f"cannot be sent to a worker: unexpected {type(error).__name__}: {error}"
             leave_out(job, type(error).__name__, one_line(reason))

@@ -373,7 +373,11 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
     import json
     import shutil
 
-    frames = [{"file_path": f"images/{n}.png", "depth_file_path": f"depth/{n}.png"} for n in "abc"]
+    camera = {"w": 60, "h": 40, "fl_x": 50, "transform_matrix": np.eye(4).tolist()}
+    frames = [
+        {"file_path": f"images/{n}.png", "depth_file_path": f"depth/{n}.png", **camera}
+        for n in "abc"
+    ]
     data = tmp_path / "data"
     (data / "images").mkdir(parents=True)
     (data / "depth").mkdir()
