@@ -107,45 +107,6 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
 
 
-def _flipped(data: bytes) -> bytes:
-    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 255]) + data[len(data) // 2 + 1 :]
-
-
-@pytest.mark.parametrize(
-    "harm",
-    [lambda data: b"", lambda data: data[: len(data) // 2], _flipped],
-    ids=["emptied", "halved", "flipped"],
-)
-def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
-    """Every artifact at once: fields are links to some, reports and masks are written of others."""
-    folder, missing, _ = first
-    hidden = ("log", "artifacts", "times", "report.")  # they say when, or how fast
-    store = ArtifactStore(folder / "store")
-    settings = settings_for(folder, missing, store=store.root)
-    perform("run", settings)  # its tables name the command
-    before = files_below(folder / "out", hidden)
-    artifacts = files_below(folder / "store", ("keys/", ".prefect/", "digests/"))
-    for name, data in artifacts.items():
-        file = Path(store.path, name)
-        stamp = file.stat().st_mtime_ns
-        file.write_bytes(harm(data))
-        os.utime(file, ns=(stamp, stamp))  # a disk that forgets leaves the time as it is
-    assert files_below(folder / "out", hidden) != before
-    perform("run", settings)
-    assert files_below(folder / "out", hidden) == before
-    harmed = {name for name in artifacts if name.split("/")[0] in HANDED_OUT}
-    assert {name.split("/")[0] for name in harmed} == HANDED_OUT
-    for name in harmed:
-        assert Path(store.path, name).read_bytes() == artifacts[name], name
-    collected = verify(store, remove=True)
-    assert not {uri.split("/")[0] for uri in collected.damaged} & HANDED_OUT
-    for name, data in artifacts.items():  # the rest as it was, for the tests that follow
-        Path(store.path, name).write_bytes(data)
-
-
-HANDED_OUT = {"attribution", "bank", "field", "gaussians", "objects", "report", "scene_result"}
-
-
 def test_every_artifact_says_which_stage_made_it(first):
     folder, _, _ = first
     store = ArtifactStore(folder / "store")
@@ -454,3 +415,41 @@ def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
     lines = seen.getvalue().splitlines()
     assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
     assert lines[4:] == ["ZeroDivisionError: a"]
+
+
+def _flipped(data: bytes) -> bytes:
+    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 255]) + data[len(data) // 2 + 1 :]
+
+
+# The last test of the file: it leaves the run that the others look at harmed.
+@pytest.mark.parametrize(
+    "harm",
+    [lambda data: b"", lambda data: data[: len(data) // 2], _flipped],
+    ids=["emptied", "halved", "flipped"],
+)
+def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
+    """Every artifact at once: fields are links to some, reports and masks are written of others."""
+    folder, missing, _ = first
+    hidden = ("log", "artifacts", "times", "report.")  # they say when, or how fast
+    store = ArtifactStore(folder / "store")
+    settings = settings_for(folder, missing, store=store.root)
+    perform("run", settings)  # its tables name the command
+    before = files_below(folder / "out", hidden)
+    artifacts = files_below(folder / "store", ("keys/", ".prefect/", "digests/"))
+    for name, data in artifacts.items():
+        file = Path(store.path, name)
+        stamp = file.stat().st_mtime_ns
+        file.write_bytes(harm(data))
+        os.utime(file, ns=(stamp, stamp))  # a disk that forgets leaves the time as it is
+    assert files_below(folder / "out", hidden) != before
+    perform("run", settings)
+    assert files_below(folder / "out", hidden) == before
+    harmed = {name for name in artifacts if name.split("/")[0] in HANDED_OUT}
+    assert {name.split("/")[0] for name in harmed} == HANDED_OUT
+    for name in harmed:
+        assert Path(store.path, name).read_bytes() == artifacts[name], name
+    collected = verify(store, remove=True)
+    assert not {uri.split("/")[0] for uri in collected.damaged} & HANDED_OUT
+
+
+HANDED_OUT = {"attribution", "bank", "field", "gaussians", "objects", "report", "scene_result"}
