@@ -435,7 +435,9 @@ def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
     settings = settings_for(folder, missing, store=store.root)
     perform("run", settings)  # its tables name the command
     before = files_below(folder / "out", hidden)
-    artifacts = files_below(folder / "store", ("keys/", ".prefect/", "digests/"))
+    # Other tests leave artifacts of other configurations in this store: no run makes those again.
+    table = pq.read_table(folder / "out" / "artifacts.parquet", columns=["uri"])
+    artifacts = {uri: Path(store.path, uri).read_bytes() for uri in table["uri"].to_pylist()}
     for name, data in artifacts.items():
         file = Path(store.path, name)
         stamp = file.stat().st_mtime_ns
@@ -449,7 +451,7 @@ def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
     for name in harmed:
         assert Path(store.path, name).read_bytes() == artifacts[name], name
     collected = verify(store, remove=True)
-    assert not {uri.split("/")[0] for uri in collected.damaged} & HANDED_OUT
+    assert not harmed & set(collected.damaged)
 
 
 HANDED_OUT = {"attribution", "bank", "field", "gaussians", "objects", "report", "scene_result"}
