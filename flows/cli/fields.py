@@ -25,7 +25,6 @@ from slgaussian.labels import VISIBLE
 from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.storage.account import Account
-from slgaussian.storage.derived import Derived, keeping
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.inputs import describe_photographs
 from slgaussian.things import COMMON_THINGS
@@ -57,10 +56,9 @@ def build(
     settings = make_settings(options, "field")
     check_target(out)
     start = time.perf_counter()
-    with keeping(Derived()):
-        sample, places = posed_sample(photos, cameras, refine, settings, keyframes)
-        seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
-        field = _built(sample, settings.built_by, settings.trust_cameras, seconds)
+    sample, places = posed_sample(photos, cameras, refine, settings, keyframes)
+    seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
+    field = _built(sample, settings.built_by, settings.trust_cameras, seconds)
     field.save(out, describe_photographs(places))
     _report(field, out, seconds, time.perf_counter() - start)
     return out

@@ -10,9 +10,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from slgaussian.cameras.found import UNUSED, FoundPair
-from slgaussian.cameras.kept_pairs import pair_pose
 from slgaussian.cameras.matches import Features, match
-from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence
+from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence, find_pair
 from slgaussian.cameras.views import Placed, Tie, place
 from slgaussian.errors import InputError, listed
 from slgaussian.formats.brief import brief
@@ -90,7 +89,7 @@ class Solved:
         a, b = sorted((a, b), key=lambda one: one.digest)
         names = a.photograph.name, b.photograph.name
         if names not in self.poses:
-            self.poses[names] = pair_pose(a, b)
+            self.poses[names] = find_pair(a, b)
         return self.poses[names]
 
 

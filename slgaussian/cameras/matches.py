@@ -13,7 +13,6 @@ import numpy as np
 
 from slgaussian.formats.brief import brief
 from slgaussian.kernels.seeding import content_of
-from slgaussian.storage.derived import Arrays, once
 
 SIFT = 4000, 0.02
 RATIO = 0.8
@@ -51,21 +50,15 @@ class Features:
 
 
 def find_features(grey: np.ndarray, most: int, contrast: float) -> Features:
-    """The ``most`` strongest features of a grey uint8 image [H, W].
+    """Return the ``most`` strongest features of a grey uint8 image [H, W].
 
-    Those of the last images are at hand; kept as :mod:`slgaussian.storage.derived` says.
+    Cached for the last 32 images.
     """
-    image = _Grey(grey)
-    found = once(
-        "features",
-        1,
-        lambda: f"{image.content} {most} {contrast}",
-        lambda: _detected(image, most, contrast),
-    )
-    raw = found["descriptors"].astype(np.float32)
+    keypoints, raw = _detected(_Grey(grey), most, contrast)
+    raw = raw.astype(np.float32)
     # Unit vectors, so products rank as distances do.
     descriptors = np.sqrt(raw / np.maximum(raw.sum(1, keepdims=True), 1e-9))
-    x, y, size, angle = found["keys"].astype(np.float64).T
+    x, y, size, angle = keypoints.astype(np.float64).T
     # OpenCV counts pixel centres at 0.
     return Features(np.stack([x, y], 1) + 0.5, descriptors, size / 2, np.radians(angle))
 
@@ -118,18 +111,11 @@ def sift(grey: np.ndarray) -> Features:
 
 
 def sift_pairs(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As :func:`sift_matches`, but int [M] and int [M], which features of each image.
+    """Return the matches of :func:`sift_matches` as indices of features, int [M] of each image.
 
-    Those of the last images are at hand; kept as :mod:`slgaussian.storage.derived` says.
+    Cached for the last 256 pairs.
     """
-    first, second = _Grey(ref), _Grey(src)
-    found = once(
-        "matches",
-        1,
-        lambda: f"{first.content} {second.content} {SIFT} {RATIO}",
-        lambda: _matched(first, second),
-    )
-    return found["i"], found["j"]
+    return _matched(_Grey(ref), _Grey(src))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +137,23 @@ class _Grey:
 
 # The cameras are checked by what depth is found from later, and a view meets several others.
 @lru_cache(maxsize=32)
-def _detected(image: _Grey, most: int, contrast: float) -> Arrays:
-    """Position, size and angle of features as OpenCV says them, and descriptors, uint8."""
+def _detected(image: _Grey, most: int, contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Detect x, y, size, angle as in OpenCV, float32 [N, 4], and descriptors, uint8 [N, 128]."""
     sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
     keys, raw = sift.detectAndCompute(image.pixels, None)
-    told = np.array([(*key.pt, key.size, key.angle) for key in keys], np.float32).reshape(-1, 4)
+    rows = [(*key.pt, key.size, key.angle) for key in keys]
+    keypoints = np.array(rows, np.float32).reshape(-1, 4)
     descriptors = np.zeros((0, 128), np.uint8) if raw is None else raw.astype(np.uint8)
-    return _unchanging(keys=told, descriptors=descriptors)
+    return _read_only(keypoints, descriptors)
 
 
 @lru_cache(maxsize=256)
-def _matched(first: _Grey, second: _Grey) -> Arrays:
+def _matched(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
     i, j, _ = match(sift(first.pixels), sift(second.pixels), RATIO)
-    return _unchanging(i=i, j=j)
+    return _read_only(i, j)
 
 
-def _unchanging(**arrays: np.ndarray) -> Arrays:
-    for array in arrays.values():
-        array.setflags(write=False)
-    return arrays
+def _read_only(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    a.setflags(write=False)
+    b.setflags(write=False)
+    return a, b

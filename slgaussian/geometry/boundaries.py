@@ -12,8 +12,6 @@ import cv2
 import numpy as np
 
 from slgaussian.kernels.jit import kernel
-from slgaussian.kernels.seeding import content_of
-from slgaussian.storage.derived import once
 
 ORIENTATIONS = 8
 TEXTURE_CODES = 27
@@ -60,8 +58,7 @@ def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray
     depth : float32 [H, W] or None
         Predicted z-depth in scene units, 0 where unknown.
     """
-    kept = once("outlines", 1, lambda: content_of(lab), lambda: {"strength": _outlines(lab)})
-    strength = kept["strength"]
+    strength = _outlines(lab)
     return strength if depth is None else strength + depth_boundary(depth)
 
 

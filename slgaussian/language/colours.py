@@ -15,9 +15,6 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from slgaussian.kernels.seeding import content_of
-from slgaussian.storage.derived import once
-
 SHADE_STEP = 0.5
 """Ratio of light between neighbouring points on a swatch's line; about 20 in L*, at most."""
 
@@ -64,12 +61,7 @@ class ColourNames:
         used = np.flatnonzero(np.bincount(cells.ravel(), minlength=1 << 3 * _BITS))
         row = np.zeros(1 << 3 * _BITS, np.int32)
         row[used] = np.arange(len(used))
-
-        def content() -> str:
-            return content_of(used, *self._points)
-
-        kept = once("palettes", 1, content, lambda: {"memberships": self._memberships(used)})
-        return kept["memberships"][row[cells]]
+        return self._memberships(used)[row[cells]]
 
     def _memberships(self, cells: np.ndarray) -> np.ndarray:
         levels = np.stack([cells >> 2 * _BITS, cells >> _BITS, cells], -1) & ((1 << _BITS) - 1)

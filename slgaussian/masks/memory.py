@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.seeding import content_of
-from slgaussian.storage.derived import once
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -112,13 +110,7 @@ class MemoryTracker(ABC):
         new = self.describe(seen, labels)
         if not any(frame.labels.any() for frame in self._frames):
             return labels
-        kept = once(
-            "leaves",
-            1,
-            lambda: content_of(new.lab),
-            lambda: {"of_pixel": watershed_leaves(_gradient(new.lab))},
-        )
-        leaves = kept["of_pixel"]
+        leaves = watershed_leaves(_gradient(new.lab))
         size = np.bincount(leaves.ravel())
         top = max(int(frame.labels.max()) for frame in self._frames) + 1
         votes = np.zeros((len(size), top))

@@ -5,9 +5,7 @@ How it is asked is in :mod:`slgaussian.masks.automatic`.
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -15,12 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.seeding import content_of
 from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
 from slgaussian.parts.pretrained import Family, chosen_device, load_pretrained, model_digest
 from slgaussian.parts.settings import check_settings, setting
-from slgaussian.storage.derived import once
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -175,29 +171,6 @@ class AutomaticProposer(ABC):
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
 
-        def content() -> str:
-            assert self.model is not None
-            part = self.FAMILY.part, model_digest(self.model), settings, levels, self.batch
-            asked = image if where is None else np.dstack([image, where])
-            known = f"{part!r} {self.device} {content_of(asked)}"
-            return hashlib.sha256(known.encode()).hexdigest()
-
-        def make() -> dict[str, np.ndarray]:
-            found = self._proposed(image, settings, where, levels)
-            packed = np.packbits(found.masks, axis=2)
-            return {"masks": packed, "scores": found.scores, "levels": np.asarray(found.levels)}
-
-        kept = once("proposals", 1, content, make)
-        masks = np.unpackbits(kept["masks"], axis=2, count=image.shape[1]).view(bool)
-        return Proposals(masks, kept["scores"], kept["levels"])
-
-    def _proposed(
-        self,
-        image: np.ndarray,
-        settings: Automatic,
-        where: np.ndarray | None,
-        levels: Sequence[str],
-    ) -> Proposals:
         import torch
 
         from slgaussian.masks.automatic import all_masks

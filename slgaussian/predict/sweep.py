@@ -10,7 +10,6 @@ import numpy as np
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.seeding import content_of
 from slgaussian.predict import Depths
 from slgaussian.predict.balance import color_gains
 from slgaussian.predict.candidates import (
@@ -37,7 +36,6 @@ from slgaussian.predict.settle import kept_near
 from slgaussian.predict.sgm import aggregate, winners
 from slgaussian.predict.unproject import unproject
 from slgaussian.scene import Sample, View
-from slgaussian.storage.derived import once
 
 if TYPE_CHECKING:
     from slgaussian.predict.planesweep import PlaneSweep
@@ -136,25 +134,11 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
 def _searched(
     guide: np.ndarray, sources: Sequence[tuple[np.ndarray, Relative]], steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which candidate every pixel matches best, float32 [H, W], and where that is clear, bool.
-
-    Kept as :mod:`slgaussian.storage.derived` says.
-    """
-
-    def content() -> str:
-        parts = [guide, steps]
-        for grey, relative in sources:
-            parts += [grey, relative.infinity, relative.epipole]
-        return content_of(*parts)
-
-    def search() -> dict[str, np.ndarray]:
-        costs = [matching_cost(guide, grey, relative, steps) for grey, relative in sources]
-        best, offset, margin = winners(aggregate(combine(costs), guide))
-        return {"index": best + offset, "clear": np.packbits(margin > MIN_MARGIN, axis=1)}
-
-    found = once("sweeps", 1, content, search)
-    clear = np.unpackbits(found["clear"], axis=1, count=guide.shape[1]).view(bool)
-    return found["index"], clear
+    """Return the candidate that every pixel matches best, float32 [H, W], and where that is clear,
+    bool."""
+    costs = [matching_cost(guide, grey, relative, steps) for grey, relative in sources]
+    best, offset, margin = winners(aggregate(combine(costs), guide))
+    return best + offset, margin > MIN_MARGIN
 
 
 def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:

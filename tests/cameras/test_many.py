@@ -162,7 +162,7 @@ def test_what_is_solved_hangs_together():
 
 
 def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
-    plain = many.pair_pose
+    plain = many.find_pair
 
     def wrong_once(a, b):
         pose = plain(a, b)
@@ -171,7 +171,7 @@ def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
         turn = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
         return replace(pose, views=replace(pose.views, R=turn @ pose.views.R))
 
-    monkeypatch.setattr(many, "pair_pose", wrong_once)
+    monkeypatch.setattr(many, "find_pair", wrong_once)
     found = find_cameras(photographs[0])
     said = [pair for pair in found.pairs if set(pair.views) == {"view_00", "view_02"}]
     assert said[0].verdict == UNUSED

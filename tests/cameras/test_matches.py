@@ -8,7 +8,6 @@ import skimage.data
 from slgaussian.cameras import matches
 from slgaussian.cameras.matches import Features, find_features, match, sift, sift_pairs
 from slgaussian.cameras.sharpen import sharpen
-from slgaussian.storage.derived import Derived, keeping
 
 
 def plain_match(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:
@@ -89,19 +88,16 @@ def test_a_feature_does_not_go_far():
     assert np.median(np.linalg.norm(near - every.points - (4, 0), axis=1)) < 0.2
 
 
-def test_kept_features_and_matches_are_the_same(monkeypatch):
+def test_features_and_matches_are_computed_once_and_are_those_of_opencv(monkeypatch):
     left, right, _ = skimage.data.stereo_motorcycle()
     a, b = (cv2.cvtColor(i[:300, :400], cv2.COLOR_RGB2GRAY) for i in (left, right))
     plain, pairs = sift(a), sift_pairs(a, b)
     key = cv2.SIFT_create(4000, contrastThreshold=0.02).detect(a)[0]  # plain OpenCV
     assert plain.points[0].tolist() == [key.pt[0] + 0.5, key.pt[1] + 0.5]
     assert len(pairs[0]) > 100
-    with keeping(first := Derived()):
-        sift(a), sift_pairs(a, b)
-    for name in ("_detected", "_matched"):
-        monkeypatch.setattr(matches, name, lambda *words: pytest.fail("done again"))
-    with keeping(Derived(first.kept)):
-        kept, again = sift(a), sift_pairs(a, b)
+    monkeypatch.setattr(cv2, "SIFT_create", lambda **_: pytest.fail("detected again"))
+    monkeypatch.setattr(matches, "match", lambda *_: pytest.fail("matched again"))
+    kept, again = sift(a.copy()), sift_pairs(a.copy(), b.copy())
     for name in ("points", "descriptors", "scales", "angles"):
         np.testing.assert_array_equal(getattr(kept, name), getattr(plain, name))
     np.testing.assert_array_equal(again, pairs)

@@ -24,7 +24,6 @@ from slgaussian.masks.prompted import Automatic
 from slgaussian.masks.sam_image import normalised, pixel_values
 from slgaussian.parts import pretrained
 from slgaussian.parts.pretrained import find_model, model_digest
-from slgaussian.storage.derived import Derived, keeping
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)
@@ -177,25 +176,6 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
         again = proposer.propose(SeenView.alone(image), where)
     assert len(encoded) == 3
     assert again.masks.tobytes() == fresh.masks.tobytes()
-
-
-@pytest.mark.parametrize("name", SAVE)
-def test_kept_proposals_are_the_same_and_ask_no_model(folders, name, monkeypatch):
-    where = np.zeros((60, 80), bool)
-    where[:, :40] = True
-    proposer = load_proposer(name, model=folders[name], preset=LENIENT, device="cpu")
-    fresh = [proposer.propose(seen(), limit) for limit in (None, where)]
-    with keeping(derived := Derived()):
-        for limit in (None, where):
-            proposer.propose(seen(), limit)
-    monkeypatch.setattr(type(proposer), "encode", lambda *args: pytest.fail("encoded again"))
-    again = load_proposer(name, model=folders[name], preset=LENIENT, device="cpu")
-    with keeping(kept := Derived(derived.kept)):
-        for limit, expected in zip((None, where), fresh, strict=True):
-            found = again.propose(seen(), limit)
-            for array in ("masks", "scores", "levels"):
-                np.testing.assert_array_equal(getattr(found, array), getattr(expected, array))
-    assert len(fresh[0].masks) and kept.summary() == "2 of 2 proposals"
 
 
 @pytest.mark.parametrize("name", SAVE)

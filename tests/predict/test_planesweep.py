@@ -7,13 +7,11 @@ import pytest
 import torch
 from textured_planes import Plane, camera, sample
 
-from slgaussian import datasets
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import load_predictor, sweep
+from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.storage.derived import Derived, keeping
 
 
 def depths_of(given: Sample, **settings: float) -> np.ndarray:
@@ -82,51 +80,6 @@ def test_same_input_same_bytes():
     first, second = PlaneSweep()(given), PlaneSweep()(given)
     for (_, a), (_, b) in zip(first.items(), second.items(), strict=True):
         assert torch.equal(a, b)
-
-
-def test_a_kept_sweep_is_that_of_the_same_photographs_and_cameras(monkeypatch):
-    given, how = sample(*SIDEWAYS), PlaneSweep(near=2.0, far=6.0)
-    plain = how(given)
-    with keeping(first := Derived()):
-        how(given)
-    searched = []
-    inner = sweep.winners
-    monkeypatch.setattr(sweep, "winners", lambda halves: searched.append(1) or inner(halves))
-    with keeping(Derived(first.kept)):
-        again = how(given)
-        assert searched == []
-        for (_, a), (_, b) in zip(plain.items(), again.items(), strict=True):
-            assert torch.equal(a, b)
-        # What differs is swept again: a camera, the depth range, a source, and the view itself.
-        how(replace(given, context=(given.context[0], moved(given.context[1]))))
-        assert len(searched) == 2
-        PlaneSweep(near=2.0, far=5.99)(given)
-        assert len(searched) == 4
-        how(replace(given, context=(given.context[0], dimmed(given.context[1]))))
-        assert len(searched) == 6
-
-
-def test_views_whose_sources_stay_are_not_swept_again():
-    size = {"height": 72, "width": 96}
-    scene = datasets.load("procedural", seed=0, objects=4, views=7, baseline=1.6, **size)
-    names = list(scene.cameras)
-    with keeping(before := Derived()):
-        PlaneSweep()(scene.sample(names[:-1]))
-    with keeping(after := Derived(before.kept)):
-        added = PlaneSweep()(scene.sample(names))
-    assert after.reused["sweeps"] >= 2 and after.made["sweeps"] >= 2
-    for (_, a), (_, b) in zip(
-        added.items(), PlaneSweep()(scene.sample(names)).items(), strict=True
-    ):
-        assert torch.equal(a, b)
-
-
-def moved(view: View) -> View:
-    return replace(view, camera=camera(x=0.301))
-
-
-def dimmed(view: View) -> View:
-    return replace(view, image=view.image // 2)
 
 
 def test_truth_and_targets_are_not_read():
