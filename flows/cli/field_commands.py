@@ -370,8 +370,8 @@ def extract(
 ) -> None:
     """Take a thing out of a field, alone.
 
-    A text takes the objects that a query would take, in whatever view. The exit status is 1 if
-    nothing is found; then nothing is written.
+    A text takes the objects that a query would take, in whatever view. The exit status is 3 if the
+    scene as a whole does not hold it, by the verdict of `query`; then nothing is written.
 
     \b
     slgaussian extract field/ "red chair" -o chair.ply
@@ -382,7 +382,7 @@ def extract(
     made = things.take_out(field, what, out, settings, words)
     if not made["found"]:
         typer.echo(f"nothing found for {what!r}, so nothing is written")
-        raise typer.Exit(1)
+        raise typer.Exit(3)
     typer.echo(f"objects  {things.told(made['found'])}")
     typer.echo(f"{made['gaussians']:,} Gaussians  {out}")
 
@@ -402,7 +402,7 @@ def remove(
     """Write a field again without some of its things.
 
     What was behind is shown where another view saw it. Where none did, nothing is painted: pictures
-    have grey stripes there. The exit status is 1 if nothing is found for any text; what is found of
+    have grey stripes there. The exit status is 3 if nothing is found for any text; what is found of
     the others is removed.
 
     \b
@@ -420,4 +420,4 @@ def remove(
         typer.echo(f"open in the context views: {100 * last['open']:.1f} % of the pixels")
         typer.echo(out)
     if not all(row["found"] for row in rows):
-        raise typer.Exit(1)
+        raise typer.Exit(3)

@@ -17,6 +17,8 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
 from slgaussian.formats.written import write_file
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.query import Rules, ask
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import packed
@@ -205,7 +207,10 @@ def told(found: Sequence[tuple[int, float]]) -> str:
 def meant(
     field: SemanticField, what: str, rules: Mapping[str, Any]
 ) -> tuple[tuple[int, float], ...]:
-    """The objects that a text means: the one of that id, those of that name, or those it fits."""
+    """Return the objects that a text means: that of this id, those of this name, or those it fits.
+
+    None where the scene as a whole answers the text with "not here".
+    """
     there = {int(id_) for id_ in field.bank.ids} - field.removed
     if what.strip().isdecimal():
         if int(what) not in there:
@@ -213,7 +218,11 @@ def meant(
                 f"{what!r}: is no object of the field; `slgaussian objects` lists them"
             )
         return ((int(what), 1.0),)
-    return field.find(what, **rules)
+    labels = field.labels()
+    labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
+    seen = ObjectMap(labels[None], field.bank.ids)
+    (answer,) = ask([what], seen, field.reader, Rules(**rules))
+    return () if answer.verdict == "not here" else field.find(what, **rules)
 
 
 def _row(thing: Thing) -> dict[str, Any]:

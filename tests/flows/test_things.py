@@ -11,6 +11,7 @@ from PIL import Image
 from plyfile import PlyData
 
 from slgaussian.field import SemanticField
+from slgaussian.language import confidence
 from slgaussian.storage.specs import load_spec
 
 RED, BLUE = 1, 2
@@ -87,11 +88,23 @@ def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "extract", field, "red", "-o", tmp_path / "red") == 0
     assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
     capsys.readouterr()
-    assert run(monkeypatch, "extract", field, "yellow", "-o", tmp_path / "x.ply") == 1
+    assert run(monkeypatch, "extract", field, "yellow", "-o", tmp_path / "x.ply") == 3
     assert "nothing found for 'yellow'" in capsys.readouterr().out
     assert not (tmp_path / "x.ply").exists()
     assert run(monkeypatch, "extract", field, 7, "-o", tmp_path / "x.ply") == 2
     assert "'7': is no object of the field" in said(capsys)
+
+
+def test_a_thing_that_the_scene_does_not_hold_by_its_verdict_is_not_taken_out(
+    field, tmp_path, monkeypatch
+):
+    out = tmp_path / "red.ply"
+    monkeypatch.setattr(confidence, "ABSENT", 1.1)  # "red wall" selects all the same
+    for command in (["extract", field, "red wall", "-o", out], ["remove", field, "red", "-o", out]):
+        assert run(monkeypatch, *command) == 3
+    assert run(monkeypatch, "export", field, "-o", out, "--object", "red wall") == 2
+    assert not out.exists()
+    assert run(monkeypatch, "extract", field, RED, "-o", out) == 0
 
 
 def test_a_name_that_the_user_gave_means_its_object(field, tmp_path, monkeypatch):
@@ -122,7 +135,7 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
 def test_what_cannot_be_removed_is_said_and_nothing_is_written(
     field, tmp_path, monkeypatch, capsys
 ):
-    assert run(monkeypatch, "remove", field, "yellow", "-o", tmp_path / "no") == 1
+    assert run(monkeypatch, "remove", field, "yellow", "-o", tmp_path / "no") == 3
     assert "'yellow': nothing found" in capsys.readouterr().out
     assert run(monkeypatch, "remove", field, "red", "-o", field) == 2
     assert "is the field itself" in said(capsys)
@@ -130,7 +143,7 @@ def test_what_cannot_be_removed_is_said_and_nothing_is_written(
     assert "'9': is no object" in said(capsys)
     assert not (tmp_path / "no").exists()
     # What is found of the others is removed all the same.
-    assert run(monkeypatch, "remove", field, "yellow", "blue", "-o", tmp_path / "some") == 1
+    assert run(monkeypatch, "remove", field, "yellow", "blue", "-o", tmp_path / "some") == 3
     assert SemanticField.load(tmp_path / "some").removed == {BLUE}
 
 
