@@ -12,8 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from flows.runners.worker_pool import Outcome
+from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, encode_table, write_atomic
+from slgaussian.storage.store import ArtifactStore, encode_table
 
 FILE = "artifacts.parquet"
 SPEC = "artifacts"

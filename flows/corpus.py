@@ -29,15 +29,11 @@ from flows.runners.worker_pool import (
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
+from slgaussian.io import atomic_path, write_atomic
 from slgaussian.parts.method import Method
 from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
-    replacing,
-    write_atomic,
-)
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk
 from tasks.lessons import lessons
 from tasks.pairs import pairs
@@ -213,7 +209,7 @@ def _join(
     """
     count = 0
     schema = speaking(load_spec(stage).schema)
-    with replacing(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
+    with atomic_path(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
         for chunk, own in refs.items():
             table = _own_rows(store.get(own[stage]), chunk, owners, failures)
             count += table.num_rows

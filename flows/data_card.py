@@ -35,8 +35,8 @@ from slgaussian.benchmark.pictures import (
 from slgaussian.benchmark.plots import STYLE
 from slgaussian.datasets import licences
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
+from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import write_atomic
 from tasks.packed import Room
 
 CARD, SHEET, HISTOGRAMS = "README.md", "sheet.jpg", "quality.png"

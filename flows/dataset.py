@@ -31,10 +31,11 @@ from slgaussian.datasets.pairs import Bounds
 from slgaussian.datasets.places import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
+from slgaussian.io import write_atomic
 from slgaussian.parts.identity import KnownFile
 from slgaussian.parts.method import Method
 from slgaussian.semantic.split import held_out
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, write_atomic
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.all_masks import all_masks
 from tasks.choices import choices
 from tasks.chunks import Framing, known_chunk

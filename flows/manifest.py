@@ -19,10 +19,11 @@ from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.photographs import stored_size
 from slgaussian.datasets.published import Found, standing
 from slgaussian.errors import InputError
+from slgaussian.io import file_sha256
 from slgaussian.kernels import threads
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, sha256_of
+from slgaussian.storage.store import ArtifactRef
 from tasks.stage import Stage
 
 
@@ -55,7 +56,7 @@ def manifest(
         "weights": weights,
         "index": {}
         if settings.pairs is None
-        else {"file": settings.pairs.name, "sha256": sha256_of(settings.pairs)},
+        else {"file": settings.pairs.name, "sha256": file_sha256(settings.pairs)},
         "stages": {stage.name: stage.version for stage in stages},
         "packages": software(),
         "kernels": threads.kernels(),

@@ -31,9 +31,10 @@ from slgaussian.benchmark.night_page import render_night
 from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError, SpecError
 from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
 from slgaussian.semantic.versions import Versions, called
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, decode_table, encode_table, write_atomic
+from slgaussian.storage.store import ArtifactStore, decode_table, encode_table
 from slgaussian.storage.tables import read_table
 
 TOLD = ("promoted", "refused", "regressed", "failed")

@@ -46,14 +46,11 @@ from slgaussian.benchmark.outputs import (
 from slgaussian.benchmark.report import Report, with_times
 from slgaussian.benchmark.timings import StageCost, Times
 from slgaussian.errors import InputError
+from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
-    write_atomic,
-)
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.baselines import baselines
 from tasks.report import Scored, report

@@ -14,15 +14,9 @@ import pyarrow as pa
 from slgaussian.datasets.shards import END
 from slgaussian.datasets.training_set import ANEW, INDEX
 from slgaussian.errors import SpecError
+from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
-    decode_table,
-    encode_table,
-    replacing,
-    write_atomic,
-)
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode_table, encode_table
 
 
 @dataclass(frozen=True)
@@ -141,7 +135,7 @@ def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]
 
 def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> None:
     """One sample in memory at a time."""
-    with replacing(file) as name, open(name, "wb") as shard:
+    with atomic_path(file) as name, open(name, "wb") as shard:
         for one in batch:
             shard.write(store.get(one.ref)["tar"].tobytes())
         shard.write(END)

@@ -23,19 +23,13 @@ from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
 from slgaussian.datasets.training_set import INDEX, SPLITS
 from slgaussian.errors import InputError, SpecError
+from slgaussian.io import file_sha256, write_atomic
 from slgaussian.semantic.branch import Architecture, find_weights, load_branch, save_branch
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import found_device
 from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
-    decode_table,
-    encode_table,
-    sha256_of,
-    write_atomic,
-)
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode_table, encode_table
 from tasks.judge import judge
 from tasks.learning import branch_from_arrays
 from tasks.train import train as train_stage
@@ -159,7 +153,7 @@ def lessons_in(settings: TrainSettings, store: ArtifactStore) -> tuple[Parted, s
             "which is split already; leave it out, or make the set with another --held-out"
         )
     tables = (read_set(settings.lessons, split, store) for split in SPLITS)
-    return Parted(*tables), sha256_of(settings.lessons / CARD)
+    return Parted(*tables), file_sha256(settings.lessons / CARD)
 
 
 def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:

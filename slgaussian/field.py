@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.formats.brief import brief, said
 from slgaussian.gaussians import Gaussians
+from slgaussian.io import short, short_repr
 from slgaussian.labels import VISIBLE
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
@@ -85,7 +85,7 @@ class FieldView:
     field: SemanticField
     camera: Camera | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def reader(self) -> BankReader:
@@ -180,7 +180,7 @@ class SemanticField:
         scene, encoder = (self.settings.get(name) for name in ("scene", "encoder"))
         of = "" if scene is None else f"{scene!r}: "
         held = f"{len(self.gaussians)} Gaussians, {len(self.bank)} objects"
-        return f"SemanticField({of}{held}, views {said(tuple(self.cameras))}, encoder {encoder!r})"
+        return f"SemanticField({of}{held}, views {short(tuple(self.cameras))}, encoder {encoder!r})"
 
     @cached_property
     def encoder(self) -> Encoder:

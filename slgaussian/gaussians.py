@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
 if TYPE_CHECKING:  # a field is asked and drawn without torch, which takes a second to import
@@ -109,7 +109,7 @@ class Gaussians:
     features: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
     guessed: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         shapes = {name: tuple(value.shape) for name, value in self._present()}

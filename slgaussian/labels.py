@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 VISIBLE = 0.5
 """A pixel has an object when at least this fraction of its light comes from labelled Gaussians."""
@@ -32,7 +32,7 @@ class LabelMaps:
     margin: np.ndarray
     computed: int | None = field(default=None, repr=False)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.labels.ndim != 3 or self.labels.dtype != np.int32:

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 
 from slgaussian.errors import InputError, listed
-from slgaussian.formats.brief import brief
 from slgaussian.formats.images import MOST_PIXELS
 from slgaussian.formats.resampling import Fit, Window
+from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
@@ -237,7 +237,7 @@ class View:
     opaque: np.ndarray | None = None
     window: Window | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -319,7 +319,7 @@ class Sample:
     phrases: Mapping[int, str] = field(default_factory=dict)
     found: Mapping[str, Any] = field(default_factory=dict)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if len(self.context) < 2:
@@ -388,7 +388,7 @@ class Scene:
     found: Mapping[str, Any] = field(default_factory=dict)
     sources: Callable[[str], Sequence[Path]] = _no_sources
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def left_out(self) -> Mapping[str, str]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slgaussian.formats.brief import brief
 from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
+from slgaussian.io import short_repr
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules
 from slgaussian.language.vocabulary import load_vocabulary
@@ -75,7 +75,7 @@ class Thing:
     metres: bool | None
     views: tuple[str, ...]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -> list[Thing]:

@@ -31,7 +31,7 @@ from benches.common.machine import measured
 from benches.common.markdown_tables import percent, table
 from slgaussian.cameras.find import find_cameras
 from slgaussian.errors import InputError
-from slgaussian.storage.store import write_atomic
+from slgaussian.io import write_atomic
 
 ROOMS = range(4)
 MIXED = range(100, 164)

@@ -14,7 +14,7 @@ import jinja2
 
 from benches.common import markdown_tables
 from benches.common.machine import measured
-from slgaussian.storage.store import write_atomic
+from slgaussian.io import write_atomic
 
 FORMATS = (
     "ms", "percent", "tenths_of_percent", "per_cent", "interval", "error", "error_under",

@@ -35,7 +35,7 @@ import numpy as np
 from benches.common.pages import publish
 from benches.common.photograph_pairs import photographs
 from benches.common.process_cost import Cost, costing
-from slgaussian.storage.store import write_atomic
+from slgaussian.io import write_atomic
 
 HERE = Path(__file__).parents[2]
 DRAWS = 2000

@@ -18,10 +18,10 @@ from benches.rasterize import fresh_process, parameter_sweeps
 from benches.rasterize.parameter_sweeps import Subject
 from benches.rasterize.rasterizer_chart import picture
 from slgaussian.errors import InputError
+from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample
-from slgaussian.storage.store import write_atomic
 
 MEASURES = {
     "stages": lambda subject: [parameter_sweeps.stages_row(subject)],

@@ -13,6 +13,7 @@ from benches.common.photograph_pairs import load_samples
 from slgaussian import datasets
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
+from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.masks import load_proposer, load_tracker
 from slgaussian.masks.associate import associate
@@ -21,7 +22,7 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import encode_arrays, write_atomic
+from slgaussian.storage.store import encode_arrays
 
 SIZE = 256
 VIEWS = 6

@@ -24,8 +24,8 @@ from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from benches.views import built_fields, labelled_targets, outward, spread
 from benches.views.built_fields import Row
+from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
-from slgaussian.storage.store import write_atomic
 
 LOOKS = {
     "walk": (ORANGE, "s"),

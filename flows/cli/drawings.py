@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
-from slgaussian.formats.written import write_file
+from slgaussian.io import write_file
 
 PICTURES = (".png", ".jpg", ".jpeg")
 FILMS = (".mp4", ".gif")
@@ -117,9 +117,9 @@ def _gif(frames: Sequence[Image.Image]) -> bytes:
 def _mp4(path: Path) -> Iterator[Draw]:
     import cv2
 
-    from slgaussian.storage.store import replacing
+    from slgaussian.io import atomic_path
 
-    with replacing(path) as temporary:
+    with atomic_path(path) as temporary:
         # OpenCV knows a format by the suffix.
         draft = f"{temporary}{path.suffix}"
         writer, written = cv2.VideoWriter(), 0

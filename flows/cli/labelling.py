@@ -15,11 +15,11 @@ from flows.settings import make_settings
 from slgaussian.benchmark import pictures
 from slgaussian.build import predict
 from slgaussian.geometry import SceneGeometry
+from slgaussian.io import atomic_folder
 from slgaussian.labels import LabelMaps
 from slgaussian.masks.associate import associate
 from slgaussian.masks.precomputed import encode_ids, map_names
 from slgaussian.storage.field_folder import check_target
-from slgaussian.storage.store import replacing_folder
 
 ABOUT = "masks.json"
 LOOK = "look.jpg"
@@ -70,7 +70,7 @@ def label(
     print(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", file=sys.stderr)
 
     files, panels = {}, []
-    with replacing_folder(out) as draft:
+    with atomic_folder(out) as draft:
         for view, ids in zip(sample.context, maps.labels, strict=True):
             suffix, data = encode_ids(ids)
             files[view.name] = names[view.name] + suffix

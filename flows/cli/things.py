@@ -16,7 +16,7 @@ from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
-from slgaussian.formats.written import write_file
+from slgaussian.io import write_file
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules, ask
 from slgaussian.storage.field_folder import check_target

@@ -28,9 +28,9 @@ import numpy as np
 from slgaussian.benchmark import class_masks
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
-from slgaussian.formats.brief import brief
 from slgaussian.formats.images import TooLargeError, check_size
 from slgaussian.formats.resampling import Window
+from slgaussian.io import short_repr
 from slgaussian.scene import View
 
 
@@ -51,7 +51,7 @@ class Truth:
     masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
     boxes: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def read_labels(

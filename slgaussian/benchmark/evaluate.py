@@ -27,8 +27,8 @@ from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.cameras.trajectories import between
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
 from slgaussian.labels import LabelMaps
 from slgaussian.language.query import Rules
@@ -92,7 +92,7 @@ class SceneResult:
     method: str = "slgaussian"
     costs: Sequence[Mapping[str, Any]] = ()
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,8 @@ from slgaussian.benchmark.protocols import PROTOCOLS, GivenFrame, How, ScoringPr
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle, strict_json
-from slgaussian.formats.brief import brief
 from slgaussian.formats.images import read_mask
+from slgaussian.io import short_repr
 from slgaussian.storage.specs import load_spec
 
 NOT_GIVEN = "no mask was given"
@@ -122,7 +122,7 @@ class Judged:
     place: str | None
     truth: Truth
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass

@@ -33,7 +33,7 @@ from typing import Any
 from slgaussian.datasets.re10k import read_evaluation
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
-from slgaussian.storage.store import write_atomic
+from slgaussian.io import write_atomic
 
 VERSION = 2
 

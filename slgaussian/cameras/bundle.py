@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 _LOCAL = 8
 """Parameters of a camera that one observation depends on: rotation, t, log focal length, k1."""
@@ -44,7 +44,7 @@ class PosePrior:
     turn: float
     move: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far off poses are in standard deviations [V, 6], and derivatives [V, 6, 6]."""
@@ -104,7 +104,7 @@ class Bundle:
     k1_sigma: float = 0.0
     poses: PosePrior | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def residuals(self) -> np.ndarray:
         """Where each point lands minus where it was seen, pixels: float64 [M, 2]."""
@@ -138,7 +138,7 @@ class Adjusted:
     residuals: np.ndarray
     covariance: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @cached_property
     def focal_deviations(self) -> np.ndarray:

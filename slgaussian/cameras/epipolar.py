@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 FAR = 6.0
 """Pixels from its epipolar line from which on a match says nothing of a pose at all."""
@@ -93,7 +93,7 @@ class TwoViews:
     scale: float = START
     covariance: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Sampson distances [M] in pixels of matches [M, 2] and [M, 2], signed."""

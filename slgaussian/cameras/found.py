@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
 GOOD, DOUBTFUL, UNUSED = "good", "doubtful", "unused"
@@ -101,7 +101,7 @@ class FoundCameras:
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def as_json(self) -> dict[str, Any]:
         """How the cameras were found, for people and programs that read it later."""

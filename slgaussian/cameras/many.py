@@ -14,7 +14,7 @@ from slgaussian.cameras.matches import Features, match
 from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence, find_pair
 from slgaussian.cameras.views import Placed, Tie, place
 from slgaussian.errors import InputError, listed
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 COARSE = 800
 """Features of a photograph, its largest, that tell quickly which others show the same."""
@@ -61,7 +61,7 @@ class Many:
     pairs: tuple[FoundPair, ...]
     confidence: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 class Unplaced(InputError):

@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 
 SIFT = 4000, 0.02
@@ -43,7 +43,7 @@ class Features:
     scales: np.ndarray
     angles: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.points)

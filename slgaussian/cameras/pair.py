@@ -22,7 +22,7 @@ from slgaussian.cameras.matches import Features, find_features, match
 from slgaussian.cameras.one_place import why_no_depth
 from slgaussian.cameras.photograph import Photograph
 from slgaussian.cameras.sharpen import sharpen
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 FEATURES, CONTRAST, RATIO = 6000, 0.01, 0.85
 """Of SIFT: dark and plain walls have few strong ones."""
@@ -77,7 +77,7 @@ class Described:
     grey: np.ndarray
     features: Features
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @staticmethod
     def of(photograph: Photograph) -> Described:
@@ -160,7 +160,7 @@ class PairPose:
     advice: str = ""
     probability: float = 1.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def of(self, kept: np.ndarray) -> PairPose:
         """The same with some of its points, bool [M], as inliers."""

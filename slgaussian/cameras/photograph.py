@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 LONGEST = 1200
 """Pixels of the longer side to which readers shrink what features are found in."""
@@ -41,4 +41,4 @@ class Photograph:
     focal: float | None = None
     up: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr

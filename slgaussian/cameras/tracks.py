@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 Join = tuple[int, int, np.ndarray, np.ndarray]
 """Two views and which keypoints of each, int [M] and int [M], show one point."""
@@ -33,7 +33,7 @@ class Tracks:
     xy: np.ndarray
     count: int
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def join_tracks(keypoints: Sequence[np.ndarray], joins: Sequence[Join]) -> Tracks:

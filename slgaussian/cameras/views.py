@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
 from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 PIXELS = 3.0
 """Farther than this from where its point lands, an observation is left out."""
@@ -84,7 +84,7 @@ class Tie:
     angle: float
     confidence: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class Placed:
     adjusted: Adjusted
     tracks: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def place(

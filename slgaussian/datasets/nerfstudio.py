@@ -39,8 +39,8 @@ from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened, read_npy, unreadable
 from slgaussian.formats.resampling import Window
+from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Estimated, Scene, View
-from slgaussian.storage.store import write_atomic
 
 FILE = "transforms.json"
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")

@@ -32,9 +32,9 @@ from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
 from slgaussian.formats.text import read_lines
+from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explained, open_place, troubles
-from slgaussian.storage.store import write_atomic
 
 if TYPE_CHECKING:  # the name of its index is asked for where nobody waits for torch
     import torch

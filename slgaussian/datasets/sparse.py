@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
-from slgaussian.storage.store import write_atomic
+from slgaussian.io import write_atomic
 
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),

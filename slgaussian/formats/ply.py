@@ -23,8 +23,8 @@ from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError
-from slgaussian.formats.written import write_file
 from slgaussian.gaussians import Gaussians
+from slgaussian.io import write_file
 
 LOWEST = -104.0
 """Stands for the logit and the logarithm of 0: the greatest whole number whose sigmoid and

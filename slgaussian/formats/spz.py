@@ -21,8 +21,8 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.formats.quaternions import pack_quats, unpack_quats
-from slgaussian.formats.written import write_file
 from slgaussian.gaussians import Gaussians
+from slgaussian.io import write_file
 
 MAGIC, VERSION = 0x5053474E, 3
 COLOUR = 0.15

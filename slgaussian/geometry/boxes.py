@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 
 LEFT_OUT = 3.0
 """Percent of the points that lie beyond each end of an axis of the box."""
@@ -45,7 +45,7 @@ class Box:
     axes: np.ndarray
     half_sizes: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def corners(self) -> np.ndarray:
         """The eight corners, float64 [8, 3]: of every four the lower ones first, going around."""

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.geometry.boundaries import boundary_map, texture_codes
 from slgaussian.geometry.room import Room, Surroundings, find_room
+from slgaussian.io import short_repr
 from slgaussian.scene import Camera, View
 
 CONFIRMS = 0.02
@@ -37,7 +37,7 @@ class SeenView:
     view: View
     depth: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def require_depth(self) -> np.ndarray:
         """The depth; InputError if there is none."""
@@ -90,7 +90,7 @@ class SceneGeometry:
 
     seen: tuple[SeenView, ...]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @staticmethod
     def of(views: Sequence[View], gaussians: Gaussians) -> SceneGeometry:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
 from slgaussian.geometry.room import Surroundings
+from slgaussian.io import short_repr
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.codes import MOST_DIMENSIONS
@@ -66,7 +66,7 @@ class MemoryBank:
     levels: np.ndarray | None = None
     group_features: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         n = len(self.ids)

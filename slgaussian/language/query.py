@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.formats.brief import said
+from slgaussian.io import short
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.confidence import USUAL, Confidence, confidence, signs
@@ -320,7 +320,7 @@ class QueryResult:
     nothing is to be doubted."""
 
     def __repr__(self) -> str:
-        found = said([id_ for id_, _ in self.objects])
+        found = short([id_ for id_, _ in self.objects])
         about = f"{self.verdict}, score {self.score:.3f}, objects {found}"
         return f"{type(self).__name__}({self.text!r}: {about})"
 

@@ -30,10 +30,10 @@ import numpy as np
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr, write_atomic
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_arrays, packed, write_atomic
+from slgaussian.storage.store import decode_arrays, packed
 
 SPEC = "words"
 
@@ -89,7 +89,7 @@ class TaughtWords:
     rival_words: np.ndarray = field(default_factory=_texts)
     rivals: np.ndarray = field(default_factory=_vectors)
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         examples, rivals = len(self.words), len(self.rival_words)

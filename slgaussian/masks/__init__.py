@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.formats.brief import brief
+from slgaussian.io import short_repr
 from slgaussian.parts.registry import find_part
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
@@ -43,7 +43,7 @@ class Proposals:
     scores: np.ndarray
     levels: np.ndarray | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 class MaskProposer(Protocol):

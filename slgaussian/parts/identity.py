@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from slgaussian.errors import InputError
+from slgaussian.io import file_sha256
 from slgaussian.parts.settings import Content
 
 CHANGED = "was changed after the run had begun; start the run again"
@@ -64,11 +65,9 @@ def file_digest(place: str | Path) -> str:
 
     A file of gigabytes, or one that many scenes share, is read once for each :func:`file_stamp`.
     """
-    from slgaussian.storage.store import sha256_of
-
     file = Path(place).resolve()
     stamp = file_stamp(file)
-    return sha256_of(file) if stamp is None else _digest_of(file, stamp)
+    return file_sha256(file) if stamp is None else _digest_of(file, stamp)
 
 
 def file_stamp(file: str | Path) -> tuple[int, ...] | None:
@@ -85,6 +84,4 @@ def file_stamp(file: str | Path) -> tuple[int, ...] | None:
 
 @lru_cache(maxsize=1024)
 def _digest_of(file: Path, stamp: tuple[int, ...]) -> str:
-    from slgaussian.storage.store import sha256_of
-
-    return sha256_of(file)
+    return file_sha256(file)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians, first_not_finite
+from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
 from slgaussian.parts.registry import resolve
 from slgaussian.rasterize.render_settings import Settings, find_settings
@@ -67,7 +67,7 @@ class Render:
     label: torch.Tensor | None = None
     label_weights: torch.Tensor | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def over(self, background: torch.Tensor) -> Render:
         """The picture with ``background`` float [C] seen through what is not opaque.

@@ -11,9 +11,10 @@ import pyarrow as pa
 import torch
 
 from slgaussian.errors import InputError
+from slgaussian.io import write_atomic
 from slgaussian.semantic.branch import Branch, branch_of, encode_tensors, read_tensors
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_table, encode_table, write_atomic
+from slgaussian.storage.store import decode_table, encode_table
 
 CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from slgaussian.errors import InputError
-from slgaussian.formats.brief import brief
 from slgaussian.gaussians import Gaussians
+from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 from slgaussian.scene import Camera
 
@@ -54,7 +54,7 @@ class Lesson:
     cameras: tuple[Camera, ...]
     targets: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name in ("labels", "targets"):

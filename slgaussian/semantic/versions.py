@@ -26,9 +26,10 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
+from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.locks import held
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_table, encode_table, sha256_of, write_atomic
+from slgaussian.storage.store import decode_table, encode_table
 
 POINTER = "current.json"
 
@@ -151,7 +152,7 @@ class Versions:
             If it is missing or not what was added.
         """
         file = self.folder / "weights" / f"{version.digest}.safetensors"
-        if not file.is_file() or sha256_of(file) != version.digest:
+        if not file.is_file() or file_sha256(file) != version.digest:
             raise SpecError(f"{file}: missing or altered; use another version, or train it again")
         return file
 

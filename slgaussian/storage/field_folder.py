@@ -20,15 +20,10 @@ import numpy as np
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
+from slgaussian.io import atomic_folder
 from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.specs import load_spec, mismatch
-from slgaussian.storage.store import (
-    Arrays,
-    arrays_digest,
-    decode_arrays,
-    is_digest,
-    replacing_folder,
-)
+from slgaussian.storage.store import Arrays, arrays_digest, decode_arrays, is_digest
 
 FORMAT = 1
 """Version of the folder: what its files are and mean. One without a number was made before."""
@@ -154,7 +149,7 @@ def write(
         If the folder cannot be written, or holds something that is not a field.
     """
     check_target(path)
-    with replacing_folder(path) as draft:
+    with atomic_folder(path) as draft:
         for spec, name in FILES.items():
             fill(spec, draft / name)
         for name, data in (beside or {}).items():

@@ -13,8 +13,6 @@ import io
 import json
 import os
 import re
-import shutil
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -29,6 +27,7 @@ import numpy as np
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
 from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.provenance import speaking, statement
 from slgaussian.storage.remote import explained, open_place, patiently, troubles
@@ -464,84 +463,6 @@ def _written(info: Mapping[str, Any]) -> float:
     """When a file was written, as its file system says it."""
     stamp = next(info[name] for name in ("mtime", "LastModified", "created") if name in info)
     return stamp.timestamp() if isinstance(stamp, datetime) else float(stamp)
-
-
-def write_atomic(
-    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False, new: bool = False
-) -> None:
-    """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
-
-    With ``sync``, no crash of the machine either: it is on the disk when this returns. With
-    ``new``, FileExistsError if there is one already and the disk knows hard links, which can tell.
-    """
-    with replacing(path, new) as temporary, open(temporary, "wb") as file:
-        file.write(data)
-        if sync:
-            file.flush()
-            os.fsync(file.fileno())
-
-
-@contextmanager
-def replacing(path: str | os.PathLike[str], new: bool = False) -> Iterator[str]:
-    """A name to write a local file under, which takes the place of ``path`` once it is whole.
-
-    ``new`` as :func:`write_atomic` has it.
-    """
-    folder, name = os.path.split(os.fspath(path))
-    temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
-    try:
-        yield temporary
-        if new:
-            try:
-                os.link(temporary, path)
-            except FileExistsError:
-                raise
-            except OSError:
-                pass  # one that has no links
-            else:
-                os.remove(temporary)
-                return
-        os.replace(temporary, path)
-    except BaseException:
-        if os.path.exists(temporary):
-            os.remove(temporary)
-        raise
-
-
-@contextmanager
-def replacing_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill, which takes the place of the folder ``path`` once it is whole.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written; what is at ``path`` stays then.
-    """
-    try:
-        draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        try:
-            draft.chmod(0o755)
-            yield draft
-            if path.exists():
-                os.rename(path, old := Path(f"{draft}-old"))
-                os.rename(draft, path)
-                shutil.rmtree(old)
-            else:
-                os.rename(draft, path)
-        except BaseException:
-            shutil.rmtree(draft, ignore_errors=True)
-            raise
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose a folder that you may write "
-            "to, on a disk with room"
-        ) from error
-
-
-def sha256_of(file: str | os.PathLike[str]) -> str:
-    """SHA-256 of a local file's content, hexadecimal."""
-    with open(file, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
