@@ -299,6 +299,8 @@ class SemanticField:
             kept |= {"_decoder", "_labels", "_by_object"}
             if other.cameras is self.cameras:
                 kept |= {"_whole", "up"}
+                if other.removed == self.removed:
+                    kept |= {"gone", "drawn"}
         other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
         return other
 

@@ -80,9 +80,8 @@ class Thing:
 
 def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -> list[Thing]:
     """Every thing of a field that is not removed, by id; see SemanticField.inventory."""
-    reader, bank = field.reader, field.bank
-    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field))]))
-    relevancies = reader.relevancies(asked, rules)
+    bank = field.bank
+    words = best_words(field, texts, rules)
     looks = [field.render(small(camera)) for camera in field.cameras.values()]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
     for look in looks:
@@ -99,13 +98,11 @@ def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -
         if id_ in field.removed:
             continue
         own = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
-        best = np.argsort(-relevancies[:, row], kind="stable")[:BEST]
-        words = tuple((asked[k], float(relevancies[k, row])) for k in best)
         things.append(
             Thing(
                 id=id_,
                 name=field.names.get(id_),
-                words=words,
+                words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(own),
                 box=upright_box(means[own], up) if len(own) else None,
@@ -114,6 +111,22 @@ def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -
             )
         )
     return things
+
+
+def best_words(
+    field: SemanticField, texts: Sequence[str] | None, rules: Rules
+) -> list[tuple[tuple[str, float], ...]]:
+    """The best :data:`BEST` of ``texts`` and the taught words, with relevancies, best first.
+
+    For each object of the bank; ``texts`` as of :meth:`SemanticField.inventory`.
+    """
+    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field))]))
+    relevancies = field.reader.relevancies(asked, rules).T
+    best = np.argsort(-relevancies, axis=1, kind="stable")[:, :BEST]
+    return [
+        tuple((asked[k], float(own[k])) for k in places)
+        for own, places in zip(relevancies, best, strict=True)
+    ]
 
 
 def words_for(field: SemanticField) -> tuple[str, ...]:

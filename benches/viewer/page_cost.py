@@ -1,4 +1,4 @@
-"""What the one-file page costs: bytes, seconds to open, milliseconds a frame, memory.
+"""What the page costs, sent and served: bytes, seconds to open and to light, memory.
 
     python -m benches.viewer.page_cost WALK [-o docs/measured]
 
@@ -9,6 +9,8 @@ Chromium draws with software. Run it on a machine that does nothing else.
 import argparse
 import os
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -53,6 +55,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
             lit = _asked(tab)
             used = browser.resident_bytes() - bare
             return {
+                **_served(browser, field, folder / name),
                 "name": name,
                 "gaussians": len(field.gaussians),
                 "made": made,
@@ -73,6 +76,25 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
             }
 
 
+def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
+    """Seconds of `slgaussian view`: to its address, from there to a picture, and from Enter on."""
+    field.save(folder)
+    start = time.perf_counter()
+    command = [sys.executable, "-m", "slgaussian", "view", str(folder)]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        ready = time.perf_counter() - start
+        with browser.open(address, *WINDOW) as tab:
+            tab.wait("globalThis.slgaussian !== undefined", PATIENCE)
+            shown = tab.evaluate("performance.getEntriesByName('shown')[0].startTime / 1000")
+            return {"address": ready, "served": shown, "served_light": _asked(tab)}
+    finally:
+        server.terminate()
+        server.wait(60)
+
+
 def _frame(tab: Tab) -> float:
     """Seconds of a frame after a small turn."""
     return tab.evaluate(
@@ -88,8 +110,9 @@ def _asked(tab: Tab) -> float:
     tab.type("floor")
     tab.evaluate(
         "asked = new Promise((done) => addEventListener('submit', async () => {"
-        "const start = performance.now(); await new Promise((go) => setTimeout(go));"
-        "await slgaussian.busy; done((performance.now() - start) / 1000); },"
+        "const start = performance.now(), lit = () => slgaussian.asked.length && !slgaussian.busy;"
+        "do await new Promise((go) => setTimeout(go, 2)); while (!lit());"
+        "done((performance.now() - start) / 1000); },"
         "{capture: true, once: true})); 1"
     )
     tab.press("Enter")

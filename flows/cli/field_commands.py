@@ -306,10 +306,10 @@ def view(
 ) -> None:
     """Look at a scene in the browser; ask it by word and by click.
 
-    Prints the address to open. Several people may open it: what one asks and changes, all see.
-    Type a word, or click a thing to see what it is, to teach a word for it, or to remove it; Save
-    writes changes into the folder of the field. A .ply can only be looked at. Ctrl-C ends it.
-    Needs viser, the extra `view`.
+    Prints the address to open. Several people may open it, and change the same field.
+    Type a word, or click a thing to see what it is, to name it, to teach a word for it, or to
+    remove it; Save changes writes all that into the folder of the field. A .ply can only be looked
+    at. Ctrl-C ends it.
 
     \b
     slgaussian view field/

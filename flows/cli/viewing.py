@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 from flows.cli.questions import opened
-from slgaussian.viewer.door import listen
-from slgaussian.viewer.live import Page, load_viser
-from slgaussian.viewer.session import Session
+from slgaussian.formats.ply import load_ply
+from slgaussian.viewer.auth import listen
+from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
+from slgaussian.viewer.server import LiveField, app, serve
 
 
 def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any]) -> None:
@@ -26,7 +26,7 @@ def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any])
     Raises
     ------
     SLGaussianError
-        If the source cannot be opened, the port is in use, or viser is not installed.
+        If the source cannot be opened or shown, or the port is in use.
     """
 
     def terminate(number: int, frame: object) -> NoReturn:
@@ -34,30 +34,24 @@ def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any])
 
     # Of both: a shell that starts this in the background has it ignore SIGINT.
     before = {sign: signal.signal(sign, terminate) for sign in (signal.SIGINT, signal.SIGTERM)}
-    page = None
+    live = None
     try:
-        load_viser()
-        door = listen(host, port)
-        points = source.suffix.lower() == ".ply" and not source.is_dir()
-        session = Session(source, None if points else opened(source, settings)[1])
-        page = Page(session, door)
-        print(door.address, flush=True)
-        if door.token:
+        access = listen(host, port)
+        if source.suffix.lower() == ".ply" and not source.is_dir():
+            page = gaussians_page(load_ply(source)[0], source.stem)
+        else:
+            live = LiveField(opened(source, settings)[1], source)
+            page = scene_page(live.field, live=True)
+        print(access.address, flush=True)
+        if access.token:
             print("whoever has this address sees the scene and can change it", file=sys.stderr)
         print("Ctrl-C ends it", file=sys.stderr)
         if sys.stdout.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            webbrowser.open(door.address)
-        # Now and then awake: a signal that comes just before it waits would else not end it.
-        while not threading.Event().wait(1):
-            pass
+            webbrowser.open(access.address)
+        serve(app(page, access, live), access)
     except KeyboardInterrupt:
-        # A second one must not leave the server half ended.
-        for sign in before:
-            signal.signal(sign, signal.SIG_IGN)
-        lost = page is not None and page.session.unsaved
+        lost = live is not None and live.unsaved
         print("\nstopped; changes were not saved" if lost else "\nstopped", file=sys.stderr)
     finally:
-        if page is not None:
-            page.stop()
         for sign, handler in before.items():
             signal.signal(sign, handler)

@@ -65,9 +65,12 @@ class Answers:
     uncalibrated: str = ""
 
 
-def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = ()) -> Answers:
+def answers_of(
+    field: SemanticField, ids: Sequence[int], more: Sequence[str] = (), live: bool = False
+) -> Answers:
     """What the things of ``ids`` answer to all that a page can be asked, ``more`` texts among it.
 
+    A ``live`` page asks its server: of texts it has only the words of a lexicon, to offer them.
     InputError if the encoder cannot use one of these, or is not there.
     """
     kinds: dict[str, str] = {}
@@ -94,6 +97,10 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
             pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field), "text")
+    calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
+    if live:
+        nothing = np.zeros((0, len(ids)), np.float32)
+        return Answers((), nothing, kinds, {}, (), bool(pairs), (), calibration, doubt)
     kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}
     kinds |= {_plain(word): "taught" for word in field.taught}
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
@@ -102,8 +109,6 @@ def answers_of(field: SemanticField, ids: Sequence[int], more: Sequence[str] = (
     gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
     known_as = texts, gaps.astype(np.float32), kinds, spellings, skipped
     measurements = tuple(field.reader.understood(text).measurements for text in texts)
-    calibration = field.encoder.calibration
-    doubt = unmeasured(field.encoder, Rules())
     return Answers(*known_as, bool(pairs), measurements, calibration, doubt)
 
 

@@ -21,11 +21,12 @@ function arraysOf(buffer, layout) {
     [name, new KINDS[kind](buffer, offset, count)]));
 }
 
-/** Centres Float32 [3 N], and what the GPU reads of each Gaussian: Uint32 [8 N]. */
+/** Centres Float32 [3 N], and what the GPU reads: Uint32 [8] a Gaussian, in whole rows of WIDE. */
 function gaussiansOf(arrays) {
   const n = arrays.opacity.length, block = about.block;
   const centres = new Float32Array(3 * n);
-  const store = new Uint32Array(8 * n), floats = new Float32Array(store.buffer);
+  const store = new Uint32Array(8 * WIDE * Math.max(1, Math.ceil(n / WIDE)));
+  const floats = new Float32Array(store.buffer);
   const { low, step, high_byte: high, low_byte: less, rotation, scales } = arrays;
   const { red, green, blue, opacity, thing } = arrays;
   for (let i = 0; i < n; i++) {
@@ -41,5 +42,5 @@ function gaussiansOf(arrays) {
     store[8 * i + 6] = thing[i] | thing[n + i] << 8;
     store[8 * i + 7] = arrays.guessed[i];
   }
-  return { n, centres, store };
+  return { n, centres, store, opacity };
 }

@@ -3,14 +3,15 @@
 
 const NEAR = 0.01, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
 const WIDE = 1024; // Gaussians in a row of the texture, two texels each
+// Gaussians of an instance. Drawing in software begins each instance anew, at some 10 us.
+const BATCH = 256;
 
 const SPLAT_VERTEX = `#version 300 es
 precision highp float; precision highp int;
-uniform highp usampler2D store;
+uniform highp usampler2D store; uniform highp usampler2D order;
 uniform highp sampler2D palette;
 uniform mat3 R; uniform vec3 centre; uniform vec4 lens; uniform vec2 size; uniform vec4 edges;
-uniform vec2 logs; uniform int mode;
-in uint which;
+uniform vec2 logs; uniform int mode; uniform int count;
 flat out vec4 colour; flat out vec4 mark; out vec2 local;
 
 vec4 unpacked(uint code) {
@@ -31,6 +32,9 @@ vec4 unpacked(uint code) {
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
+  int place = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
+  if (place >= count) return;
+  uint which = texelFetch(order, ivec2(place % ${WIDE}, place / ${WIDE}), 0).r;
   ivec2 at = ivec2(int(which % ${WIDE}u) * 2, int(which / ${WIDE}u));
   uvec4 a = texelFetch(store, at, 0), b = texelFetch(store, at + ivec2(1, 0), 0);
   vec3 p = R * (uintBitsToFloat(a.xyz) - centre);
@@ -147,30 +151,26 @@ class Drawing {
     const fine = gl.getExtension("EXT_color_buffer_float")
       || gl.getExtension("EXT_color_buffer_half_float");
     this.kind = fine ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
-    this.order = new Order(gaussians.centres);
+    this.order = new Order(gaussians.centres, gaussians.store.length / 8);
     this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.page = this.program(PAGE_VERTEX, PAGE_FRAGMENT);
-    const rows = Math.max(1, Math.ceil(gaussians.n / WIDE));
+    const rows = this.rows = gaussians.store.length / (8 * WIDE);
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       throw new Error("There are more Gaussians than this graphics processor holds.");
     }
-    const padded = new Uint32Array(8 * WIDE * rows);
-    padded.set(gaussians.store);
     this.store = this.texture(gl.RGBA32UI, 2 * WIDE, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT,
-      padded);
+      gaussians.store);
     this.paletteRows = Math.ceil((things + 1) / WIDE);
     this.state = new Uint8Array(8 * WIDE * this.paletteRows);
     this.palette = this.texture(gl.RGBA8, 2 * WIDE, this.paletteRows, gl.RGBA, gl.UNSIGNED_BYTE,
       this.state);
     this.maps = this.texture(gl.RGBA8, 256, 2, gl.RGBA, gl.UNSIGNED_BYTE, colourMaps);
-    this.vertices = gl.createVertexArray();
-    gl.bindVertexArray(this.vertices);
-    this.which = gl.createBuffer();
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.which);
-    const place = gl.getAttribLocation(this.splats.program, "which");
-    gl.enableVertexAttribArray(place);
-    gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(place, 1);
+    this.sequence = this.texture(gl.R32UI, WIDE, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
+    this.quads = gl.createVertexArray();
+    gl.bindVertexArray(this.quads);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    const corners = Array.from({ length: BATCH }, (_, k) => [0, 1, 2, 2, 1, 3].map((c) => 4 * k + c));
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint16Array(corners.flat()), gl.STATIC_DRAW);
     this.empty = gl.createVertexArray();
     this.seen = "";
   }
@@ -220,6 +220,18 @@ class Drawing {
       gl.UNSIGNED_BYTE, state);
   }
 
+  /** Draw Gaussians but those whose bit is set, least bit first; none of them by no bits. */
+  hide(bits) {
+    const { gl, gaussians: { n, store, opacity } } = this;
+    for (let i = 0; i < n; i++) {
+      const shown = bits[i >> 3] >> (i & 7) & 1 ? 0 : opacity[i];
+      store[8 * i + 3] = store[8 * i + 3] & 0xffffff | shown << 24;
+    }
+    gl.bindTexture(gl.TEXTURE_2D, this.store);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 2 * WIDE, this.rows, gl.RGBA_INTEGER,
+      gl.UNSIGNED_INT, store);
+  }
+
   /** Give the canvas and what is drawn on before it this size in pixels. */
   resize(width, height) {
     const { gl, canvas } = this;
@@ -246,8 +258,9 @@ class Drawing {
     if (seen !== this.seen) {
       this.sorted = this.order.of(eye, NEAR);
       this.seen = seen;
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.which);
-      gl.bufferData(gl.ARRAY_BUFFER, this.sorted, gl.DYNAMIC_DRAW);
+      gl.bindTexture(gl.TEXTURE_2D, this.sequence);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, WIDE, Math.ceil(this.sorted.length / WIDE),
+        gl.RED_INTEGER, gl.UNSIGNED_INT, this.order.order);
     }
     gl.viewport(0, 0, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
@@ -258,7 +271,7 @@ class Drawing {
     const marked = look.outline > 0 || look.mode === 1 || look.mode === 3;
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, marked ? gl.COLOR_ATTACHMENT1 : gl.NONE]);
     gl.useProgram(splats.program);
-    this.bind(splats, { store: this.store, palette: this.palette });
+    this.bind(splats, { store: this.store, palette: this.palette, order: this.sequence });
     gl.uniformMatrix3fv(splats.places.R, true, eye.R);
     gl.uniform3fv(splats.places.centre, eye.centre);
     gl.uniform4f(splats.places.lens, fx, fy, cx, cy);
@@ -270,8 +283,10 @@ class Drawing {
     gl.uniform1i(splats.places.mode, look.mode);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    gl.bindVertexArray(this.vertices);
-    if (this.sorted.length) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.sorted.length);
+    const { length } = this.sorted;
+    gl.uniform1i(splats.places.count, length);
+    gl.bindVertexArray(this.quads);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(length / BATCH));
     gl.disable(gl.BLEND);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.useProgram(page.program);

@@ -1,8 +1,8 @@
 // The order in which Gaussians are drawn: far ones first, as by float32 z.
 
-/** Sorts by z; its arrays are kept between calls. */
+/** Sorts by z; its arrays are kept between calls. `room` numbers are in its `order`, at least n. */
 class Order {
-  constructor(centres) {
+  constructor(centres, room) {
     this.centres = centres;
     const n = centres.length / 3;
     this.z = new Float32Array(n);
@@ -10,7 +10,7 @@ class Order {
     this.keys = new Uint32Array(n);
     this.other = new Uint32Array(n);
     this.between = new Uint32Array(n);
-    this.order = new Uint32Array(n);
+    this.order = new Uint32Array(room);
     this.counts = [new Uint32Array(2049), new Uint32Array(2049)];
   }
 

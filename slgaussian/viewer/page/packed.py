@@ -45,8 +45,10 @@ class Packed:
     scale_logs: tuple[float, float]
 
 
-def packed(gaussians: Gaussians, things: np.ndarray) -> Packed:
+def packed(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> Packed:
     """Pack Gaussians that belong to ``things`` int [N]: from 1, 0 for none.
+
+    ``level`` is that of gzip: 1 takes a tenth of the time of 9, for some 5% more bytes.
 
     Raises
     ------
@@ -59,7 +61,7 @@ def packed(gaussians: Gaussians, things: np.ndarray) -> Packed:
     if things.max(initial=0) > MOST_THINGS:
         raise InputError(f"found {things.max()} objects, expected at most {MOST_THINGS}")
     arrays = gaussians.to_arrays()
-    order = _morton_order(arrays["means"])
+    order = morton_order(arrays["means"])
     low, step, codes = _in_blocks(arrays["means"][order])
     scales = arrays["scales"][order]
     logs = np.log(np.maximum(scales, max(SMALLEST * float(scales.max()), 1e-30)))
@@ -89,11 +91,11 @@ def packed(gaussians: Gaussians, things: np.ndarray) -> Packed:
         layout[name] = (f"{column.dtype.kind}{column.dtype.itemsize}", offset, column.size)
         parts.append(column.tobytes())
         offset += column.nbytes
-    data = gzip.compress(b"".join(parts), 9, mtime=0)
+    data = gzip.compress(b"".join(parts), level, mtime=0)
     return Packed(data, layout, (first, span / 1023))
 
 
-def _morton_order(means: np.ndarray) -> np.ndarray:
+def morton_order(means: np.ndarray) -> np.ndarray:
     """Places of means [N, 3] along a curve that fills space, so that neighbours are near."""
     low, high = np.percentile(means, [1, 99], axis=0)
     share = ((means - low) / np.maximum(high - low, 1e-12)).clip(0, 1)

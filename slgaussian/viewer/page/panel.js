@@ -33,6 +33,8 @@ class Page {
     this.mode = 0;
     this.picked = 0;
     this.asked = []; // of {text, hue} and what Words.ask gives
+    this.answers = []; // as Words.answer gives them
+    this.question = 0;
     this.typed = "";
     this.held = new Set();
     this.moved = -Infinity;
@@ -177,27 +179,40 @@ class Page {
 
   // --- What is asked ------------------------------------------------------------------------
 
-  ask(typed) {
+  /** Ask what stands in the search box; a server only what it did not answer last. */
+  search() {
+    const typed = $("words").value, refused = this.answers.some((one) => one.refused);
+    if (!this.live || typed !== this.typed || refused) this.ask(typed);
+  }
+
+  /** Ask texts with commas between them, and show the answers in `mode`, or in that of answers. */
+  ask(typed, mode) {
     this.typed = typed;
     const parts = typed.split(",").map((part) => part.trim()).filter(Boolean);
-    const answer = $("answer");
-    this.asked = [];
-    $("legend").replaceChildren();
-    answer.textContent = "";
-    if (!parts.length) {
-      if (this.mode === 3) this.setMode(0);
-      this.repaint();
+    const number = ++this.question;
+    if (!this.live || !parts.length) {
+      this.show(parts.map((part) => this.words.answer(part)), mode);
       return;
     }
-    const said = [];
-    parts.forEach((part, k) => {
-      const { text, why } = this.words.read(part);
-      if (why) said.push(why);
-      else this.asked.push({ text, ...this.words.ask(text), hue: HUES[k % HUES.length] });
+    $("answer").textContent = "";
+    this.live.query(parts).then((answers) => {
+      if (number === this.question) this.show(answers, mode);
     });
+  }
+
+  show(answers, mode) {
+    this.answers = answers;
+    const answer = $("answer"), said = [];
+    $("legend").replaceChildren();
+    this.asked = [];
+    answers.forEach((one, k) => {
+      if (one.refused) said.push(one.refused);
+      else this.asked.push({ ...one, ...this.words.judged(one), hue: HUES[k % HUES.length] });
+    });
+    if (!this.asked.length && this.mode === 3) this.setMode(0);
     if (this.asked.length === 1) {
       said.push(this.said(this.asked[0]));
-      this.setMode(3);
+      this.setMode(mode ?? 3);
     } else if (this.asked.length) {
       this.asked.forEach((one) => {
         const item = element("li");
@@ -208,33 +223,32 @@ class Page {
         $("legend").append(item);
       });
       said.push("Each object has the colour of the word that fits it best, above 0.5.");
-      this.setMode(2);
+      this.setMode(mode ?? 2);
     }
     answer.textContent = said.join(" ");
     this.repaint();
   }
 
   /** What one text found, in a sentence. */
-  said({ text, scores, taken, best, verdict, summary }) {
+  said({ text, kind, unknown, scores, taken, best, verdict, summary }) {
     if (best < 0) return "There are no objects in this file.";
     const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
-    const asked = `“${text}”${kinds[this.words.kinds.get(text)] || ""}`;
+    const asked = `“${text}”${kinds[kind] || ""}`;
+    const rest = unknown?.length ? ` Not known and left out: ${unknown.join(", ")}.` : "";
     const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
-    if (!found.length) return `${asked}: ${summary} (0.5 is as good as any phrase).`;
+    if (!found.length) return `${asked}: ${summary} (0.5 is as good as any phrase).${rest}`;
     const objects = `${found.length === 1 ? "object" : "objects"} `
       + found.map((k) => this.called(k + 1)).join(", ");
     const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
     const like = verdict === "not here" ? "; most like it: " : ", ";
-    return `${asked}: ${summary}; score ${score}${like}${objects}.`;
+    return `${asked}: ${summary}; score ${score}${like}${objects}.${rest}`;
   }
 
-  /** Take what is at least this share as good as the best, and ask again. */
+  /** Take what is at least this share as good as the best. */
   near(share) {
     this.words.share = share;
     $("nearness").textContent = percent(share);
-    const mode = this.mode;
-    this.ask(this.typed);
-    this.setMode(mode);
+    this.show(this.answers, this.mode);
   }
 
   called(thing) {
@@ -256,6 +270,9 @@ class Page {
         element("p", words ? `Looks most like: ${words}` : "No word of this file was asked of it."),
         element("p", `Confidence ${percent(known.confidence)}: how clearly its pixels are its own.`,
           { className: "small" }),
+        ...(known.size.length ? [element("p", `Size ${known.size.join(" × ")} `
+          + (known.metres ? "scene units" : "scene units, which are no metres"),
+        { className: "small" })] : []),
         element("p", `${known.gaussians.toLocaleString("en")} Gaussians`
           + (known.guessed > 0.005 ? `, ${percent(known.guessed)} of them of a guessed depth` : "")
           + "; in the photographs "
@@ -265,6 +282,7 @@ class Page {
     }
     $("objects").querySelectorAll("button").forEach((button) =>
       button.setAttribute("aria-pressed", String(Number(button.dataset.thing) === thing)));
+    this.live?.chosen(thing);
     this.repaint();
   }
 
@@ -290,7 +308,6 @@ class Page {
   // --- The panel ----------------------------------------------------------------------------
 
   fill() {
-    const known = Object.keys(about.words).sort();
     MODES.forEach((name, k) => {
       if (k === 4 && !about.guesses) return;
       if ((k === 2 || k === 3) && !about.things.length) return;
@@ -299,7 +316,7 @@ class Page {
       button.addEventListener("click", () => this.setMode(k));
       $("modes").append(button);
     });
-    $("known").append(...known.map((word) => element("option", "", { value: word })));
+    this.offer(Object.keys(about.words));
     about.views.forEach((view, k) => {
       const button = element("button", "", { type: "button", title: `${k}: ${view.caption}` });
       if (view.picture) button.append(element("img", "", { src: view.picture, alt: view.caption }));
@@ -307,8 +324,29 @@ class Page {
       button.addEventListener("click", () => this.goTo(k));
       $("views").append(button);
     });
-    about.things.forEach((thing, k) => {
-      const button = element("button", "", { type: "button" });
+    this.list();
+    for (const id of ["search", "things", "vocabulary"]) {
+      $(id).hidden = !about.things.length || !Object.keys(about.words).length;
+    }
+    $("listed").textContent = about.said_words;
+    $("share").value = about.share;
+    $("nearness").textContent = percent(about.share);
+    $("honest").textContent = about.honest;
+    if (innerWidth <= 640) $("help").open = false;
+  }
+
+  /** Words to choose from where one types. */
+  offer(words) {
+    $("known").replaceChildren(...[...new Set(words)].sort().map((word) =>
+      element("option", "", { value: word })));
+  }
+
+  /** The objects, each to choose. */
+  list() {
+    $("objects").replaceChildren(...about.things.map((thing, k) => {
+      const button = element("button", "", {
+        type: "button", className: thing.removed ? "gone" : "",
+      });
       button.dataset.thing = k + 1;
       button.setAttribute("aria-pressed", "false");
       const swatch = element("span", "", { className: "swatch" });
@@ -319,16 +357,8 @@ class Page {
       button.addEventListener("click", () => this.choose(k + 1));
       const item = element("li");
       item.append(button);
-      $("objects").append(item);
-    });
-    for (const id of ["search", "things", "vocabulary"]) {
-      $(id).hidden = !about.things.length || !about.texts.length;
-    }
-    $("listed").textContent = about.said_words;
-    $("share").value = about.share;
-    $("nearness").textContent = percent(about.share);
-    $("honest").textContent = about.honest;
-    if (innerWidth <= 640) $("help").open = false;
+      return item;
+    }));
   }
 
   listen() {
@@ -339,7 +369,7 @@ class Page {
     $("cameras").addEventListener("change", () => this.wish());
     $("search").addEventListener("submit", (event) => {
       event.preventDefault();
-      this.ask($("words").value);
+      this.search();
     });
     $("clear").addEventListener("click", () => this.clear());
     $("share").addEventListener("input", () => this.near(Number($("share").value)));
@@ -483,6 +513,10 @@ async function open() {
   performance.mark("ready");
   $("panel").hidden = false;
   const page = new Page(gaussians, new Words(answers), drawing);
+  if ("live" in document.documentElement.dataset) {
+    page.live = new Live(page);
+    page.live.show(await post("state"));
+  }
   await page.wish();
   performance.mark("shown");
   $("waiting").textContent = "";

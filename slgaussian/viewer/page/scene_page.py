@@ -1,8 +1,10 @@
-"""A field, or Gaussians alone, as one HTML file that opens from disk without a network.
+"""A field, or Gaussians alone, as one HTML page: a file that needs no network, or a live page.
 
 The page (``scene.html`` and the scripts beside it) draws as :mod:`slgaussian.rasterize.project`
 does. It may load nothing: its content security policy names the one script and the one style by
-their digests. All that comes from a field is text to it, never markup or code.
+their digests. A live page may connect to its own server (:mod:`slgaussian.viewer.server`), which
+answers words and changes the field; the attribute ``data-live`` says so. All that comes from a
+field is text to it, never markup or code.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from slgaussian.viewer.page.answers import Answers, answers_of
 from slgaussian.viewer.page.packed import BLOCK, packed
 
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
-"""In the order in which they become one script."""
+"""In the order in which they become one script; a live page begins with ``live.js``."""
 
 THUMB = 360
 """Width of the pictures of views, in pixels."""
@@ -50,6 +52,7 @@ def scene_page(
     photographs: Mapping[str, np.ndarray] | None = None,
     texts: Sequence[str] = (),
     title: str | None = None,
+    live: bool = False,
 ) -> str:
     """The page of a field, without what was removed from it.
 
@@ -62,6 +65,9 @@ def scene_page(
         What the page shall answer beside the words that it knows anyway.
     title : str, optional
         The name of the scene if left out.
+    live : bool
+        Whether :class:`slgaussian.viewer.server.LiveField` answers the page. It then has what was
+        removed too, so that it can come back, and holds no answers.
 
     Raises
     ------
@@ -69,6 +75,8 @@ def scene_page(
         If there are no Gaussians or no cameras, or the encoder is not there or cannot use one of
         the texts.
     """
+    if live:
+        field = field.changed(removed=frozenset())
     looks = {name: field.render(camera) for name, camera in field.cameras.items()}
     if not looks:
         raise InputError("the field has no cameras, expected at least one to look from")
@@ -97,11 +105,12 @@ def scene_page(
         up=up,
         depths=depth_range(*depths),
         things=[_thing(thing, field, labels, list(looks)) for thing in things],
-        answers=answers_of(field, ids, texts),
+        answers=answers_of(field, ids, texts, live),
         touching=_touching(next(iter(looks.values())).ids, ids),
         title=title or str(field.settings.get("scene") or "scene"),
-        honest=_honest(field, gaussians),
+        honest=_honest(field, gaussians, live),
         stripes=bool(field.removed),
+        live=live,
     )
 
 
@@ -145,8 +154,9 @@ def _page(
     title: str,
     honest: str,
     stripes: bool,
+    live: bool = False,
 ) -> str:
-    content = packed(gaussians, numbers)
+    content = packed(gaussians, numbers, 1 if live else 9)
     rules = Rules()
     about = {
         "format": 1,
@@ -165,7 +175,7 @@ def _page(
         "pairs": answers.pairs,
         "measurements": list(answers.measurements),
         "touching": touching,
-        "said_words": _said_words(answers),
+        "said_words": _said_words(answers, live),
         "share": rules.share,
         "temperature": rules.temperature,
         "calibration": _calibration(answers.calibration),
@@ -176,15 +186,17 @@ def _page(
         "maps": _base64(_colour_maps()),
         "honest": honest,
     }
-    script, style = _script(), _read("scene.css")
+    script, style = _script(live), _read("scene.css")
+    connect = "connect-src 'self'; " if live else ""
     policy = (
         f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
-        "img-src data:; base-uri 'none'; form-action 'none'"
+        f"img-src data:; {connect}base-uri 'none'; form-action 'none'"
     )
     return _template().render(
         title=title,
         gaussians=f"{len(gaussians):,}",
-        example="red chair" if answers.pairs else "a word of the list below",
+        example="red chair" if answers.pairs or live else "a word of the list below",
+        live=live,
         policy=policy,
         style=style,
         script=script,
@@ -239,10 +251,12 @@ def _thing(
         "gaussians": thing.gaussians,
         "views": [views.index(view) for view in thing.views],
         "guessed": round(guessed, 4),
+        "size": [float(f"{2 * half:.2g}") for half in thing.box.half_sizes] if thing.box else [],
+        "metres": thing.metres is not False,
     }
 
 
-def _honest(field: SemanticField, gaussians: Gaussians) -> str:
+def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
     said = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
     if "quality" in field.settings:
         quality = Quality(**field.settings["quality"])
@@ -258,10 +272,8 @@ def _honest(field: SemanticField, gaussians: Gaussians) -> str:
         said += [f"Warning: {warning}." for warning in warnings]
     if gaussians.sh.shape[1] > 1:
         said.append("Colours do not change with the viewpoint here, as those of the field do.")
-    said.append(
-        "Words are answered for whole objects, as worked out when this file was made with "
-        f"slgaussian {__version__}."
-    )
+    made = f", as worked out when this file was made with slgaussian {__version__}"
+    said.append(f"Words are answered for whole objects{'' if live else made}.")
     return " ".join(said)
 
 
@@ -279,7 +291,9 @@ def _calibration(known: Calibration | None) -> dict[str, Any] | None:
     return {**curves, "absent": ABSENT, "typical": TYPICAL, "even_out": EVEN_OUT}
 
 
-def _said_words(answers: Answers) -> str:
+def _said_words(answers: Answers, live: bool) -> str:
+    if live and not answers.pairs:
+        return "Any. Several, with commas between them, share the scene out among them."
     kinds: dict[str, list[str]] = {}
     for word, kind in answers.kinds.items():
         kinds.setdefault(kind, []).append(word)
@@ -324,8 +338,8 @@ def _colour_maps() -> bytes:
 
 
 @cache
-def _script() -> str:
-    return "\n".join(_read(name) for name in SCRIPTS)
+def _script(live: bool) -> str:
+    return "\n".join(_read(name) for name in (*(("live.js",) if live else ()), *SCRIPTS))
 
 
 @cache

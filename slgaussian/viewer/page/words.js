@@ -1,4 +1,5 @@
-// Answers to the words that were asked when the file was written: gaps [texts, things].
+// Answers to words: gaps [texts, things] of those that were asked when the file was written, and what
+// an answer takes.
 
 /** Asks them; `gaps` are rows of about.things.length numbers, in the order of about.texts. */
 class Words {
@@ -52,20 +53,34 @@ class Words {
     return [null, 1];
   }
 
+  /** The answer to what was typed: {text, kind, gaps, measurements}, or {refused}. */
+  answer(typed) {
+    const { text, why } = this.read(typed);
+    return why ? { refused: why } : this.baked(text);
+  }
+
+  baked(text) {
+    const count = about.things.length, row = this.rows.get(text);
+    return {
+      text, kind: this.kinds.get(text), measurements: about.measurements[row],
+      gaps: Array.from(this.gaps.subarray(row * count, (row + 1) * count)),
+    };
+  }
+
+  ask(text) { return this.judged(this.baked(text)); }
+
   /**
-   * What `text` takes by the rule of a query: all whose gap is above 0 and at least this.share of
+   * What an answer takes by the rule of a query: all whose gap is above 0 and at least this.share of
    * the best. {scores, taken, best, sure, verdict, summary}; sure as of confidence(), null where that
    * is not known: of a name, or where it was not measured. Verdict and summary are those of
    * QueryResult (slgaussian/language/query.py).
    */
-  ask(text) {
-    const count = about.things.length, row = this.rows.get(text);
-    const gaps = Array.from(this.gaps.subarray(row * count, (row + 1) * count));
+  judged({ kind, gaps, measurements, alone = "" }) {
     const top = Math.max(-Infinity, ...gaps);
     const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
-    const named = this.kinds.get(text) === "named";
+    const named = kind === "named";
     const doubted = about.calibration && !named && top > -Infinity;
-    const sure = doubted ? confidence(gaps, taken, top, about.measurements[row]) : null;
+    const sure = doubted ? confidence(gaps, taken, top, measurements) : null;
     const scores = gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap)));
     const best = gaps.indexOf(top), any = taken.includes(true);
     const verdict = any ? verdictOf(sure) : "not here";
@@ -75,7 +90,7 @@ class Words {
       summary = `probably not here: ${sure.point.toFixed(2)} that the best object is it`;
     } else if (sure) {
       summary = `${verdict}: ${sure.mask.toFixed(2)} that the mask is right, `
-        + `${sure.point.toFixed(2)} that the point is`;
+        + `${sure.point.toFixed(2)} that the point is${alone}`;
     }
     return { scores, taken, best, sure, verdict, summary };
   }

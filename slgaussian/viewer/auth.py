@@ -1,8 +1,7 @@
-"""The door of the viewer: at which address it answers, and whom.
+"""Access to the viewer: the address it answers at, and the requests it refuses.
 
-The server of viser answers whoever reaches its port, takes another port without a word where one is
-in use, and asks no page of another site why it connects. So it is given a socket that is bound
-here, and every request passes :class:`Door` first.
+A server of its own would take no token, and answer pages of other sites. So it is given a socket
+that is bound here, and every request passes :class:`Guard` first.
 """
 
 from __future__ import annotations
@@ -10,12 +9,11 @@ from __future__ import annotations
 import errno
 import secrets
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from http import HTTPStatus
-from typing import Any
 from urllib.parse import urlsplit
+
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from slgaussian.errors import InputError, SLGaussianError
 
@@ -26,8 +24,8 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 @dataclass(frozen=True)
-class Door:
-    """A socket that listens, and who may come in.
+class Access:
+    """A socket that listens, and the rule for requests to it.
 
     Attributes
     ----------
@@ -35,7 +33,7 @@ class Door:
         As the user gave it.
     listener : socket
     token : str or None
-        What the path of every address begins with; None on loopback.
+        First part of the path of every request; None on loopback.
     """
 
     host: str
@@ -49,10 +47,7 @@ class Door:
 
     @property
     def address(self) -> str:
-        """What to open in a browser.
-
-        A host that stands for all of a machine's is told by the machine's name.
-        """
+        """URL to open in a browser; the name of the machine stands for "all its addresses"."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/" + (f"{self.token}/" if self.token else "")
@@ -68,10 +63,13 @@ class Door:
             The headers of the request. A page of another site may send a browser here, with that
             site as its origin, or under a name of its own that it has made lead to this machine.
         """
-        if origin is not None and urlsplit(origin).netloc != host:
+        try:
+            asked = urlsplit(f"//{host}").hostname if host else None
+            if origin is not None and urlsplit(origin).netloc != host:
+                return None
+        except ValueError:  # no address at all, as "["
             return None
         if self.token is None:
-            asked = urlsplit(f"//{host}").hostname if host else None
             return path if asked in LOOPBACK else None
         first, _, rest = path.removeprefix("/").partition("/")
         first = first.partition("?")[0]
@@ -79,7 +77,7 @@ class Door:
         return f"/{rest}" if known else None
 
 
-def listen(host: str = LOOPBACK[0], port: int | None = None) -> Door:
+def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
     """Listen at ``host``: on ``port``, or on :data:`PORT`, or where that is in use on a free one.
 
     Raises
@@ -103,7 +101,7 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Door:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(where)
             listener.listen(128)
-            return Door(host, listener, token)
+            return Access(host, listener, token)
         except OSError as error:
             listener.close()
             if error.errno == errno.EADDRNOTAVAIL:
@@ -121,48 +119,24 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Door:
     raise SLGaussianError(f"no free port at {host}; end a program that listens there")
 
 
-@contextmanager
-def guarding(door: Door) -> Iterator[None]:
-    """A server of viser that is made within the block listens at ``door`` and lets it judge.
+class Guard:
+    """ASGI middleware that refuses, with 403, what :meth:`Access.path_within` refuses."""
 
-    viser offers no other way to give it a socket, or a say in its requests.
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self.app, self.access = app, access
 
-    Raises
-    ------
-    SLGaussianError
-        If the server did not come to listen there, so that nobody guards it.
-    """
-    from websockets.asyncio import server
-    from websockets.datastructures import Headers
-    from websockets.http11 import Response
-
-    plain, guarded = server.serve, []
-
-    def serve(handler: Any, *_: Any, process_request: Any, **settings: Any) -> Any:
-        def judged(connection: Any, request: Any) -> Any:
-            headers = request.headers
-            hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-            within = None
-            if len(hosts) == 1 and len(origins) < 2:
-                within = door.path_within(request.path, hosts[0], origins[0] if origins else None)
-            if within is None:
-                refusal = b"This viewer answers only at the address that its command printed.\n"
-                kind = {"Content-Type": "text/plain", "Content-Length": str(len(refusal))}
-                status = HTTPStatus.FORBIDDEN
-                return Response(status, status.phrase, Headers(kind), refusal)
-            request.path = within
-            return process_request(connection, request)
-
-        guarded.append(True)
-        return plain(handler, sock=door.listener, process_request=judged, **settings)
-
-    server.serve = serve  # type: ignore[assignment,misc]
-    try:
-        yield
-    finally:
-        server.serve = plain  # type: ignore[misc]
-    if not guarded:
-        raise SLGaussianError(
-            "this version of viser starts its server in a way that cannot be guarded; install the "
-            "one that constraints.txt names"
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, with its path below the token."""
+        hosts, origins = (
+            [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+            for name in (b"host", b"origin")
         )
+        within = None
+        if len(hosts) == 1 and len(origins) < 2:
+            within = self.access.path_within(scope["path"], hosts[0], *(origins or [None]))
+        if within is None:
+            refusal = "This viewer answers only at the address that its command printed.\n"
+            await PlainTextResponse(refusal, 403)(scope, receive, send)
+            return
+        path = {"path": within, "raw_path": within.encode()}
+        await self.app({**scope, **path}, receive, send)

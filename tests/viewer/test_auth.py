@@ -1,21 +1,21 @@
-"""Where the viewer listens, and whom it lets in."""
+"""Addresses that the viewer listens at, and requests that it refuses."""
 
 import socket
 
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.viewer.door import PORT, Door, listen
+from slgaussian.viewer.auth import PORT, Access, listen
 
 
-def door(token: str | None) -> Door:
-    return Door("127.0.0.1" if token is None else "0.0.0.0", socket.socket(), token)
+def access(token: str | None) -> Access:
+    return Access("127.0.0.1" if token is None else "0.0.0.0", socket.socket(), token)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:9000", "[::1]:8080", "localhost"])
 def test_on_loopback_this_machine_comes_in(host):
-    assert door(None).path_within("/a?b", host, None) == "/a?b"
-    assert door(None).path_within("/", host, f"http://{host}") == "/"
+    assert access(None).path_within("/a?b", host, None) == "/a?b"
+    assert access(None).path_within("/", host, f"http://{host}") == "/"
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_on_loopback_this_machine_comes_in(host):
     ],
 )
 def test_on_loopback_other_sites_do_not(host, origin):
-    assert door(None).path_within("/", host, origin) is None
+    assert access(None).path_within("/", host, origin) is None
 
 
 @pytest.mark.parametrize(
@@ -52,17 +52,17 @@ def test_on_loopback_other_sites_do_not(host, origin):
     ],
 )
 def test_elsewhere_the_token_is_needed(path, within):
-    guarded = door("tok")
+    guarded = access("tok")
     assert guarded.path_within(path, "10.0.0.3:8080", None) == within
     assert guarded.path_within("/tok/", "10.0.0.3:8080", "http://evil.example") is None
     assert guarded.path_within("/tok/", "10.0.0.3:8080", "http://10.0.0.3:8080") == "/"
 
 
 def test_tokens_are_long_and_new_each_time_and_only_where_needed():
-    doors = [listen("0.0.0.0") for _ in range(2)]
-    tokens = [one.token for one in doors]
+    opened = [listen("0.0.0.0") for _ in range(2)]
+    tokens = [one.token for one in opened]
     assert len(set(tokens)) == 2 and all(len(token) >= 32 for token in tokens)
-    for one in doors:
+    for one in opened:
         assert one.token in one.address and f":{one.port}/" in one.address
         one.listener.close()
     local = listen()

@@ -1,0 +1,227 @@
+"""The page of a field, served: it asks the field for words, and changes it.
+
+Whoever opens the address joins one field with one history of changes; each page moves by itself.
+Nothing is read but what was loaded at the start, and nothing is written but by ``save``.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.field import SemanticField
+from slgaussian.language.query import Rules
+from slgaussian.things import best_words
+from slgaussian.viewer.auth import Access, Guard
+from slgaussian.viewer.page.packed import morton_order
+
+MOST_BYTES = 2**16
+"""Of a request."""
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    # The address of the page may hold the token; and no other site may frame it for clicks.
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class LiveField:
+    """A field that pages ask and change, with what undoes each change; one caller at a time.
+
+    Parameters
+    ----------
+    field : SemanticField
+    folder : path
+        Where :meth:`save` writes changes.
+
+    Attributes
+    ----------
+    field : SemanticField
+        As it is now.
+    ids : list of int
+        The objects that have Gaussians, ascending, removed ones among them: the order of a page.
+    """
+
+    def __init__(self, field: SemanticField, folder: Path) -> None:
+        self.field, self.folder = field, folder
+        self.ids = np.intersect1d(field.bank.ids, field.labels()).tolist()
+        self._rows = np.searchsorted(field.bank.ids, self.ids)
+        self._order = morton_order(field.gaussians.to_arrays()["means"])
+        self._earlier: list[SemanticField] = []
+        self._saved = field
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether the field was changed since it was opened or saved."""
+        return self.field is not self._saved
+
+    def state(self) -> dict[str, Any]:
+        """What changes can change.
+
+        Of each of :attr:`ids` ``names``, and ``words`` [[text, relevancy], ...], best first; ids
+        ``removed``; ``gone``: a bit for each Gaussian that is not drawn, in the order of a page,
+        least bit first, in base64, empty if all are drawn; words ``taught``; whether something
+        is ``unsaved`` and there is a change to ``undo``.
+        """
+        field = self.field
+        words = best_words(field, None, Rules())
+        gone = np.packbits(field.gone[self._order], bitorder="little") if field.removed else b""
+        return {
+            "names": [field.names.get(id_, "") for id_ in self.ids],
+            "words": [[[text, round(r, 4)] for text, r in words[row]] for row in self._rows],
+            "removed": sorted(field.removed),
+            "gone": base64.b64encode(bytes(gone)).decode(),
+            "taught": list(field.taught),
+            "undo": bool(self._earlier),
+            "unsaved": self.unsaved,
+        }
+
+    def query(self, texts: list[str]) -> dict[str, Any]:
+        """Answers to texts, as ``words.js`` takes them: ``gaps`` of each object, or ``refused``.
+
+        A gap of None stands for an object that cannot be meant: no view holds it, or it is removed.
+        """
+        return {"answers": [self._answer(text) for text in texts]}
+
+    def _answer(self, text: str) -> dict[str, Any]:
+        reader = self.field.reader
+        try:
+            read = reader.understood(text)
+            gaps = reader.gaps([text], Rules())[0, self._rows]
+        except InputError as error:
+            return {"text": text, "refused": str(error)}
+        there = np.isfinite(gaps) & ~np.isin(self.ids, list(self.field.removed))
+        return {
+            "text": text,
+            "kind": read.kind,
+            "gaps": [
+                round(gap, 6) if held else None
+                for gap, held in zip(gaps.tolist(), there, strict=True)
+            ],
+            "measurements": read.measurements,
+            "alone": f", for {read.read_as!r} alone" if read.unknown else "",
+            "unknown": list(read.unknown),
+        }
+
+    def change(self, changed: SemanticField) -> dict[str, Any]:
+        """Go on with a changed field; its state."""
+        self._earlier.append(self.field)
+        self.field = changed
+        return self.state()
+
+    def undo(self) -> dict[str, Any]:
+        """Take the last change back, if there is one; the state."""
+        if self._earlier:
+            self.field = self._earlier.pop()
+        return self.state()
+
+    def save(self) -> dict[str, Any]:
+        """Write all changes into the folder; the state. InputError if it cannot be written."""
+        self.field.save_edits(self.folder)
+        self._saved = self.field
+        return self.state()
+
+
+def app(page: str, access: Access, live: LiveField | None = None) -> Starlette:
+    """The application that shows a page at ``/``, and answers it at ``POST /api/...``.
+
+    Bodies and answers are JSON; what cannot be done has status 400 and ``{"error": sentence}``.
+    Without a field, the page is one that asks nothing.
+    """
+
+    async def show(request: Request) -> Response:
+        return HTMLResponse(page, headers=HEADERS)
+
+    routes = [Route("/", show)]
+    if live is not None:
+        lock = threading.Lock()
+        routes += [_route(name, call, lock) for name, call in _calls(live).items()]
+    return Starlette(routes=routes, middleware=[Middleware(Guard, access=access)])
+
+
+Call = Callable[[Mapping[str, Any]], dict[str, Any]]
+
+
+def _calls(live: LiveField) -> dict[str, Call]:
+    """What a page can have done, by name."""
+    return {
+        "state": lambda body: live.state(),
+        "query": lambda body: live.query(_value(body, "texts", list)),
+        "teach": lambda body: live.change(live.field.teach(*_word_of(body))),
+        "name": lambda body: live.change(live.field.named(*_word_of(body)[::-1])),
+        "remove": lambda body: live.change(live.field.without([_value(body, "object", int)])),
+        "restore": lambda body: live.change(live.field.restored([_value(body, "object", int)])),
+        "undo": lambda body: live.undo(),
+        "save": lambda body: live.save(),
+    }
+
+
+def _route(name: str, call: Call, lock: threading.Lock) -> Route:
+    def locked(body: bytes) -> dict[str, Any]:
+        try:
+            values = json.loads(body)
+        except ValueError:
+            values = None
+        if not isinstance(values, dict):
+            raise InputError("found no JSON object, expected one")
+        with lock:
+            return call(values)
+
+    async def respond(request: Request) -> Response:
+        body = b""
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > MOST_BYTES:
+                return JSONResponse({"error": f"found more than {MOST_BYTES} bytes"}, 413, HEADERS)
+        try:
+            return JSONResponse(await run_in_threadpool(locked, body), headers=HEADERS)
+        except SLGaussianError as error:
+            return JSONResponse({"error": str(error)}, 400, HEADERS)
+
+    return Route(f"/api/{name}", respond, methods=["POST"])
+
+
+def _word_of(body: Mapping[str, Any]) -> tuple[str, int]:
+    return _value(body, "word", str), _value(body, "object", int)
+
+
+def _value(body: Mapping[str, Any], name: str, kind: type) -> Any:
+    value = body.get(name)
+    strange = kind is list and not all(isinstance(one, str) for one in value or [])
+    if type(value) is not kind or strange:
+        raise InputError(f"{name}: found {value!r}, expected {EXPECTED[kind]}")
+    return value
+
+
+EXPECTED = {str: "a text", int: "the id of an object", list: "a list of texts"}
+
+
+def serve(application: Starlette, access: Access) -> None:
+    """Answer until SIGINT or SIGTERM, which then reaches the handler that was there before."""
+    config = uvicorn.Config(
+        application,
+        log_config=None,
+        access_log=False,
+        lifespan="off",
+        ws="none",
+        proxy_headers=False,
+        server_header=False,
+        timeout_graceful_shutdown=3,
+    )
+    uvicorn.Server(config).run(sockets=[access.listener])

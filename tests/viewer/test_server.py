@@ -1,0 +1,338 @@
+"""The viewer's server: requests refused, answers as of the field, changes, and a real browser."""
+
+import base64
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import urllib.request
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import uvicorn
+from starlette.testclient import TestClient
+
+from slgaussian.field import SemanticField
+from slgaussian.formats.ply import save_ply
+from slgaussian.viewer.auth import Access, listen
+from slgaussian.viewer.page.packed import morton_order
+from slgaussian.viewer.page.scene_page import scene_page
+from slgaussian.viewer.server import MOST_BYTES, LiveField, app
+from tests.flows.command import run
+from tests.flows.command import said as command_said
+from tests.square import BLUE, GREEN, RED, YELLOW, square_field
+
+IDS = [RED, GREEN, BLUE, YELLOW]
+
+
+@pytest.fixture(scope="module")
+def field() -> SemanticField:
+    return square_field("separated")
+
+
+@pytest.fixture
+def folder(field, tmp_path):
+    field.save(tmp_path / "wall")
+    return tmp_path / "wall"
+
+
+@pytest.fixture
+def client(folder):
+    return client_of(folder, None)
+
+
+def client_of(folder, token: str | None, url: str = "http://127.0.0.1:8080") -> TestClient:
+    live = LiveField(SemanticField.load(folder), folder)
+    return TestClient(app("<p>page", Access(url, socket.socket(), token), live), url)
+
+
+def post(client: TestClient, name: str, **body) -> dict:
+    answer = client.post(f"/api/{name}", json=body)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Host": "evil.example:8080"},
+        {"Host": "["},
+        {"Host": "evil.example", "Origin": "http://evil.example"},
+    ],
+)
+def test_other_sites_and_names_are_refused(client, headers):
+    assert client.get("/").text == "<p>page"
+    for answer in (
+        client.get("/", headers=headers),
+        client.post("/api/remove", json={"object": RED}, headers=headers),
+    ):
+        assert answer.status_code == 403 and "only at the address" in answer.text
+    assert post(client, "state")["removed"] == []
+
+
+def test_elsewhere_only_paths_with_the_token_are_answered(folder):
+    client = client_of(folder, "tok", "http://10.0.0.3:8080")
+    assert client.get("/tok/").text == client.get("/tok").text == "<p>page"
+    assert client.post("/tok/api/state", json={}).status_code == 200
+    for path in ("/", "/api/state", "/to/api/state", "/tokk/api/state", "/api/state?tok"):
+        assert client.post(path, json={}).status_code == 403
+    for path in ("/tok/../field.json", "/tok/field.json", "/tok//etc/passwd", "/tok/api/save"):
+        assert client.get(path).status_code in (403, 404, 405)
+
+
+def test_the_page_may_not_be_framed_or_kept(client):
+    headers = client.get("/").headers
+    assert headers["x-frame-options"] == "DENY" and headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "error"),
+    [
+        ("remove", {"object": 99}, "object 99: is not in the field"),
+        ("remove", {"object": "4"}, "object: found '4', expected the id"),
+        ("remove", {"object": True}, "object: found True"),
+        ("remove", [], "expected one"),
+        ("teach", {"word": " ", "object": RED}, "word"),
+        ("teach", {"object": RED}, "word: found None, expected a text"),
+        ("query", {"texts": "red"}, "texts: found 'red', expected a list of texts"),
+        ("query", {"texts": [1]}, "texts: found"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence_and_changes_nothing(client, name, body, error):
+    answer = client.post(f"/api/{name}", json=body)
+    assert answer.status_code == 400 and error in answer.json()["error"]
+    state = post(client, "state")
+    assert not state["undo"] and not state["unsaved"]
+
+
+def test_a_request_of_many_bytes_is_refused(client):
+    assert client.post("/api/query", content=b" " * (MOST_BYTES + 1)).status_code == 413
+    assert client.post("/api/query", content=b"{").status_code == 400
+
+
+def test_answers_are_those_of_the_field(client, field):
+    texts = ["red", "yellow square", "red xyzzy", "xyzzy"]
+    *answers, refused = post(client, "query", texts=texts)["answers"]
+    ids = sorted(IDS)
+    for text, answer in zip(texts, answers, strict=False):
+        gaps = np.array(answer["gaps"])
+        for id_, gap in zip(ids, gaps, strict=True):
+            (found,) = [one for one in field.describe([text]) if one.id == id_]
+            assert 1 / (1 + np.exp(-10 * gap)) == pytest.approx(found.relevancy, abs=1e-5)
+        taken = {i for i, g in zip(ids, gaps, strict=True) if g > 0 and g >= 0.6 * gaps.max()}
+        assert taken == {id_ for id_, _ in field.find(text)}
+        assert answer["kind"] == field.reader.understood(text).kind
+    assert answers[2]["unknown"] == ["xyzzy"] and answers[2]["alone"] == ", for 'red' alone"
+    assert "xyzzy" in refused["refused"] and "gaps" not in refused
+
+
+def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
+    client, field, folder, tmp_path, monkeypatch
+):
+    post(client, "teach", word="zorp", object=GREEN)
+    post(client, "name", word="the zerp", object=GREEN)
+    state = post(client, "remove", object=YELLOW)
+    ids = sorted(IDS)
+    assert state["names"] == ["the zerp" if id_ == GREEN else "" for id_ in ids]
+    assert state["words"][ids.index(GREEN)][0][0] == "zorp" and state["taught"] == ["zorp"]
+    assert state["removed"] == [YELLOW] and state["unsaved"] and state["undo"]
+    bits = np.frombuffer(base64.b64decode(state["gone"]), np.uint8)
+    gone = np.unpackbits(bits, bitorder="little")[: len(field.gaussians)].astype(bool)
+    order = morton_order(field.gaussians.means.numpy())
+    np.testing.assert_array_equal(gone, field.without([YELLOW]).gone[order])
+    for text, id_ in (("zorp", GREEN), ("The Zerp", GREEN)):
+        (answer,) = post(client, "query", texts=[text])["answers"]
+        assert answer["kind"] == ("taught" if text == "zorp" else "named")
+        assert answer["gaps"][ids.index(YELLOW)] is None
+        assert np.nanargmax(np.array(answer["gaps"], float)) == ids.index(id_)
+
+    assert not post(client, "save")["unsaved"]
+    other = tmp_path / "other"
+    field.save(other)
+    x, y = field.render(field.cameras["a"]).query("green").point
+    assert run(monkeypatch, "teach", other, "zorp", "--at", x, y) == 0
+    taught = SemanticField.load(other)
+    taught.named(GREEN, "the zerp").without([YELLOW]).save_edits(other)
+    for name in ("words.npz", "edits.npz"):
+        assert (folder / name).read_bytes() == (other / name).read_bytes()
+
+    state = post(client, "undo")
+    assert state["removed"] == [] and state["gone"] == "" and state["unsaved"]
+    assert post(client, "remove", object=YELLOW)["removed"] == [YELLOW]
+    assert post(client, "restore", object=YELLOW)["removed"] == []
+    for _ in range(5):
+        state = post(client, "undo")
+    assert state["taught"] == [] and not any(state["names"]) and not state["undo"]
+    post(client, "save")
+    assert not (folder / "words.npz").exists() and not (folder / "edits.npz").exists()
+
+
+def test_what_cannot_be_saved_says_so(client, folder):
+    post(client, "remove", object=RED)
+    (folder / "field.json").unlink()
+    answer = client.post("/api/save", json={})
+    assert answer.status_code == 400 and "field.json" in answer.json()["error"]
+    assert post(client, "state")["unsaved"]
+
+
+def test_the_command_says_in_a_sentence_what_is_wrong(folder, tmp_path, monkeypatch, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert run(monkeypatch, "view", folder, "--port", port) == 2
+        assert f"--port: {port} is in use" in command_said(capsys)
+    assert run(monkeypatch, "view", tmp_path / "no.ply") == 2
+    assert "no.ply" in command_said(capsys)
+    assert run(monkeypatch, "view", tmp_path) == 2
+    assert "field.json" in command_said(capsys)
+
+
+@contextmanager
+def command(source):
+    """The command, and the address that it printed."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "slgaussian", "view", str(source)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield child, child.stdout.readline().strip()
+    finally:
+        child.kill()
+        child.communicate()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("changed", [False, True])
+def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
+    with command(folder) as (child, address):
+        assert address.startswith("http://127.0.0.1:")
+        assert "data-live" in urllib.request.urlopen(address, timeout=30).read(200).decode()
+        if changed:
+            body = json.dumps({"object": RED}).encode()
+            urllib.request.urlopen(f"{address}api/remove", body, timeout=30)
+        child.send_signal(sign)
+        out, error = child.communicate(timeout=30)
+        assert (child.returncode, out) == (0, "")
+        last = "stopped; changes were not saved" if changed else "stopped"
+        assert error.splitlines() == ["Ctrl-C ends it", "", last]
+
+
+@pytest.mark.whole
+def test_a_ply_is_shown_and_not_asked(browser, field, tmp_path):
+    save_ply(field.gaussians, tmp_path / "strange.ply")
+    with command(tmp_path / "strange.ply") as (_, address), browser.open(address, 700, 440) as tab:
+        tab.wait("globalThis.slgaussian !== undefined")
+        assert tab.evaluate("document.getElementById('search').hidden && !slgaussian.live")
+        assert tab.complaints == [] or all("favicon" in said for said in tab.complaints)
+
+
+@contextmanager
+def served(folder):
+    """The page of a folder on a socket of this process; its live field and address."""
+    live, access = LiveField(SemanticField.load(folder), folder), listen()
+    config = uvicorn.Config(
+        app(scene_page(live.field, live=True), access, live), log_config=None, lifespan="off"
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [access.listener]})
+    thread.start()
+    try:
+        yield live, access.address
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+def test_a_field_is_asked_and_changed_by_keys_and_clicks(browser, folder):
+    said = "document.getElementById('answer').textContent"
+    status = "document.getElementById('status').textContent"
+    with served(folder) as (live, address), browser.open(address, 900, 600) as tab:
+        tab.wait("globalThis.slgaussian !== undefined", 120)
+
+        tab.click_on("#words")
+        tab.type("xyzzy")
+        tab.press("Enter")
+        assert "xyzzy" in tab.wait(said)
+        tab.evaluate("document.getElementById('words').select()")
+        tab.type("red")
+        tab.press("Enter")
+        assert "xyzzy" not in tab.wait(f"{said}.includes('score') && {said}")
+        tab.wait("!slgaussian.busy")
+        assert tab.evaluate("slgaussian.mode") == 3
+        seen = live.field.render(next(iter(live.field.cameras.values())))
+        assert seen.query("red").summary in tab.evaluate(said)
+        assert tab.evaluate("slgaussian.asked[0].taken") == [id_ == RED for id_ in live.ids]
+        # Without Enter: once, after a pause, and not letter by letter.
+        asked = len(tab.requests)
+        tab.evaluate("document.getElementById('words').select()")
+        for letter in "blue":
+            tab.press(letter)
+        tab.wait(f"{said}.includes('“blue”')")
+        assert tab.requests[asked:] == [f"{address}api/query"]
+        tab.press("Escape")
+        tab.wait(f"{said} === '' && !slgaussian.busy && slgaussian.mode === 0")
+
+        def pixel(id_: int) -> tuple[float, float]:
+            """A point of the window that shows an object."""
+            x, y = seen.query({RED: "red", YELLOW: "yellow"}[id_]).point
+            eye = tab.evaluate("(({fx, cx, cy}) => ({fx, cx, cy}))(slgaussian.eye)")
+            K = next(iter(live.field.cameras.values())).K
+            zoom = eye["fx"] / K[0, 0]
+            return eye["cx"] + (x + 0.5 - K[0, 2]) * zoom, eye["cy"] + (y + 0.5 - K[1, 2]) * zoom
+
+        middle = pixel(YELLOW)
+        tab.click(*middle)
+        card = tab.wait("document.getElementById('card').textContent")
+        assert f"Object {YELLOW}" in card and "yellow" in card and "Size 0.49" in card
+        tab.wait("!slgaussian.busy")
+        before = tab.settle()[round(middle[1]), round(middle[0])].astype(int)
+
+        tab.click_on("#word")
+        tab.type("Anna's")
+        tab.press("Enter")
+        tab.wait("document.querySelector('#card h3').textContent.includes(\"Anna's\")")
+        assert live.field.names == {YELLOW: "Anna's"}
+        tab.click_on("#word")
+        tab.type("zorp")
+        tab.click_on("#teach")
+        tab.wait("document.getElementById('card').textContent.includes('zorp')")
+        assert list(live.field.taught) == ["zorp"]
+        tab.click_on("#teach")  # without a word
+        tab.wait(f"{status}.includes('word')")
+
+        tab.click_on("#remove")
+        tab.wait("document.getElementById('remove').textContent === 'Bring back'")
+        tab.wait("!slgaussian.busy")
+        x, y = round(middle[0]), round(middle[1])
+        assert np.abs(tab.settle()[y, x].astype(int) - before).sum() > 100
+        tab.click_on("#words")
+        tab.type("zorp")
+        tab.press("Enter")
+        tab.wait(f"{said}.includes('zorp')")
+        assert not tab.evaluate(f"slgaussian.asked[0].taken[{live.ids.index(YELLOW)}]")
+        tab.click_on("#undo")
+        # The word is asked anew: it is the example itself again.
+        tab.wait(f"slgaussian.asked[0].taken[{live.ids.index(YELLOW)}]")
+        tab.click_on("#clear")
+        tab.wait("!slgaussian.busy")
+        assert np.abs(tab.settle()[y, x].astype(int) - before).sum() < 20
+
+        assert tab.evaluate(status) == "Changes are not saved."
+        tab.click_on("#keep")
+        tab.wait(f"{status}.startsWith('Saved')")
+        assert tab.evaluate("document.getElementById('keep').disabled")
+        again = SemanticField.load(folder)
+        assert again.names == {YELLOW: "Anna's"} and "zorp" in again.taught
+        assert not live.unsaved
+        assert all(url.startswith((address, "data:image/jpeg")) for url in tab.requests)
+        policy = tab.evaluate("document.querySelector('meta[http-equiv]').content")
+        assert "connect-src 'self'" in policy and "unsafe" not in policy
+        refused = [one for one in tab.complaints if "favicon" not in one]
+        assert len(refused) == 1 and refused[0].endswith(f"(Bad Request) {address}api/teach")
