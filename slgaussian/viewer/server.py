@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -222,6 +223,9 @@ def serve(application: Starlette, access: Access) -> None:
         ws="none",
         proxy_headers=False,
         server_header=False,
-        timeout_graceful_shutdown=3,
+        timeout_graceful_shutdown=1,
     )
+    # A page that was not read to its end is no error of whoever ends the viewer.
+    logger = logging.getLogger("uvicorn.error")
+    logger.addFilter(lambda record: "graceful shutdown" not in record.getMessage())
     uvicorn.Server(config).run(sockets=[access.listener])
