@@ -1,4 +1,4 @@
-"""Settings of a night: what retraining asks for, and who is told of it."""
+"""Settings of a night: what retraining asks for, and a training set."""
 
 from __future__ import annotations
 
@@ -38,10 +38,6 @@ class NightSettings(RetrainSettings):
 
     model_config = ConfigDict(title="The night")
 
-    notify: str | None = Field(
-        None,
-        description="Command or HTTP address that is told what came of it, as JSON.",
-    )
     training_set: NightSet | None = Field(
         None, description="Table with `out` and settings of `dataset`: a set of the same clips."
     )

@@ -1,4 +1,4 @@
-"""A night: take in what is new, learn it, judge it, keep a page of it, and tell who asked to know.
+"""A night: take in what is new, learn it, judge it; a record and a Prefect artifact are left.
 
 Each night has a number and a file of that number, ``nights/000012.json``, in the output folder. It
 says that the night is on, and in the end what came of it. One that still says so when the next
@@ -10,24 +10,24 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from prefect import flow
+from prefect.artifacts import create_markdown_artifact
 
-from flows import corpus, hooks
+from flows import corpus
 from flows.dataset import dataset
 from flows.night_settings import NightSet, NightSettings
 from flows.pipeline import check_folder
 from flows.retraining import Learnt, alone, failed_in, few, forgotten_by, learn
 from flows.runners.journal import log
 from flows.training import read_lessons
-from slgaussian.benchmark.night_page import render_night
 from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError, SpecError
 from slgaussian.formats import strict_json
@@ -37,14 +37,11 @@ from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore, decode_table, encode_table
 from slgaussian.storage.tables import read_table
 
-TOLD = ("promoted", "refused", "regressed", "failed")
-"""Of these the hook is told."""
+ARTIFACT = "slgaussian-night"
+"""Key of the Prefect artifact of a night; a server keeps those of all nights."""
 
 NAMES = 20
 """Names of each kind that a record has at most; there may be as many as there are clips."""
-
-BEFORE = 14
-"""Nights before that a page lists."""
 
 BY = "slgaussian nightly"
 
@@ -59,13 +56,13 @@ class Night:
         One of :data:`flows.night_settings.STATUS`.
     said : tuple of str
         Sentences for people.
-    page : Path
-        The summary page.
+    record : Path
+        The JSON file of the night.
     """
 
     outcome: str
     said: tuple[str, ...]
-    page: Path
+    record: Path
 
 
 def night(settings: NightSettings, store: ArtifactStore, verbose: bool = False) -> Night:
@@ -76,13 +73,13 @@ def night(settings: NightSettings, store: ArtifactStore, verbose: bool = False) 
     BusyError
         If a night or a retraining is on in the same folders; then nothing is done.
     InputError
-        As :func:`flows.corpus.supervise` and :func:`flows.retraining.learn`; the page and the hook
+        As :func:`flows.corpus.supervise` and :func:`flows.retraining.learn`; record and artifact
         say so first.
     """
     check_folder(settings.out)
     with alone(settings, "nightly"):
         records = _Records(settings.out)
-        _bury(records, settings)
+        _bury(records)
         record = records.begin()
         start = time.perf_counter()
         try:
@@ -97,10 +94,9 @@ def night(settings: NightSettings, store: ArtifactStore, verbose: bool = False) 
             if record["outcome"] != "on":
                 record["seconds"] = round(time.perf_counter() - start, 1)
                 record["ended"] = _now()
-                _tell(settings, records, record)
                 failed = record["outcome"] == "failed"
                 records.end(record, None if failed else clips)
-        return Night(record["outcome"], tuple(record["said"]), records.page(record["night"]))
+        return Night(record["outcome"], tuple(record["said"]), records.file(record["night"]))
 
 
 def _work(
@@ -192,25 +188,42 @@ def _some(names: Sequence[str]) -> dict[str, Any]:
     return {"count": len(names), "first": list(names[:NAMES])}
 
 
-def _tell(settings: NightSettings, records: _Records, record: dict[str, Any]) -> None:
-    """Tell the hook, and put down if that failed: the night is none the worse for it."""
-    if settings.notify is None or record["outcome"] not in TOLD:
-        return
-    facts: dict[str, Any] = {
-        "event": record["outcome"],
-        "said": "; ".join(record["said"]),
-        "page": str(records.page(record["night"]).resolve()),
-        "models": str(settings.models.resolve()),
-    }
-    facts |= {name: record[name] for name in ("night", "version", "in use") if name in record}
-    wrong = hooks.tell(settings.notify, facts, settings.out)
-    if wrong:
-        log(logging.WARNING, "hook_failed", wrong)
-        print(wrong, file=sys.stderr, flush=True)
-        record["hook"] = wrong
+@flow(name=ARTIFACT, persist_result=False)
+def publish(number: int, markdown: str) -> None:
+    """Create the artifact of a night, version after version of one key."""
+    create_markdown_artifact(markdown, ARTIFACT, f"Night {number}")
 
 
-def _bury(records: _Records, settings: NightSettings) -> None:
+def night_markdown(record: Mapping[str, Any]) -> str:
+    """Return the Markdown of a night's artifact; of one that failed, only why."""
+    lines = [f"# Night {record['night']}: {record['outcome']}", *record["said"]]
+    if "scores" in record:
+        rows = [f"| {name} | {iou:.4f} |" for name, iou in record["scores"].items()]
+        lines.append("\n".join(["| lifting | IoU on held-out clips |", "|---|---:|", *rows]))
+    if "changes" in record:
+        rows = [
+            f"| {kind} | {some['count']} | {_cell(', '.join(some['first']))} |"
+            for kind, some in record["changes"].items()
+        ]
+        lines.append("\n".join(["| clips | number | first |", "|---|---:|---|", *rows]))
+        lines += [
+            f"Left out: {_cell(f'{n}: {why}')}" for n, why in record["newly left out"].items()
+        ]
+    for one in record.get("drift", ()):
+        low, _, high = one["known"]
+        verdict = "drifted" if one["drifted"] else "as before"
+        lines.append(f"{one['measure']}: {low:.3g} to {high:.3g}, now {one['come']:.3g}, {verdict}")
+    if "seconds" in record:
+        lines.append(f"{record['seconds']} s, begun {record['begun']}")
+    return "\n\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Escape a text for a cell: names of clips and reasons are no markup."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>|#!" else c for c in " ".join(text.split()))
+
+
+def _bury(records: _Records) -> None:
     """Say of the last night that it was ended from outside, if it was."""
     last = records.last()
     if last is None or last["outcome"] != "on":
@@ -220,24 +233,23 @@ def _bury(records: _Records, settings: NightSettings) -> None:
         "said": [f"night {last['night']}, begun {last['begun']}, was ended from outside; the next "
                  "goes on with what it made"],
     }  # fmt: skip
-    _tell(settings, records, last)
     records.end(last, None)
 
 
 class _Records:
-    """The files of the nights: a record, a page, and of the last one the clips that there were."""
+    """The files of the nights: a record of each, and of the last one the clips that there were."""
 
     def __init__(self, out: Path) -> None:
         self.folder = out / "nights"
 
-    def page(self, number: int) -> Path:
-        return self.folder / f"{number:06d}.html"
+    def file(self, number: int) -> Path:
+        return self.folder / f"{number:06d}.json"
 
     def numbers(self) -> list[int]:
         return sorted(int(f.stem) for f in self.folder.glob("*.json") if f.stem.isdecimal())
 
     def read(self, number: int) -> dict[str, Any]:
-        file = self.folder / f"{number:06d}.json"
+        file = self.file(number)
         try:
             record = strict_json.parse(file.read_bytes())
             return {**record, "night": number, "outcome": str(record["outcome"])}
@@ -257,21 +269,22 @@ class _Records:
         return record
 
     def end(self, record: dict[str, Any], clips: pa.Table | None) -> None:
-        """Write the page, then the record, with which the night is over.
+        """Write the record, with which the night is over, and create its artifact.
 
         ``clips`` are what the next night compares with; None if nothing is known of them.
         """
         number = record["night"]
         if clips is not None:
             write_atomic(self._clips_of(number), encode_table(clips, load_spec("clips")))
-        earlier = [own for own in self.numbers() if own < number][-BEFORE:]
-        page = render_night(record, [self.read(own) for own in reversed(earlier)])
-        write_atomic(self.page(number), page.encode())
         self._write(record | {"clips": clips is not None})
         if clips is not None:
             for file in self.folder.glob("*.clips.parquet"):
                 if file != self._clips_of(number):
                     file.unlink()
+        try:
+            publish(number, night_markdown(record))
+        except Exception as error:  # a server that is gone costs the artifact, not the night
+            log(logging.WARNING, "artifact_failed", f"night {number} has no artifact: {error}")
 
     def last_clips(self) -> pa.Table:
         """What there was when the last night ended that knew; an empty table at first."""
@@ -294,8 +307,7 @@ class _Records:
         return self.folder / f"{number:06d}.clips.parquet"
 
     def _write(self, record: dict[str, Any]) -> None:
-        file = self.folder / f"{record['night']:06d}.json"
-        write_atomic(file, json.dumps(record, indent=1).encode())
+        write_atomic(self.file(record["night"]), json.dumps(record, indent=1).encode())
 
 
 def _now() -> str:

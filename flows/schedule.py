@@ -61,9 +61,9 @@ def nightly(config: str, given: dict[str, Any] | None = None) -> State:
     except BusyError as error:
         return _completed(str(error))
     resource = {"prefect.resource.id": f"slgaussian.night.{file.stem}"}
-    payload = {"said": list(had.said), "page": str(had.page)}
+    payload = {"said": list(had.said), "record": str(had.record)}
     emit_event(f"slgaussian.night.{had.outcome.replace(' ', '-')}", resource, payload=payload)
-    return _completed(f"{'; '.join(had.said)}; {had.outcome}; page: {had.page}")
+    return _completed(f"{'; '.join(had.said)}; {had.outcome}; record: {had.record}")
 
 
 @flow(name="slgaussian-report", persist_result=False)

@@ -40,7 +40,6 @@ out = "corpus"
 models = "models"
 store = "store"
 withdrawn = "withdrawn.txt"
-notify = "sh -c 'cat >> told.jsonl; echo >> told.jsonl'"
 size = "72x96"
 replicas = 1
 held_out = 0.4

@@ -94,7 +94,7 @@ COMMON = {
     "dataset": ("size", "targets", "min_confirmed", "held_out", "gaussians", "store"),
     "train": ("steps", "batch", "rate", "architecture", "device", "seed", "store"),
     "retrain": ("chunks", "out", "models", "steps", *PARTS[:2], "seed", "store"),
-    "nightly": ("notify", "store"),
+    "nightly": ("store",),
     "doctor": ("store", "runner", *PARTS, "lifting"),
 }
 """The settings that most people need of a command, which its help shows first."""

@@ -210,7 +210,6 @@ def retrain(
 
 @commands.command(rich_help_panel=CORPORA)
 @with_options(
-    "notify",
     "chunks",
     "out",
     "models",
@@ -234,16 +233,15 @@ def nightly(
 ) -> None:
     """Do what `retrain` does, by the clock, and report it.
 
-    A night leaves OUT/nights/NUMBER.html: what came, changed and was withdrawn, drift, scores, what
-    was decided. --notify tells a command or an HTTP address of a promotion, a refusal, a regression
-    and a failure. --every and --cron wait for their times, which needs `prefect server start` and
-    PREFECT_API_URL. The exit status is 0 if a version was put to use, 1 if clips were left out
-    first now and nothing else is new, 2 if the night failed, 3 if the version was refused, 4 if the
-    one in use is worse than none, 5 if another night is on, 6 if nothing is new.
+    A night leaves OUT/nights/NUMBER.json and an artifact of Prefect: what came, changed and was
+    withdrawn, drift, scores, what was decided. Prefect's automations send notices. --every and
+    --cron wait for their times, which needs `prefect server start` and PREFECT_API_URL. The exit
+    status is 0 if a version was put to use, 1 if clips were left out first now and nothing else is
+    new, 2 if the night failed, 3 if the version was refused, 4 if the one in use is worse than
+    none, 5 if another night is on, 6 if nothing is new.
 
     \b
     slgaussian nightly night.toml
-    slgaussian nightly night.toml --notify "./told.sh ops@example.org"
     slgaussian nightly night.toml --cron "0 3 * * *"
     """
     from flows.night_settings import read_night
@@ -268,7 +266,7 @@ def nightly(
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(STATUS["busy"]) from None
     typer.echo("\n".join(had.said))
-    typer.echo(f"{had.outcome}; page: {had.page}")
+    typer.echo(f"{had.outcome}; record: {had.record}")
     raise typer.Exit(STATUS[had.outcome])
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from command import run, said
+from prefect.client.orchestration import get_client
 
 from flows.night_settings import STATUS
+from flows.nightly import ARTIFACT
 from flows.retraining import LOCK
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
@@ -24,7 +26,6 @@ out = "corpus"
 models = "models"
 store = "store"
 withdrawn = "withdrawn.txt"
-notify = "sh -c 'cat >> told.jsonl; echo >> told.jsonl'"
 size = "72x96"
 replicas = 1
 held_out = {SHARE}
@@ -63,9 +64,14 @@ def record(folder: Path, number: int) -> dict:
     return json.loads((folder / "corpus" / "nights" / f"{number:06d}.json").read_text())
 
 
-def told(folder: Path) -> list[dict]:
-    file = folder / "corpus" / "told.jsonl"
-    return [json.loads(line) for line in file.read_text().splitlines() if line]
+def artifact() -> str:
+    """The latest artifact of a night, read from the server by its API."""
+    with get_client(sync_client=True) as client:
+        body = {"artifacts": {"key": {"any_": [ARTIFACT]}}, "sort": "CREATED_DESC", "limit": 1}
+        answer = client._client.post("/artifacts/filter", json=body)
+    (latest,) = answer.json()
+    assert latest["type"] == "markdown"
+    return latest["data"]
 
 
 def named(folder: Path, table: str) -> set[str]:
@@ -94,13 +100,11 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     assert "version 1 kept, not used: too few clips" in night("refused")
     made = record(tmp_path, 1)
     assert made["changes"]["arrived"]["count"] == 2 and made["outcome"] == "refused"
-    page = (tmp_path / "corpus" / "nights" / "000001.html").read_text()
-    assert "new places" in page and first.key in page and "filled" in page
-    (heard,) = told(tmp_path)
-    assert heard["event"] == "refused" and heard["night"] == heard["version"] == 1
-    assert Path(heard["page"]).is_file()
+    page = artifact()
+    assert page.startswith("# Night 1: refused\n") and "| filled | 0." in page
+    assert "| arrived | 2 | " in page
     assert clips_of_set(tmp_path) == {first.key, judged.key}
-    assert f"{made['training set']['samples']} samples of 2 places in 1 shards" in page
+    assert f"training set: {made['training set']['samples']} samples of 2 places" in page
 
     # Nothing happens; then another night is on; then one is killed while something damaged came.
     assert "nothing new since version 1; no version is in use" in night("nothing new")
@@ -111,7 +115,8 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     (tmp_path / "chunks" / "broken.torch").write_bytes(b"no chunk")
     assert "left out for the first time: 1, as broken.torch: " in night("left out")
     assert record(tmp_path, 3)["outcome"] == "failed"
-    assert told(tmp_path)[-1]["said"].startswith("night 3, begun 2099-01-01T00:00:00+00:00, was")
+    assert "begun 2099-01-01T00:00:00+00:00, was ended" in record(tmp_path, 3)["said"][0]
+    assert "\nLeft out: broken.torch: " in artifact()
     assert "nothing new" in night("nothing new")  # what was left out before is no news
 
     # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.
@@ -140,13 +145,14 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     assert first.key.replace(" ", "_") not in sheets and len(sheets) == 2
     assert clips_of_set(tmp_path) == {second.key, judged.key}
 
-    # What cannot be done is a failure, told to people and hook, and the next night is as good.
+    # What cannot be done is a failure with an artifact, and the next night is as good.
     # A training set that cannot be built is told, and does not keep a night from learning.
     config.write_text(CONFIG.replace("targets = 1", "targets = 9"))
     assert "the training set was not built: " in night("nothing new")
     config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
     assert "held_out 0.01: found" in night("failed")
-    assert told(tmp_path)[-1]["event"] == record(tmp_path, 8)["outcome"] == "failed"
+    assert record(tmp_path, 8)["outcome"] == "failed"
+    assert artifact().startswith("# Night 8: failed\n\nheld_out 0.01")
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in night("nothing new")
     assert record(tmp_path, 9)["changes"]["arrived"]["count"] == 0
@@ -161,6 +167,6 @@ def test_settings_of_a_night_that_do_not_fit_are_one_sentence(tmp_path, monkeypa
     (tmp_path / "chunks" / "one.torch").touch()
     assert run(monkeypatch, "nightly", config) == 2
     assert "withdrawn.txt: cannot be read" in said(capsys)
-    config.write_text(CONFIG.replace("notify", "notice"))
+    config.write_text(CONFIG.replace("replicas", "copies"))
     assert run(monkeypatch, "nightly", config) == 2
-    assert "night.toml: unknown key 'notice'" in said(capsys)
+    assert "night.toml: unknown key 'copies'" in said(capsys)
