@@ -7,7 +7,6 @@ Nothing is read but what was loaded at the start, and nothing is written but by 
 from __future__ import annotations
 
 import base64
-import json
 import logging
 import threading
 from collections.abc import Callable, Mapping
@@ -25,6 +24,7 @@ from starlette.routing import Route
 
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
+from slgaussian.formats import strict_json
 from slgaussian.language.query import Rules
 from slgaussian.things import best_words
 from slgaussian.viewer.auth import Access, Guard
@@ -176,7 +176,7 @@ def _calls(live: LiveField) -> dict[str, Call]:
 def _route(name: str, call: Call, lock: threading.Lock) -> Route:
     def locked(body: bytes) -> dict[str, Any]:
         try:
-            values = json.loads(body)
+            values = strict_json.parse(body)
         except ValueError:
             values = None
         if not isinstance(values, dict):
