@@ -267,7 +267,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
 
     fresh = ArtifactStore(tmp_path / "store")
     with monkeypatch.context() as patched:
-        patched.setattr("slgaussian.storage.store.open", opened, raising=False)
+        patched.setattr("slgaussian.io.open", opened, raising=False)
         made = corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh)
     assert [(f.scene, f.stage) for f in made.failures] == [
         (f"00000{n}.torch", "lessons") for n in range(2)
