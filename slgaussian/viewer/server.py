@@ -73,7 +73,7 @@ class LiveField:
         return self.field is not self._saved
 
     def state(self) -> dict[str, Any]:
-        """What changes can change.
+        """Return all that a change can change.
 
         Of each of :attr:`ids` ``names``, and ``words`` [[text, relevancy], ...], best first; ids
         ``removed``; ``gone``: a bit for each Gaussian that is not drawn, in the order of a page,
@@ -94,7 +94,7 @@ class LiveField:
         }
 
     def query(self, texts: list[str]) -> dict[str, Any]:
-        """Answers to texts, as ``words.js`` takes them: ``gaps`` of each object, or ``refused``.
+        """Answer texts, as ``words.js`` takes it: ``gaps`` of each object, or ``refused``.
 
         A gap of None stands for an object that cannot be meant: no view holds it, or it is removed.
         """
@@ -121,19 +121,19 @@ class LiveField:
         }
 
     def change(self, changed: SemanticField) -> dict[str, Any]:
-        """Go on with a changed field; its state."""
+        """Go on with a changed field; return its state."""
         self._earlier.append(self.field)
         self.field = changed
         return self.state()
 
     def undo(self) -> dict[str, Any]:
-        """Take the last change back, if there is one; the state."""
+        """Take the last change back, if there is one; return the state."""
         if self._earlier:
             self.field = self._earlier.pop()
         return self.state()
 
     def save(self) -> dict[str, Any]:
-        """Write all changes into the folder; the state. InputError if it cannot be written."""
+        """Write all changes into the folder; return the state. InputError if that fails."""
         self.field.save_edits(self.folder)
         self._saved = self.field
         return self.state()
@@ -160,7 +160,7 @@ Call = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 
 def _calls(live: LiveField) -> dict[str, Call]:
-    """What a page can have done, by name."""
+    """Return the calls of ``POST /api/NAME``, by name."""
     return {
         "state": lambda body: live.state(),
         "query": lambda body: live.query(_value(body, "texts", list)),
