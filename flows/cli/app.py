@@ -17,7 +17,7 @@ from flows.cli import (
 from flows.cli.command_settings import UPKEEP
 from flows.cli.help import App, told
 from flows.cli.store_commands import store_app
-from flows.runners.display import Waiting
+from flows.runners.progress import Waiting
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling

@@ -31,7 +31,7 @@ def prepare(home: Path) -> None:
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
         # Progress and failures are told by flows.runners.progress.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
-        # A server of ours ends with the run: nobody reads there what flows.runners.journal logs.
+        # A server of ours ends with the run: nobody reads there what is logged.
         "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
         "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
         "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
@@ -80,12 +80,16 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
     os.environ["PREFECT_API_URL"] = server.url
     try:
         server.start()
-        from flows.runners.shard import NO_EVENTS, send_no_events
+        from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+
+        from flows.runners.task_runners import NO_EVENTS, send_no_events
 
         # Nobody watches this server.
         send_no_events()
         os.environ[NO_EVENTS] = "1"
-        yield server.wait
+        # Heartbeats, which nobody would hear either, delay the end by up to a second.
+        with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
+            yield server.wait
         del os.environ[NO_EVENTS]
     finally:
         server.stop()

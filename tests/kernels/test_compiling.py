@@ -13,7 +13,7 @@ import pytest
 from numba.core.compiler_lock import global_compiler_lock
 
 from flows.runners import display
-from flows.runners.display import Waiting
+from flows.runners.progress import Waiting
 from slgaussian.kernels import compiling
 
 FIRST_USE = """
