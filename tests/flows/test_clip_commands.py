@@ -9,10 +9,10 @@ import command
 import numpy as np
 import pytest
 from command import room_sample, run, said, save_photographs
-from roads import calls_of, keyed
+from pipelines import calls_of, keyed
 
 from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -188,14 +188,14 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
 def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, monkeypatch):
     settings = settings_for(model, tmp_path)
     scene = settings.scenes[0]
-    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
     own["precision"] = "float32"
     assert keyed(steps["supervision"])["encoder"] == {"clip": own}
     assert keyed(steps["field"])["method"]["clip"] == own
     for stage in ("supervision", "benchmark"):
         assert steps[stage]["encoder"].places() == {"model": str(model.resolve())}
-    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
     assert keyed(plain["geometry"])["predictor"] == keyed(steps["geometry"])["predictor"]
     assert plain["supervision"]["encoder"].places() == {}
     assert "clip" not in keyed(plain["field"])["method"]

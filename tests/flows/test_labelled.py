@@ -12,7 +12,7 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows.jobs import baseline_jobs, scene_job
+from flows.scene import baseline_tasks, scene_task
 from flows.labelled import labelled_scenes
 from flows.manifest import published_as
 from flows.room_scenes import room_scene
@@ -191,7 +191,7 @@ class TestScored:
         assert "left out by the index" in notes[0]
         scene = scenes[1]
         settings = make_settings({"size": (80, 120)}, "test")
-        photographs, labels, *_ = scene_job(settings, settings.built_by, scene).arguments
+        photographs, labels, *_ = scene_task(settings, settings.built_by, scene).arguments
         store = ArtifactStore(str(tmp_path / "store"))
         site = Worksite(store)
         made = ingest.work(site, photographs)
@@ -209,8 +209,8 @@ class TestScored:
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
             method = settings.built_by
-            others = baseline_jobs(settings, method, [scene], {scene.name: {}})
-            _, *_, own = scene_job(settings, method, scene).arguments
+            others = baseline_tasks(settings, method, [scene], {scene.name: {}})
+            _, *_, own = scene_task(settings, method, scene).arguments
             asked = [own, *(job.arguments[2] for job in others)]
             place = scene.options.get("scene")
             assert [scoring.place for scoring in asked] == [place] * 3
@@ -312,7 +312,7 @@ class TestHeldOut:
             name="hall", format="colmap", path=folder, context=context, targets=targets, size=size
         )
         settings = make_settings({}, "test")
-        photographs, *_ = scene_job(settings, settings.built_by, scene).arguments
+        photographs, *_ = scene_task(settings, settings.built_by, scene).arguments
         return ingest.work(Worksite(ArtifactStore(str(tmp_path / "store"))), photographs)
 
     def test_a_target_that_is_a_context_view_is_refused_however_it_is_called(self, lerf, tmp_path):

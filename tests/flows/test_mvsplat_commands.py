@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from command import ROOM, run, save_photographs
-from roads import calls_of, keyed
+from pipelines import calls_of, keyed
 
 from benches.predict.random_mvsplat_weights import recipe_weights
 from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.errors import InputError
@@ -24,7 +24,7 @@ from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.geometry import geometry
-from tasks.stage import Worksite
+from tasks.context import RunContext
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -221,7 +221,7 @@ def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(
     kept = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
 
     def calls(settings):
-        return calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+        return calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
 
     plain, waiting = (calls(settings) for settings in (Settings(), read_toml(kept, {})))
     assert plain == waiting
@@ -240,11 +240,11 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
     sample = store.put("sample", sample_to_arrays(room.sample(["view_00", "view_02"], near=0.8)))
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
-    site, identity = Worksite(store), {"predictor": "mvsplat", "mvsplat": own}
+    context, identity = RunContext(store), {"predictor": "mvsplat", "mvsplat": own}
 
     def made(place):
         predictor = Part.stored("predictor", identity, {"checkpoint": str(place)})
-        return geometry.work(site, sample, predictor, 0)
+        return geometry.compute(context, sample, predictor, 0)
 
     assert made(checkpoint).meta["gaussians"] == 2 * 64 * 64
     other = tmp_path / "other.ckpt"

@@ -14,8 +14,8 @@ import pytest
 from command import run, said
 
 from flows import pipeline
-from flows.jobs import scene_job
-from flows.road import STAGES
+from flows.scene import scene_task
+from flows.scene import STAGES
 from flows.runners.commands import perform
 from flows.settings import make_settings
 from slgaussian import datasets
@@ -352,7 +352,7 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
     def key_of(folder: Path) -> str:
         scene = {"name": "s", "path": folder, "context": ["a.png", "b.png"]}
         settings = make_settings({"scenes": [scene]}, "test")
-        photographs, *_ = scene_job(settings, Method(), settings.scenes[0]).arguments
+        photographs, *_ = scene_task(settings, Method(), settings.scenes[0]).arguments
         return ingest.key({"photographs": photographs})
 
     key = key_of(data)

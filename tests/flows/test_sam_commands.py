@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 from command import ROOM, room_sample, run
-from roads import calls_of, keyed
+from pipelines import calls_of, keyed
 
 from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -23,7 +23,7 @@ from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
+from tasks.context import RunContext
 from tests.masks.small_models import save_sam, save_sam2
 
 OWN = {"preset": "langsplat", "points": 3}
@@ -85,12 +85,12 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
 def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path, monkeypatch):
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
     settings = settings_for(folders["sam2"], tmp_path, "sam2")
-    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
     assert keyed(steps["masks"])["proposer"] == {"sam2": own}
     assert keyed(steps["field"])["method"]["sam2"] == own
     assert steps["masks"]["proposer"].places() == {"model": str(folders["sam2"])}
-    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
     assert keyed(plain["masks"])["proposer"] == {"regions": {}}
     assert keyed(plain["supervision"]) == keyed(steps["supervision"])
     assert plain["geometry"]["predictor"] == steps["geometry"]["predictor"]
@@ -98,14 +98,14 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path,
 
 def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    site, method = Worksite(store), Method(tracker="flow")
+    context, method = RunContext(store), Method(tracker="flow")
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
+    base = geometry.compute(context, sample, method.predictor, 0)
     own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
 
     def labelled(place):
         proposer = Part.stored("proposer", own, {"model": str(place)})
-        return masks.work(site, sample, base, proposer, method.tracker, 1)
+        return masks.compute(context, sample, base, proposer, method.tracker, 1)
 
     assert labelled(folders["sam"]).meta["objects"] >= 1
     other = shutil.copytree(folders["sam"], tmp_path / "other")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from command import ROOM, room_sample, run, said
-from roads import calls_of, keyed
+from pipelines import calls_of, keyed
 
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import TABLES, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -43,7 +43,7 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     values = {"scenes": [ROOM], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
     settings = make_settings(values, "test")
     method = settings.built_by
-    steps = calls_of(scene_job(settings, method, settings.scenes[0]), monkeypatch)
+    steps = calls_of(scene_task(settings, method, settings.scenes[0]), monkeypatch)
     own = {"folder": folder_digest(ids)}
     assert keyed(steps["masks"])["tracker"] == {"precomputed": own}
     assert keyed(steps["field"])["method"]["precomputed"] == own
