@@ -19,6 +19,7 @@ from prefect.states import State
 
 from flows import kept
 from flows.artifact_table import write_artifacts
+from flows.encoder_choice import settled
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
 from flows.room_scenes import THIRDS, room_scene, seeds
@@ -132,6 +133,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
         If there is nothing to do, a component is unknown, or the store or the output folder cannot
         be written.
     """
+    config = settled(config)
     result = run_session("run", config, verbose, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:

@@ -1,6 +1,7 @@
 """A corpus of chunks made ready to learn from: its views and samples, and their lessons.
 
-A chunk is the unit of work, of memory, of caching and of failure. Chunks are known by content, so a second run reads those alone that are new.
+A chunk is the unit of work, of memory, of caching and of failure. Chunks are known by content, so
+a second run reads those alone that are new.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from prefect.states import State
 
 from flows.artifact_table import write_artifacts
 from flows.corpus_settings import CorpusSettings
+from flows.encoder_choice import settled
 from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
@@ -91,6 +93,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
     InputError
         As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
+    config = settled(config)
     prepared = run_session(
         "supervise", config, verbose, lambda store: supervise(config, store, verbose)
     )

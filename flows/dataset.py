@@ -19,6 +19,7 @@ from flows.clip_sources import Source, sources_of
 from flows.corpus_settings import PackSettings
 from flows.data_card import write_card
 from flows.dataset_settings import DatasetSettings, SetSettings
+from flows.encoder_choice import settled
 from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
@@ -86,6 +87,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         If a source is not there, a component is unknown, no sample is left, or the store or the
         folder cannot be written.
     """
+    config = settled(config)
     result = run_session("dataset", config, verbose, lambda store: build(config, store, verbose))
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)
 

@@ -37,12 +37,15 @@ class History:
         self.folder = out / "history"
 
     def file(self, number: int) -> Path:
+        """Return the place of a record."""
         return self.folder / f"{number:06d}.json"
 
     def numbers(self) -> list[int]:
+        """Return the numbers of all records, ascending."""
         return sorted(int(f.stem) for f in self.folder.glob("*.json") if f.stem.isdecimal())
 
     def read(self, number: int) -> dict[str, Any]:
+        """Read a record; SpecError if it cannot be read."""
         file = self.file(number)
         try:
             record = strict_json.parse(file.read_bytes())
@@ -51,6 +54,7 @@ class History:
             raise SpecError(f"{file}: cannot be read ({error!r:.200}); delete it") from error
 
     def last(self) -> dict[str, Any] | None:
+        """Read the last record; None if there is none."""
         numbers = self.numbers()
         return self.read(numbers[-1]) if numbers else None
 

@@ -18,12 +18,12 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus, dataset
+from flows.encoder_choice import settled
 from flows.history import History, first_names
-from flows.night_settings import NightSet, NightSettings
 from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
-from flows.training_settings import RetrainSettings, Training
+from flows.training_settings import GrowingSet, RetrainSettings, Training
 from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
 from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
@@ -34,6 +34,17 @@ from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """The settings of which another value asks for another training."""
+
+STATUS = {
+    "promoted": 0,
+    "left out": 1,
+    "failed": 2,
+    "refused": 3,
+    "regressed": 4,
+    "busy": 5,
+    "nothing new": 6,
+}
+"""Exit status of the command by the outcome."""
 
 LOCK = ".retrain.lock"
 
@@ -54,7 +65,7 @@ class Retraining:
     Attributes
     ----------
     outcome : str
-        One of :data:`flows.night_settings.STATUS`.
+        One of :data:`STATUS`.
     messages : tuple of str
         Sentences for people.
     record : Path or None
@@ -91,7 +102,7 @@ class Learnt:
 
 
 @flow(name="slgaussian-retrain", persist_result=False)
-def retrain(config: NightSettings, verbose: bool = False) -> State[Retraining]:
+def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]:
     """Ingest and supervise what is new, train, judge, and put to use what is better.
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
@@ -104,6 +115,7 @@ def retrain(config: NightSettings, verbose: bool = False) -> State[Retraining]:
     InputError
         As :func:`flows.corpus.supervise` and :func:`learn`; record and artifact say so first.
     """
+    config = settled(config)
     check_folder(config.out)
     try:
         with held(config.out / LOCK, "retrain"), held(config.models / LOCK, "retrain"):
@@ -116,7 +128,7 @@ def retrain(config: NightSettings, verbose: bool = False) -> State[Retraining]:
     return completed("; ".join(result.messages), result, name=name)
 
 
-def _retrain(config: NightSettings, store: ArtifactStore, verbose: bool) -> Retraining:
+def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:
     history = History(config.out)
     record = history.begin()
     start = time.perf_counter()
@@ -138,7 +150,7 @@ def _retrain(config: NightSettings, store: ArtifactStore, verbose: bool) -> Retr
 
 
 def _learn_what_is_new(
-    config: NightSettings,
+    config: RetrainSettings,
     store: ArtifactStore,
     verbose: bool,
     history: History,
@@ -190,20 +202,20 @@ def _learn_what_is_new(
 
 
 def _build_set(
-    config: NightSettings,
-    asked: NightSet,
+    config: RetrainSettings,
+    growing: GrowingSet,
     store: ArtifactStore,
     verbose: bool,
     record: dict[str, Any],
 ) -> str:
     """Bring the training set up to date; returns a message. Without it, the work goes on."""
     try:
-        made = dataset.build(config.set_settings(asked), store, verbose)
+        made = dataset.build(config.dataset_settings(growing), store, verbose)
     except InputError as error:
         record["training set"] = {"failed": str(error)}
         return f"the training set was not built: {error}"
     counts = {name: getattr(made, name) for name in ("samples", "places", "shards", "new_shards")}
-    record["training set"] = {**counts, "left out": len(made.failures), "out": str(asked.out)}
+    record["training set"] = {**counts, "left out": len(made.failures), "out": str(growing.out)}
     message = f"training set: {made.samples} samples of {made.places} places"
     new = f", {made.new_shards} of {made.shards} shards new" if made.new_shards else ""
     return message + new

@@ -15,19 +15,19 @@ from prefect.flows import EntrypointType
 from prefect.runner import Runner
 from pydantic import ValidationError
 
-from flows.night_settings import NightSettings
 from flows.retraining import retrain
 from flows.runners.child import import_path
+from flows.training_settings import RetrainSettings, anchored_config
 from slgaussian.errors import InputError
 
 
-def serve(config: NightSettings, every: float | None, cron: str | None) -> None:
+def serve(config: RetrainSettings, every: float | None, cron: str | None) -> None:
     """Wait for the times of a schedule and retrain at each, one at a time, until stopped.
 
     Parameters
     ----------
-    config : NightSettings
-        Parameters of the deployment, with absolute paths; Prefect's page can change them.
+    config : RetrainSettings
+        Parameters of the deployment; Prefect's page can change them.
     every : float, optional
         Seconds between two times.
     cron : str, optional
@@ -57,7 +57,7 @@ def serve(config: NightSettings, every: float | None, cron: str | None) -> None:
         name=retrain.name,
         interval=every,
         cron=cron,
-        parameters={"config": config.model_dump(mode="json", exclude_unset=True)},
+        parameters={"config": anchored_config(config).model_dump(mode="json", exclude_unset=True)},
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     # The runs it starts look for modules where we do, and not in the working folder.

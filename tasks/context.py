@@ -78,7 +78,7 @@ class RunContext:
         return self.once((ref.digest, decode), lambda: decode(self.store.get(ref)))
 
     def once(self, key: Hashable, compute: Callable[[], Value]) -> Value:
-        """Compute a value once for all stages of the scene; they share it and must not change it."""
+        """Compute a value once for all stages of the scene, none of which may change it."""
         if key not in self._values:
             self._values[key] = compute()
         return self._values[key]

@@ -8,10 +8,9 @@ from pathlib import Path
 import command
 import numpy as np
 import pytest
-from command import room_sample, run, said, save_photographs
+from command import room_sample, run, said, save_photographs, score
 from pipelines import calls_of, keyed
 
-from flows import pipeline
 from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
@@ -161,7 +160,7 @@ def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
 
 def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, capsys):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(model, tmp_path / "out"), store)
+    finished = score(settings_for(model, tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     rows = finished.results[0].rows
     assert all(row["score"] is not None for row in rows) and len(rows) >= 2
@@ -171,14 +170,14 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
 
     # The same model in another place: nothing is computed. Other crops: the bank is.
     moved = shutil.copytree(model, tmp_path / "moved")
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  benchmark  cached" in capsys.readouterr().err
     # The field is asked with the model where each run had it.
     for out, place in (("out", model), ("again", moved)):
         field = SemanticField.load(tmp_path / out / "fields" / "room")
         assert field.places == {"model": str(place.resolve())}
         assert field.describe(["red ball"])
-    pipeline.run(settings_for(moved, tmp_path / "third", crops="context"), store)
+    score(settings_for(moved, tmp_path / "third", crops="context"), store)
     progress = capsys.readouterr().err
     assert "room  masks  cached" in progress and "room  supervision  cached" not in progress
     for file in Path(store.path).rglob("*"):
@@ -235,7 +234,7 @@ def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
         + "\n".join(f"{key} = {_toml(value)}" for key, value in room.items())
     )
     settings = read_toml(config, {})
-    finished = pipeline.run(settings, ArtifactStore(settings.store))
+    finished = score(settings, ArtifactStore(settings.store))
     rows = [r for r in finished.results[0].rows if r["protocol"].startswith("slgaussian@")]
     assert len(rows) >= 4 and all(row["note"] == "" for row in rows)
     assert np.mean([row["iou"] for row in rows]) > 0.4

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from command import ROOM, run, save_photographs
+from command import ROOM, run, save_photographs, score
 from pipelines import calls_of, keyed
 
 from benches.predict.random_mvsplat_weights import recipe_weights
-from flows import pipeline
 from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
@@ -188,7 +187,7 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     checkpoint, digest, tmp_path, server, capsys
 ):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(checkpoint, tmp_path / "out"), store)
+    finished = score(settings_for(checkpoint, tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
@@ -199,13 +198,13 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     # The same weights in another place: nothing is computed. Another setting: the geometry is.
     moved = tmp_path / "moved.ckpt"
     shutil.copy(checkpoint, moved)
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  geometry  cached" in capsys.readouterr().err
     assert (
         page.split("<h2>")[:-1]
         == ((tmp_path / "again" / "report.html").read_text("utf-8").split("<h2>")[:-1])
     )
-    pipeline.run(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
+    score(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
     said = capsys.readouterr().err
     assert "room  ingest  cached" in said
     assert "room  geometry  cached" not in said

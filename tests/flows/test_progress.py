@@ -71,13 +71,40 @@ def test_what_is_lost_or_repeated_is_counted_once():
     progress.update(StageEvent("a", "ingest", "completed"))
     progress.lost(True, "died (killed)", ["a"])
     assert (progress.steps, progress.total) == (0, 4)
-    for stage in ("ingest", "masks"):
-        progress.update(StageEvent("a", stage, "completed"))
-        progress.update(StageEvent("b", "ingest", "completed"))
-        progress.update(StageEvent("b", "ingest", "repeated")) if stage == "ingest" else None
+    for scene, stage, state in (
+        ("a", "ingest", "completed"),
+        ("a", "masks", "completed"),
+        ("b", "ingest", "completed"),
+        ("b", "ingest", "repeated"),
+        ("b", "ingest", "completed"),
+    ):
+        progress.update(StageEvent(scene, stage, state))
     progress.update(StageEvent("b", "masks", "failed", "its worker died"))
     assert (progress.done, progress.failed, progress.steps, progress.total) == (1, 1, 3, 3)
     assert "a worker died (killed)" in progress.console.file.getvalue()
+
+
+def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
+    seen = io.StringIO()
+    progress = Progress(2, 1, verbose=True, stream=seen)
+    for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
+        progress.update(StageEvent(scene, "ingest", "completed", seconds=0.5))
+        progress.update(StageEvent(scene, "masks", "failed", reason, traceback=trace))
+    lines = seen.getvalue().splitlines()
+    assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
+    assert lines[4:] == ["ZeroDivisionError: a"]
+
+
+def test_counts_have_rate_and_time_left_and_the_summary_a_line_a_stage():
+    seen = io.StringIO()
+    progress = Progress(3, 2, stream=seen)
+    for scene, stage in itertools.product("ab", ("ingest", "masks")):
+        state = "cached" if scene == "b" else "completed"
+        progress.update(StageEvent(scene, stage, state, seconds=0.5))
+    progress.start -= 60  # a minute ago
+    assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute, about 30 s left"
+    progress.summary()
+    assert "masks        1 in 0.5 s, 1 cached\n" in seen.getvalue()
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command import ROOM, room_sample, run
+from command import ROOM, room_sample, run, score
 from pipelines import calls_of, keyed
 
-from flows import pipeline
 from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian.build import build_field
@@ -58,7 +57,7 @@ def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
 
 def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, capsys):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(folders["sam"], tmp_path / "out"), store)
+    finished = score(settings_for(folders["sam"], tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     digest = model_digest(folders["sam"])
@@ -73,9 +72,9 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
 
     # The same model in another place: nothing is computed. Another setting: the masks are.
     moved = shutil.copytree(folders["sam"], tmp_path / "moved")
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  masks  cached" in capsys.readouterr().err
-    pipeline.run(settings_for(moved, tmp_path / "third", points=2), store)
+    score(settings_for(moved, tmp_path / "third", points=2), store)
     said = capsys.readouterr().err
     assert "room  geometry  cached" in said and "room  masks  cached" not in said
     for file in Path(store.path).rglob("*"):

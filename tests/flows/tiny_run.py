@@ -23,25 +23,25 @@ def run_tiny(
     refresh: tuple[str, ...] = (),
 ):
     """Run ``{scene: what its pipeline is called with}``; returns the outcome."""
-    from prefect import flow
-    from prefect.states import Completed
-    from tiny_stages import tiny_pipeline
+    from tiny_flow import WORK, tiny_flow
 
     from flows.runners.batches import SceneTask, map_scenes
     from flows.runners.task_runners import open_workers
 
     progress = progress or Progress(len(scenes), 3, stream=stream or io.StringIO())
-    scene_tasks = [
-        SceneTask(scene, tiny_pipeline, arguments, first="make")
-        for scene, arguments in scenes.items()
-    ]
 
-    @flow(name="tiny")
-    def run():
+    def work():
+        from tiny_stages import tiny_pipeline
+
+        scene_tasks = [
+            SceneTask(scene, tiny_pipeline, arguments, first="make")
+            for scene, arguments in scenes.items()
+        ]
         with open_workers(runner, workers, store, frozenset(refresh)) as opened:
-            return Completed(data=map_scenes(scene_tasks, opened, progress))
+            return map_scenes(scene_tasks, opened, progress)
 
-    outcome = run()
+    WORK.append(work)
+    outcome = tiny_flow()
     progress.summary()
     return outcome
 
