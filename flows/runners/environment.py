@@ -38,12 +38,12 @@ def prepare(home: Path) -> None:
         # Never Prefect's own embedded server: it stays behind when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
     }
-    for name, value in (variables | _for_ray()).items():
+    for name, value in (variables | ray_variables()).items():
         os.environ.setdefault(name, value)
 
 
-def _for_ray() -> dict[str, str]:
-    """What Ray must know if it is the runner; Prefect may import it at any time."""
+def ray_variables() -> dict[str, str]:
+    """Return what Ray must know before it is imported, if it is the runner."""
     variables = {
         "RAY_USAGE_STATS_ENABLED": "0",
         # It would say so whenever a process begins another.

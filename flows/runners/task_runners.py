@@ -30,6 +30,7 @@ from prefect.futures import PrefectFuture
 from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
+from flows.runners.environment import ray_variables
 from flows.runners.server import LOOPBACK
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.parts.extras import install_line
@@ -53,6 +54,11 @@ cost a worker and the server some 25 ms a task, and the database 25 kB."""
 def send_no_events() -> None:
     """Have this process keep Prefect's events to itself."""
     EventsWorker.set_client_override(NullEventsClient)
+
+
+def send_events() -> None:
+    """Have this process tell Prefect's server of its tasks itself."""
+    EventsWorker.set_client_override(None)
 
 
 if NO_EVENTS in os.environ:
@@ -246,7 +252,7 @@ def become_worker() -> None:
     queue: a worker that is killed may hold its lock, and then the parent never ends.
     """
     if NO_EVENTS not in os.environ:
-        EventsWorker.set_client_override(None)
+        send_events()
     else:
         send_no_events()
     set_api_log_sink(None)
@@ -277,11 +283,14 @@ def _dask(address: str) -> Iterator[TaskRunner[Any]]:
         asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
     except (OSError, ValueError) as error:
         raise InputError(_nobody(f"dask://{address}", error)) from error
-    yield DaskTaskRunner(address=url)
+    with DaskTaskRunner(address=url) as task_runner:
+        yield task_runner
 
 
 @contextmanager
 def _ray(address: str) -> Iterator[TaskRunner[Any]]:
+    for name, value in ray_variables().items():
+        os.environ.setdefault(name, value)
     import ray
     from prefect_ray import RayTaskRunner
     from prefect_ray.context import remote_options
@@ -313,7 +322,7 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
         stack.callback(ray.shutdown)
         # Whose worker died is tried again by us, chain by chain.
         stack.enter_context(remote_options(max_retries=0))
-        yield RayTaskRunner()
+        yield stack.enter_context(RayTaskRunner())
 
 
 @contextmanager
