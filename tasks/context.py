@@ -61,6 +61,8 @@ class RunContext:
         Results of the stages so far.
     stage, key : str
         The running stage and its cache key.
+    results : {digest: StageResult}
+        The same as ``refs``, as Prefect knows them.
     """
 
     store: ArtifactStore
@@ -71,6 +73,7 @@ class RunContext:
     refs: dict[str, ArtifactRef] = field(default_factory=dict)
     stage: str = ""
     key: str = ""
+    results: dict[str, Any] = field(default_factory=dict)
     _values: dict[Hashable, Any] = field(default_factory=dict)
 
     def read(self, ref: ArtifactRef, decode: Callable[[Arrays], Value]) -> Value:

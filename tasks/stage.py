@@ -29,6 +29,17 @@ from tasks.context import RunContext, StageEvent, current_run
 from tasks.keys import cache_key, canonical
 
 
+class StageResult:
+    """What a stage gives to Prefect, which knows it again among the inputs of another stage.
+
+    It does so by identity, of what it finds within dataclasses too; this is none, so that it looks
+    no further.
+    """
+
+    def __init__(self, ref: ArtifactRef) -> None:
+        self.ref = ref
+
+
 class Stage:
     """A function from small arguments to one artifact, as a Prefect task; made by :func:`stage`.
 
@@ -87,10 +98,13 @@ class Stage:
         _, *arguments = bound.arguments.items()
         start = time.perf_counter()
         given = dict(arguments)
-        result = self.task(list(refs_in(given)), quote(given))
+        refs = list(refs_in(given))
+        edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
+        result = self.task(edges, quote(refs), quote(given))
         cached = isinstance(result, State)
-        ref = result.result() if cached else result
-        run.refs[self.name] = ref
+        made = result.result() if cached else result
+        run.refs[self.name] = ref = made.ref
+        run.results[ref.digest] = made
         if before is not None and not cached:
             run.notify(StageEvent(run.scene, self.name, "repeated"))
         if before is None or not cached:
@@ -107,21 +121,22 @@ class Stage:
         return {name: value for name, value in arguments.items() if name not in self.unkeyed}
 
     def _find_or_compute(
-        self, inputs: list[ArtifactRef], arguments: dict[str, Any]
-    ) -> State | ArtifactRef:
-        """Run as a Prefect task: ``inputs`` are the refs among the arguments, for its graph."""
+        self, inputs: list[StageResult], refs: list[ArtifactRef], arguments: dict[str, Any]
+    ) -> State | StageResult:
+        """Run as a Prefect task: ``inputs`` are for its graph, ``refs`` those in the arguments."""
         run = current_run()
         run.key = self.key(arguments)
         records = Records(run.store)
-        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in inputs)
+        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
         if not refresh and (known := records.find(run.key)) is not None:
             meta = {**known.meta, "stage_version": self.version, "cached": True}
             message = "found in the store"
-            return Completed(name="Cached", message=message, data=replace(known, meta=meta))
+            result = StageResult(replace(known, meta=meta))
+            return Completed(name="Cached", message=message, data=result)
         ref = self._computed(run, self._keyed(arguments), arguments)
         records.keep(run.key, ref)
         volatile = {"stage_version": self.version} | ({"refreshed": True} if refresh else {})
-        return replace(ref, meta={**ref.meta, **volatile})
+        return StageResult(replace(ref, meta={**ref.meta, **volatile}))
 
     def _computed(
         self, run: RunContext, keyed: Mapping[str, Any], arguments: Mapping[str, Any]
