@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from slgaussian.masks.sam_image import SamImage
 
 
-class Sam(SamConfig, AutomaticProposer):
+class Sam(AutomaticProposer, SamConfig):
     """Masks by SAM; folders and hub names like ``facebook/sam-vit-base``, ``-large``, ``-huge``.
 
     Settings and errors are those of :class:`slgaussian.masks.prompted.AutomaticProposer`.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from slgaussian.masks.sam_image import Sam2Image
 
 
-class Sam2(Sam2Config, AutomaticProposer):
+class Sam2(AutomaticProposer, Sam2Config):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``.
 
     Models for video fit too: their image part is used. Settings and errors are those of
