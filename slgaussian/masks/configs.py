@@ -8,7 +8,8 @@ from glob import glob
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, InstanceOf
+from pydantic.json_schema import SkipJsonSchema
 
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.io import file_digest
@@ -93,7 +94,7 @@ class AutomaticConfig(ComponentConfig):
     """What is prompted of a pretrained model that answers points, and which masks are kept."""
 
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
-    preset: Program = Field(
+    preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
         "grouping",
         description="Which masks are asked and kept: sam, sam2, langsplat or grouping.",
     )

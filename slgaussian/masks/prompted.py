@@ -17,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
 from slgaussian.masks.automatic import PromptedImage, all_masks
-from slgaussian.masks.configs import LEVELS, PRESETS, Automatic, AutomaticConfig, Program
+from slgaussian.masks.configs import LEVELS, PRESETS, Automatic, AutomaticConfig
 from slgaussian.parts.pretrained import Family, load_pretrained
 
 if TYPE_CHECKING:
@@ -56,7 +56,6 @@ class AutomaticProposer(AutomaticConfig, ABC):
 
     FAMILY: ClassVar[Family]
 
-    preset: Program | Automatic = "grouping"
     device: str = "auto"
     _network: Any = PrivateAttr()
     _encoded: dict[Any, PromptedImage] = PrivateAttr(default_factory=dict)
