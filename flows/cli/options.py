@@ -8,7 +8,7 @@ import pkgutil
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import typer
 
@@ -106,7 +106,8 @@ def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> ins
     kinds |= {int | None: int, float | None: float}
     kind = kinds.get(field.annotation, str)
     help_text = field.description or ""
-    choices: Sequence[str] = field.examples or ()
+    literal = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+    choices: Sequence[str] = field.examples or literal
     if name in KINDS and not choices:
         choices = (*names_of(name), *((AUTO,) if name == "encoder" else ()))
         help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."

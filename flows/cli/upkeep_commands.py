@@ -57,10 +57,12 @@ def parts(
     slgaussian parts --schema
     """
     from flows.cli import parts as known
+    from slgaussian.components import catalogue
 
     if as_json and schema:
         raise InputError("parts: --json and --schema are two outputs; choose one")
-    typer.echo(known.schema() if schema else known.as_json() if as_json else known.listed())
+    shown = known.schema if schema else catalogue.as_json if as_json else catalogue.as_text
+    typer.echo(shown())
 
 
 @commands.command(rich_help_panel=UPKEEP)

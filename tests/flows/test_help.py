@@ -17,7 +17,6 @@ from flows import settings
 from flows.cli.app import app
 from slgaussian import __version__
 from slgaussian.errors import did_you_mean
-from slgaussian.parts.settings import settings_of
 
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)
@@ -50,9 +49,6 @@ def shown(monkeypatch, capsys):
 
 def options_in(text: str) -> set[str]:
     return set(re.findall(r"^  (?:-\w, )?(--[a-z0-9-]+)", text, re.MULTILINE))
-
-
-TABLES = settings.TABLES
 
 
 @EACH
@@ -104,24 +100,13 @@ def test_every_example_is_understood(words):
 
 def test_choices_that_are_listed_are_those_that_are_taken():
     """Of what is too heavy to ask where options are declared."""
-    from slgaussian.language import clip, query, relevancy
-    from slgaussian.masks import prompted
-    from slgaussian.predict.mvsplat import predictor
+    from slgaussian.language import query, relevancy
 
-    def listed(name: str, of=settings.Method) -> set[str]:
-        return set(of.model_fields[name].examples)
+    def listed(name: str) -> set[str]:
+        return set(settings.Method.model_fields[name].examples)
 
     assert listed("protocol") == set(query.PROTOCOLS)
     assert listed("absent") == set(relevancy.ABSENT)
-    assert listed("preset", TABLES["sam"]) == set(prompted.PRESETS)
-    assert listed("level", TABLES["sam"]) == {*prompted.LEVELS, "all"}
-    for part, table in (
-        (clip.Clip, TABLES["clip"]),
-        (predictor.MVSplat, TABLES["mvsplat"]),
-    ):
-        for name, declared in settings_of(part).items():
-            if declared.choices:
-                assert listed(name, table) == set(declared.choices)
 
 
 @pytest.mark.parametrize(

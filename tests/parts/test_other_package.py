@@ -65,10 +65,10 @@ def test_its_settings_are_options_with_bounds_and_help(asked):
 def test_it_is_listed_with_the_others(asked):
     parts = {part["name"]: part for part in json.loads(asked(command("parts", "--json")))}
     assert parts["ink"]["kind"] == "proposer" and "regions" in parts
-    assert [row["name"] for row in parts["ink"]["settings"]] == ["colours", "within", "least"]
-    assert parts["ink"]["settings"][0]["file"] is True
+    assert [row["name"] for row in parts["ink"]["fields"]] == ["colours", "within", "least"]
+    assert parts["ink"]["fields"][0]["file"] is True
     schema = json.loads(asked(command("parts", "--schema")))
-    assert schema["$defs"]["ink"]["properties"]["within"]["maximum"] == 442
+    assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
 
 def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp_path):
@@ -114,7 +114,7 @@ def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
         "try: Part.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
         "except InputError as error: print(error)"
     )
-    assert asked(code) == "ink least: found 0, expected at least 1\n"
+    assert asked(code) == "ink least: found 0, expected a whole number from 1\n"
 
 
 def test_a_method_to_compare_with_is_brought_too(asked, tmp_path):

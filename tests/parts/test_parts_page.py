@@ -7,22 +7,23 @@ import pytest
 
 from flows.cli import parts
 from flows.cli.app import main
+from slgaussian.components import catalogue
 from slgaussian.parts.registry import KINDS, names_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parts.md"
 
 
 def test_the_page_is_what_its_maker_writes():
-    assert PAGE.read_text("utf-8") == parts.markdown()
+    assert PAGE.read_text("utf-8") == catalogue.as_markdown()
 
 
 def test_every_part_is_listed_with_a_sentence_under_its_kind():
-    text = parts.listed()
+    text = catalogue.as_text()
     for kind in KINDS:
         assert f"{kind}: " in text
         for name in names_of(kind):
             assert f"\n  {name}: " in text
-    for part in json.loads(parts.as_json()):
+    for part in json.loads(catalogue.as_json()):
         assert part["about"].endswith(".") and "``" not in part["about"]
 
 
