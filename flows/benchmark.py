@@ -19,7 +19,6 @@ from prefect.states import State
 
 from flows import kept
 from flows.artifact_table import write_artifacts
-from flows.encoder_choice import settled
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
 from flows.room_scenes import THIRDS, room_scene, seeds
@@ -36,7 +35,7 @@ from flows.scene import (
     method_task_name,
     scene_task,
 )
-from flows.settings import SceneSettings, Settings
+from flows.settings import SceneSettings, Settings, settled
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import SceneResult

@@ -18,11 +18,11 @@ from prefect.states import State
 
 from flows.artifact_table import write_artifacts
 from flows.corpus_settings import CorpusSettings
-from flows.encoder_choice import settled
 from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
 from flows.runners.task_runners import open_workers
+from flows.settings import settled
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError

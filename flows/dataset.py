@@ -19,11 +19,11 @@ from flows.clip_sources import Source, sources_of
 from flows.corpus_settings import PackSettings
 from flows.data_card import write_card
 from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.encoder_choice import settled
 from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
 from flows.runners.task_runners import Workers, open_workers
+from flows.settings import settled
 from flows.shard_writing import Finished, write_shards
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.datasets.places import Places

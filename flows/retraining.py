@@ -18,10 +18,10 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus, dataset
-from flows.encoder_choice import settled
 from flows.history import History, first_names
 from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
+from flows.settings import settled
 from flows.training import Parted, parted, read_lessons, train_on
 from flows.training_settings import GrowingSet, RetrainSettings, Training
 from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression

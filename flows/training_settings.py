@@ -10,8 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from flows.corpus_settings import CorpusSettings, check_bounds
 from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.encoder_choice import settled
-from flows.settings import Method, anchored, checked, read_values, refuse_idle
+from flows.settings import Method, anchored, checked, read_values, refuse_idle, settled
 
 
 def _parse_widths(value: Any) -> tuple[int, ...]:

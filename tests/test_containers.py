@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from flows.night_settings import read_night
 
 from flows.corpus_settings import read_corpus
-from flows.night_settings import read_night
 from flows.settings import read_toml
 
 ROOT = Path(__file__).parents[1]

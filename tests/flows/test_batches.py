@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 from tiny_run import run_tiny, tiny
 
-from flows.runners.progress import Progress
 from flows.runners.batches import failures_table
+from flows.runners.progress import Progress
 from slgaussian.storage.store import ArtifactStore, table_digest
 
 pytestmark = pytest.mark.usefixtures("server")

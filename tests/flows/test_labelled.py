@@ -12,10 +12,10 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows.scene import baseline_tasks, scene_task
 from flows.labelled import labelled_scenes
 from flows.manifest import published_as
 from flows.room_scenes import room_scene
+from flows.scene import baseline_tasks, scene_task
 from flows.settings import SceneSettings, make_settings
 from slgaussian.benchmark.index import read_index
 from slgaussian.datasets import lerf_ovs, re10k

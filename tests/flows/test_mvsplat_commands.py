@@ -21,8 +21,8 @@ from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
-from tasks.geometry import geometry
 from tasks.context import RunContext
+from tasks.geometry import geometry
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

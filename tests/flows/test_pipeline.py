@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from command import run, said, score
 
-from flows.scene import scene_task
-from flows.scene import STAGES
+from flows.scene import STAGES, scene_task
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field

@@ -15,9 +15,9 @@ from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
 from flows.runners import task_runners
+from flows.runners.batches import failures_table
 from flows.runners.progress import Progress
 from flows.runners.task_runners import NO_EVENTS, check_worker
-from flows.runners.batches import failures_table
 from flows.settings import make_settings
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore

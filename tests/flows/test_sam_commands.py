@@ -18,9 +18,9 @@ from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.context import RunContext
 from tests.masks.small_models import save_sam, save_sam2
 
 OWN = {"preset": "langsplat", "points": 3}

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.keys import cache_key, canonical
 from tasks.context import RunContext, run_context
+from tasks.keys import cache_key, canonical
 from tasks.stage import stage
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
