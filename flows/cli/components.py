@@ -1,4 +1,4 @@
-"""What `slgaussian parts` says: every part with its settings, from what the parts declare."""
+"""List every part with its settings, from what the parts declare."""
 
 from __future__ import annotations
 
@@ -37,8 +37,9 @@ def listed() -> str:
         for part in parts:
             lines.append(f"  {part['name']}: {part.get('problem') or part['about']}")
             for row in part.get("settings", ()):
-                option = f"--{part['name']}-{row['name']}".replace("_", "-")
-                lines.append(f"    {option} <{_type(row)}>{_default(row)}  {row['help']}")
+                key = f"{part['name'].replace('-', '_')}.{row['name']}"
+                default = "" if row["default"] is None else f" [{row['default']}]"
+                lines.append(f"    {key} <{_type(row)}>{default}  {row['help']}")
     return "\n".join(lines[1:])
 
 
@@ -46,12 +47,12 @@ def markdown() -> str:
     """The page `docs/reference/parts.md`."""
     text = [
         "# Parts and their settings",
-        """Made by `python docs/make_parts.py` from what the parts declare. `slgaussian parts` says
-the same of an installation, with the parts of other packages.
+        """Made by `python docs/make_parts.py` from what the parts declare. `slgaussian doctor --components`
+says the same of an installation, with the parts of other packages.
 
-A setting such as `depth_candidates` of `planesweep` is the option `--planesweep-depth-candidates`,
-`depth_candidates` in the table `[planesweep]` of a configuration file (the table of `sam2-video` is
-`[sam2_video]`), and in Python `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A
+A setting such as `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on
+the command line, `depth_candidates` in the table `[planesweep]` of a configuration file (the table
+of `sam2-video` is `[sam2_video]`), and in Python `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A
 file, folder or model is known by its content in cache keys and results, wherever it is. How a part
 is added: [architecture](../architecture.md#where-to-add-a-part).""",
     ]
@@ -67,11 +68,6 @@ is added: [architecture](../architecture.md#where-to-add-a-part).""",
                     rows.append(f"| `{row['name']}` | {_type(row)} | {default} | {row['help']} |")
                 text.append("\n".join(rows))
     return "\n\n".join(text) + "\n"
-
-
-def as_json() -> str:
-    """The parts as JSON: a list, one entry a part."""
-    return json.dumps(list(catalogue()), indent=1)
 
 
 def schema() -> str:
@@ -113,10 +109,6 @@ def _type(row: dict[str, Any]) -> str:
     if not bounds and low is not None:
         bounds = f" from {low}"
     return " or ".join([row["type"] + bounds, *row["words"]])
-
-
-def _default(row: dict[str, Any]) -> str:
-    return "" if row["default"] is None else f" [{row['default']}]"
 
 
 def _sentence(part: Any) -> str:

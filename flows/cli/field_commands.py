@@ -5,30 +5,13 @@ from typing import Annotated
 
 import typer
 
+from flows.cli import options
 from flows.cli.object_commands import objects
-from flows.cli.options import (
-    FIELDS,
-    AsJson,
-    Encoder,
-    Out,
-    Predictor,
-    Preset,
-    Proposer,
-    Runner,
-    Seed,
-    Set,
-    Size,
-    Store,
-    Threshold,
-    Tracker,
-    Verbose,
-    Workers,
-    settings_from,
-)
+from flows.cli.options import settings_from
 from slgaussian.errors import InputError
 
 commands = typer.Typer()
-commands.add_typer(objects, name="objects", rich_help_panel=FIELDS)
+commands.add_typer(objects, name="objects", rich_help_panel=options.FIELDS)
 
 Photos = Annotated[
     list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs, or a folder of them.")
@@ -86,17 +69,18 @@ Picture = Annotated[
 ]
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def demo(
-    out: Out = Path("slg-demo"),
-    preset: Preset = None,
-    encoder: Encoder = None,
-    seed: Seed = None,
-    store: Store = None,
-    runner: Runner = None,
-    workers: Workers = None,
-    set_: Set = None,
-    verbose: Verbose = False,
+    ctx: typer.Context,
+    out: options.Out = Path("slg-demo"),
+    preset: options.Preset = None,
+    encoder: options.Encoder = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Try everything on scenes that come with the installation.
 
@@ -113,22 +97,13 @@ def demo(
     from flows.demo import demo_scenes
     from flows.settings import make_settings
 
-    values = settings_from(
-        set_,
-        preset=preset,
-        encoder=encoder,
-        seed=seed,
-        store=store,
-        runner=runner,
-        workers=workers,
-        out=out,
-        scenes=demo_scenes(),
-    )
+    values = settings_from(ctx, out=out, scenes=demo_scenes())
     run_scenes("demo", make_settings(values, "demo"), verbose)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def field(
+    ctx: typer.Context,
     photos: Photos,
     cameras: Cameras = None,
     refine: Refine = False,
@@ -136,13 +111,13 @@ def field(
         int | None,
         typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
     ] = None,
-    preset: Preset = None,
-    size: Size = None,
-    predictor: Predictor = None,
-    proposer: Proposer = None,
-    tracker: Tracker = None,
-    encoder: Encoder = None,
-    set_: Set = None,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    encoder: options.Encoder = None,
+    set_: options.Set = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
     """Build a field from two or more photographs.
@@ -158,20 +133,12 @@ def field(
     """
     from flows.cli.field import build
 
-    settings = settings_from(
-        set_,
-        preset=preset,
-        size=size,
-        predictor=predictor,
-        proposer=proposer,
-        tracker=tracker,
-        encoder=encoder,
-    )
+    settings = settings_from(ctx)
     build(photos, cameras, refine, keyframes, out, settings)
     typer.echo(out)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def cameras(
     photos: Photos,
     out: Annotated[
@@ -180,7 +147,7 @@ def cameras(
             "--out", "-o", help="transforms.json, or a folder ending in / for a COLMAP model."
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Find the cameras of photographs.
 
@@ -204,17 +171,18 @@ def cameras(
         typer.echo(out)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def masks(
+    ctx: typer.Context,
     photos: Photos,
     cameras: Cameras = None,
     refine: Refine = False,
-    preset: Preset = None,
-    size: Size = None,
-    predictor: Predictor = None,
-    proposer: Proposer = None,
-    tracker: Tracker = None,
-    set_: Set = None,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    set_: options.Set = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
     """Label the objects of photographs, alike in all views.
@@ -229,15 +197,14 @@ def masks(
     """
     from flows.cli.masks import label, maps_table
 
-    settings = settings_from(
-        set_, preset=preset, size=size, predictor=predictor, proposer=proposer, tracker=tracker
-    )
-    typer.echo(maps_table(label(photos, cameras, refine, out, settings)))
+    settings = settings_from(ctx)
+    typer.echo(maps_table(*label(photos, cameras, refine, out, settings)))
     typer.echo(out)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def query(
+    ctx: typer.Context,
     field: Folder,
     texts: Annotated[
         list[str] | None,
@@ -251,11 +218,11 @@ def query(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
-    threshold: Threshold = None,
+    threshold: options.Threshold = None,
     words: Words = None,
-    set_: Set = None,
+    set_: options.Set = None,
     out: Picture = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Ask a field where something is, in words or by a picture.
 
@@ -279,7 +246,7 @@ def query(
     if not texts and not like:
         raise InputError("nothing is asked: give a TEXT, or a picture with --like")
     choice = Choice(view or (), camera, between, orbit)
-    settings = settings_from(set_, threshold=threshold)
+    settings = settings_from(ctx)
     answers = ask(field, texts or [], choice, out, settings, words, like or ())
     if as_json:
         typer.echo("\n".join(map(json.dumps, answers)))
@@ -290,8 +257,9 @@ def query(
     raise typer.Exit(exit_status(answers))
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def segment(
+    ctx: typer.Context,
     field: Folder,
     texts: Annotated[
         list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
@@ -300,11 +268,11 @@ def segment(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
-    threshold: Threshold = None,
+    threshold: options.Threshold = None,
     words: Words = None,
-    set_: Set = None,
+    set_: options.Set = None,
     out: Picture = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Give each object in view the text that fits it best.
 
@@ -327,7 +295,7 @@ def segment(
     from flows.cli.viewpoints import Choice
 
     choice = Choice(view or (), camera, between, orbit)
-    settings = settings_from(set_, threshold=threshold)
+    settings = settings_from(ctx)
     rows = segment_views(field, texts, choice, out, settings, words)
     typer.echo("\n".join(map(json.dumps, rows)) if as_json else texts_table(rows))
     if out is not None and not as_json:
@@ -338,7 +306,7 @@ def segment(
         raise typer.Exit(1)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def words() -> None:
     """List the words that the encoder lexicon knows.
 
@@ -354,7 +322,7 @@ def words() -> None:
         typer.echo(f"{family}: {', '.join(listed)}")
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def render(
     source: FieldOrPly,
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg.")],
@@ -384,8 +352,9 @@ def render(
     typer.echo(out)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def view(
+    ctx: typer.Context,
     source: FieldOrPly,
     port: Annotated[
         int | None,
@@ -394,7 +363,7 @@ def view(
     host: Annotated[
         str, typer.Option(help="Who can open it: at 0.0.0.0, whoever has the address it prints.")
     ] = "127.0.0.1",
-    set_: Set = None,
+    set_: options.Set = None,
 ) -> None:
     """Look at a scene in the browser; ask it by word and by click.
 
@@ -410,11 +379,12 @@ def view(
     """
     from flows.cli.view import serve_page
 
-    serve_page(source, host, port, settings_from(set_))
+    serve_page(source, host, port, settings_from(ctx))
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def export(
+    ctx: typer.Context,
     source: FieldOrPly,
     out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
     name: Annotated[
@@ -426,7 +396,7 @@ def export(
         typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
     ] = None,
     title: Annotated[str | None, typer.Option(help="Title of a page.")] = None,
-    set_: Set = None,
+    set_: options.Set = None,
 ) -> None:
     """Write a field as one file: a page to send, or for a viewer.
 
@@ -443,5 +413,5 @@ def export(
     """
     from flows.cli.export import write
 
-    write(source, out, name, texts or [], title, settings_from(set_))
+    write(source, out, name, texts or [], title, settings_from(ctx))
     typer.echo(out)

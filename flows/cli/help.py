@@ -32,9 +32,11 @@ class Group(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the first sentence of each command, whole."""
         width = max(map(len, self.commands))
+        formatter.write_paragraph()
         # Commands of one heading are declared one after another.
         for heading, commands in groupby(self.commands.values(), lambda c: c.rich_help_panel):
-            with formatter.section(heading or "Commands"):
+            formatter.write_heading(heading or "Commands")
+            with formatter.indentation():
                 rows = [(c.name.ljust(width), c.get_short_help_str(1000)) for c in commands]
                 formatter.write_dl(rows)
 

@@ -5,10 +5,13 @@ from typing import Annotated
 
 import typer
 
+from flows.cli import options
 from flows.cli.help import Group
-from flows.cli.options import AsJson, Set, settings_from
+from flows.cli.options import settings_from
 
-objects = typer.Typer(cls=Group, help="List the objects of a field; teach, name, remove or extract them.")
+objects = typer.Typer(
+    cls=Group, help="List the objects of a field; teach, name, remove or extract them."
+)
 
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
 Meant = Annotated[
@@ -23,20 +26,21 @@ Words = Annotated[
 
 @objects.command("list")
 def list_(
+    ctx: typer.Context,
     field: Folder,
     texts: Annotated[
         list[str] | None,
         typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
     ] = None,
     words: Words = None,
-    set_: Set = None,
+    set_: options.Set = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Table (.parquet), or picture of all (.png).")
     ] = None,
     crops: Annotated[
         Path | None, typer.Option(metavar="<path>", help="Folder for a picture of each: ID.png.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """List the objects of a field: words, size, place and views.
 
@@ -54,7 +58,7 @@ def list_(
 
     from flows.cli.objects import inventory, objects_table
 
-    rows = inventory(field, texts or [], out, crops, settings_from(set_), words)
+    rows = inventory(field, texts or [], out, crops, settings_from(ctx), words)
     typer.echo("\n".join(map(json.dumps, rows)) if as_json else objects_table(rows))
     if any(row.get("refused") for row in rows):
         raise typer.Exit(1)
@@ -116,6 +120,7 @@ def name(
 
 @objects.command()
 def remove(
+    ctx: typer.Context,
     field: Folder,
     meant: Annotated[
         list[str],
@@ -123,7 +128,7 @@ def remove(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
     words: Words = None,
-    set_: Set = None,
+    set_: options.Set = None,
 ) -> None:
     """Write a field again without some of its things.
 
@@ -137,17 +142,18 @@ def remove(
     """
     from flows.cli.objects import write_without
 
-    if not write_without(field, meant, out, settings_from(set_), words):
+    if not write_without(field, meant, out, settings_from(ctx), words):
         raise typer.Exit(3)
 
 
 @objects.command()
 def extract(
+    ctx: typer.Context,
     field: Folder,
     meant: Meant,
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
     words: Words = None,
-    set_: Set = None,
+    set_: options.Set = None,
 ) -> None:
     """Take a thing out of a field, alone.
 
@@ -160,5 +166,5 @@ def extract(
     """
     from flows.cli.objects import write_alone
 
-    if not write_alone(field, meant, out, settings_from(set_), words):
+    if not write_alone(field, meant, out, settings_from(ctx), words):
         raise typer.Exit(3)

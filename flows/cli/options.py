@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +35,7 @@ def _data_formats() -> list[str]:
 Set = Annotated[
     list[str] | None,
     typer.Option(
+        "--set",
         metavar="<key=value>",
         help="Any other field of the configuration, as planesweep.depth_candidates=96; may be "
         "repeated.",
@@ -79,9 +79,7 @@ Tracker = Annotated[
 Encoder = Annotated[
     str | None, _component("encoder", "lexicon, clip, named or auto. [default: lexicon]")
 ]
-Seed = Annotated[
-    int | None, typer.Option(min=0, help="Seed of everything random. [default: 0]")
-]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything random. [default: 0]")]
 Threshold = Annotated[
     float | None, typer.Option(help="Take what fits a text above this relevancy, 0 to 1.")
 ]
@@ -128,23 +126,35 @@ Most = Annotated[
 ]
 
 
-def settings_from(assignments: Sequence[str] | None, **options: Any) -> dict[str, Any]:
+FIELDS_OF_OPTIONS = (
+    "preset", "size", "predictor", "proposer", "tracker", "encoder", "seed", "threshold", "store",
+    "runner", "workers", "data", "pairs", "labels", "format", "rooms", "steps", "most",
+)  # fmt: skip
+"""The options above that give fields of the configuration, as commands call their parameters."""
+
+
+def settings_from(ctx: typer.Context, **values: Any) -> dict[str, Any]:
     """Return settings as a configuration file would have them, tables as nested dicts.
+
+    They are those options of the command that give fields (:data:`FIELDS_OF_OPTIONS`), and texts
+    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid
+    TOML, else it is text. Relative paths are relative to the working folder.
 
     Parameters
     ----------
-    assignments : sequence of str, optional
-        Texts ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it
-        is valid TOML, else it is text. Relative paths are relative to the working folder.
-    **options
-        Values of options by the fields of the same name; None if not given.
+    ctx : Context
+        Of the command.
+    **values
+        Other fields; None if not given.
 
     Raises
     ------
     InputError
         If a text has no such form, or a key is given twice.
     """
-    values = {name: value for name, value in options.items() if value is not None}
+    values |= {name: ctx.params.get(name) for name in FIELDS_OF_OPTIONS}
+    values = {name: value for name, value in values.items() if value is not None}
+    assignments = ctx.params.get("set_")
     for assignment in assignments or ():
         key, equals, text = assignment.partition("=")
         *tables, name = key.strip().split(".")
@@ -157,7 +167,9 @@ def settings_from(assignments: Sequence[str] | None, **options: Any) -> dict[str
         for table in tables:
             inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name in inner:
-            raise InputError(f"--set: {key.strip()} is given twice; give it once")
+            raise InputError(
+                f"--set: {key.strip()} is given twice, or by an option of its own; give it once"
+            )
         inner[name] = _parsed(text.strip())
     return values
 

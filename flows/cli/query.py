@@ -382,7 +382,7 @@ def _labels_picture(
 
 
 def open_field(
-    folder: Path, settings: Mapping[str, Any], words: Path | None = None
+    folder: Path, settings: Mapping[str, Any], words: Path | None = None, rules: bool = True
 ) -> tuple[dict[str, Any], SemanticField]:
     """Return the rules among ``settings``, and the field with its encoder ready to be asked.
 
@@ -391,29 +391,29 @@ def open_field(
     Raises
     ------
     InputError
-        If a setting is unknown, does not fit or has no effect on a field that is built, or the
-        folder, the encoder's files or the words cannot be read.
+        If a setting is unknown, does not fit or has no effect, as rules where ``rules`` is false,
+        or the folder, the encoder's files or the words cannot be read.
     """
     values = dict(settings)
     preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
     fields = checked(Method, layered(preset, values), "query").model_dump(exclude_unset=True)
-    rules = {name: value for name, value in fields.items() if name in RULES}
-    Rules(**rules)
+    chosen = {name: value for name, value in fields.items() if name in RULES}
+    Rules(**chosen)
     field = SemanticField.load(folder, later=True)
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
-    movable = {key for key in places if f"{encoder}.{key}" in files_of("encoder")}
-    built = [*(values.keys() - RULES - {encoder}), *(f"{encoder}.{k}" for k in places.keys() - movable)]
-    if built:
+    fixed = values.keys() - (RULES if rules else set()) - {encoder}
+    fixed |= {f"{encoder}.{k}" for k in places if f"{encoder}.{k}" not in files_of("encoder")}
+    for name in sorted(fixed):
         raise InputError(
-            f"{folder}: {built[0]} is given, but the field is built, with the encoder {encoder!r}; "
-            "only the rules of queries and the files of this encoder can be given"
+            f"{folder}: {name} is given, but the field is built, and its encoder is {encoder!r}: "
+            f"only {'rules of queries and ' * rules}files of this encoder can be given"
         )
     field = replace(field, places={**field.places, **places})
     field.encoder  # noqa: B018  (what is missing is said before anything is drawn)
     if words is not None:
         field = field.taking(TaughtWords.load(words, encoder_identity(field.settings)))
-    return rules, field
+    return chosen, field
 
 
 def sort_texts(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:

@@ -1,4 +1,4 @@
-"""Perform a command and say what came of it."""
+"""Run flows, and print what came of them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,13 +6,21 @@ from typing import Any
 
 import typer
 
+from flows.runners.commands import perform
+from flows.runners.environment import interruptible
 from slgaussian import ahead
 
 
-def run_and_say(command: str, settings: Any, verbose: bool) -> None:
-    """Perform a run, and print its scores, its report and what was left out; 1 if anything was."""
+def run_flow(command: str, settings: Any, verbose: bool) -> Any:
+    """Return what came of the flow of a command, which can be interrupted."""
+    with interruptible():
+        return perform(command, settings, verbose)
+
+
+def run_scenes(command: str, settings: Any, verbose: bool) -> None:
+    """Run scenes, and print scores, report and what was left out; exit with 1 if anything was."""
     ahead.begin()
-    finished = performed(command, settings, verbose)
+    finished = run_flow(command, settings, verbose)
     from flows.cli.tables import scores_tables
 
     if finished.results:
@@ -29,22 +37,8 @@ def run_and_say(command: str, settings: Any, verbose: bool) -> None:
         raise typer.Exit(1)
 
 
-def prepare_and_say(command: str, values: dict[str, Any], verbose: bool) -> None:
-    """Prepare a corpus, and print its tables and what was left out; 1 if anything was."""
-    from flows.corpus_settings import make_corpus_settings
-
-    settings = make_corpus_settings(values, command)
-    made = performed(command, settings, verbose)
-    from flows.corpus import FILES
-
-    for stage, count in made.rows.items():
-        file = settings.out / FILES[stage]
-        typer.echo(f"{count} {file.stem}  {file}")
-    tell_left_out(settings.out, made.failures)
-
-
-def tell_left_out(out: Path, failures: Sequence[Any]) -> None:
-    """Say how much was left out and where the reasons are, and exit with 1, if anything was."""
+def report_left_out(out: Path, failures: Sequence[Any]) -> None:
+    """Print how much was left out and where the reasons are; exit with 1 if anything was."""
     if failures:
         first = failures[0]
         typer.echo(
@@ -53,12 +47,3 @@ def tell_left_out(out: Path, failures: Sequence[Any]) -> None:
             err=True,
         )
         raise typer.Exit(1)
-
-
-def performed(command: str, settings: Any, verbose: bool) -> Any:
-    """What came of a command that can be interrupted."""
-    from flows.runners.commands import perform
-    from flows.runners.environment import interruptible
-
-    with interruptible():
-        return perform(command, settings, verbose)

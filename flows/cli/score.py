@@ -1,13 +1,12 @@
-"""What `slgaussian score` prints of masks that were made elsewhere."""
+"""Score masks that were made elsewhere."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.cli.tables import given_tables
-from flows.scoring import Scores
-from flows.scoring import score as scored
+from flows import scoring
+from flows.cli.tables import masks_tables
 from flows.settings import Settings
 from slgaussian.benchmark.protocols import load_protocol
 
@@ -18,36 +17,24 @@ NAMED = 3
 def score(
     settings: Settings, place: Path, protocols: Sequence[str], out: Path
 ) -> tuple[str, list[str]]:
-    """Score masks; the table of their scores, and what is to be known of them, a line each."""
-    found = scored(settings, place, protocols, out)
-    table = given_tables([row for result in found.results for row in result.rows])
-    return table, [*found.said, *_missing(found), *_unknown(found), *_left_empty(found)]
-
-
-def _missing(found: Scores) -> list[str]:
-    tally = found.tally
-    if not tally.missing:
-        return []
-    return [
-        f"missing: {tally.missing} of {tally.asked} samples have no mask and count as an empty "
-        f"one: {_few(list(dict.fromkeys(tally.missing_of)))}"
-    ]
-
-
-def _unknown(found: Scores) -> list[str]:
-    unknown = found.tally.unknown(found.predictions)
-    return [f"not asked, left out: {what} {_few(names)}" for what, names in unknown.items()]
-
-
-def _left_empty(found: Scores) -> list[str]:
-    rows = [row for result in found.results for row in result.rows]
-    names = {row["protocol"] for row in rows}
-    without = ["what needs relevancies (threshold-free, peaks)"]
+    """Score masks; return the table of their scores, and notes on them, a line each."""
+    scores = scoring.score(settings, place, protocols, out)
+    rows = [row for result in scores.results for row in result.rows]
+    notes, tally = [*scores.said], scores.tally
+    if tally.missing:
+        notes.append(
+            f"missing: {tally.missing} of {tally.asked} samples have no mask and count as an empty "
+            f"one: {_few(list(dict.fromkeys(tally.missing_of)))}"
+        )
+    for kind, names in tally.unknown(scores.predictions).items():
+        notes.append(f"not asked, left out: {kind} {_few(names)}")
+    empty = ["what needs relevancies (threshold-free, peaks)"]
     if all(row["point_x"] is None for row in rows):
-        without.append("what needs points (point in mask, point in box)")
-    if load_protocol("slgaussian").label in names and load_protocol("3d-ovs").label not in names:
-        without.append("mIoU, for which all texts compete (masks of 3d-ovs say which wins)")
-    return [f"left empty: {'; '.join(without)}"]
+        empty.append("what needs points (point in mask, point in box)")
+    labels = {row["protocol"] for row in rows}
+    if load_protocol("slgaussian").label in labels and load_protocol("3d-ovs").label not in labels:
+        empty.append("mIoU, for which all texts compete (masks of 3d-ovs say which wins)")
+    return masks_tables(rows), [*notes, f"left empty: {'; '.join(empty)}"]
 
 
 def _few(names: Sequence[str]) -> str:

@@ -108,7 +108,7 @@ def gains_table(table: Table) -> str:
     return aligned(rows)
 
 
-def given_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+def masks_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table a data set and protocol of samples, one line a method: each score and its interval.
 
     Below is what the scores go by.

@@ -10,7 +10,7 @@ def aligned(rows: Sequence[Sequence[str]], sides: str = "<") -> str:
     the right.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    formats = [f"{side}{width}" for side, width in zip(sides.ljust(len(widths), ">"), widths)]
-    return "\n".join(
-        "  ".join(map(format, cells, formats)).rstrip() for cells in rows
-    )
+    formats = [
+        f"{side}{width}" for side, width in zip(sides.ljust(len(widths), ">"), widths, strict=True)
+    ]
+    return "\n".join("  ".join(map(format, cells, formats)).rstrip() for cells in rows)
