@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from flows.cli.parts import markdown
+from flows.cli.components import markdown
 
 PAGE = Path(__file__).parent / "reference" / "parts.md"
 

@@ -124,7 +124,7 @@ def prepare(
     chunks = re10k.chunk_names(settings.chunks)
     if not chunks:
         raise InputError(
-            f"{settings.chunks}: holds no chunk (.torch); `slgaussian pack` makes some"
+            f"{settings.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some"
         )
     withdrawn = settings.withdrawn_clips()
     store.check_writable()

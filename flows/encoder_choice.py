@@ -54,7 +54,7 @@ def _clip_here(model: str, tokenizer: str | None) -> tuple[str | None, str]:
         return others[0], f"{others[0]} is the one CLIP in the hub's cache"
     if others:
         names = ", ".join(others)
-        return None, f"the hub's cache holds several of CLIP ({names}); name one with --clip-model"
+        return None, f"the hub's cache holds several of CLIP ({names}); name one as clip.model"
     return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
 
 

@@ -47,14 +47,14 @@ def markdown() -> str:
     """The page `docs/reference/parts.md`."""
     text = [
         "# Parts and their settings",
-        """Made by `python docs/make_parts.py` from what the parts declare. `slgaussian doctor --components`
-says the same of an installation, with the parts of other packages.
+        """Made by `python docs/make_parts.py` from what the parts declare. `slgaussian doctor
+--components` says the same of an installation, with the parts of other packages.
 
 A setting such as `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on
 the command line, `depth_candidates` in the table `[planesweep]` of a configuration file (the table
-of `sam2-video` is `[sam2_video]`), and in Python `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A
-file, folder or model is known by its content in cache keys and results, wherever it is. How a part
-is added: [architecture](../architecture.md#where-to-add-a-part).""",
+of `sam2-video` is `[sam2_video]`), and in Python
+`slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A file, folder or model is known by
+its content in cache keys and results, wherever it is. How a part is added: [architecture](../architecture.md#where-to-add-a-part).""",
     ]
     for kind, parts in _by_kind().items():
         text.append(f"## {kind.capitalize()}\n\n{KINDS[kind].help}")

@@ -50,7 +50,8 @@ def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
     for key, setting in declared.items():
         place = places.get(key)
         if place is None and not setting.optional:
-            raise InputError(f"its {key} is not given; give --{name}-{key} PLACE")
+            table = name.replace("-", "_")
+            raise InputError(f"its {key} is not given; give --set {table}.{key}=PLACE")
         if place is not None and not setting.is_path:
             places[key] = local_place(place)
         if place is not None and setting.content is model_digest:

@@ -51,7 +51,7 @@ class TrainedBranch:
         if self.weights is None:
             raise InputError(
                 "lifting 'branch': no weights are given; train some with `slgaussian train` and "
-                "give the file, as in --branch-weights trained/branch.safetensors, or choose the "
+                "give the file, as --set branch.weights=trained/branch.safetensors, or choose the "
                 "lifting 'hard'"
             )
         from slgaussian.semantic.branch import find_weights, load_branch

@@ -78,7 +78,7 @@ class MVSplat:
         if self.checkpoint is None:
             raise InputError(
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
-                "says, and give its path, as in --mvsplat-checkpoint re10k.ckpt"
+                "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
             )
         most = self.config.candidates
         if self.depth_candidates != "auto" and self.depth_candidates not in range(2, most + 1):
