@@ -103,7 +103,7 @@ def check_there(given: Sequence[str]) -> None:
     """InputError if a source that would be a file or folder here is not there."""
     for words in given:
         source = _parted(words)[1]
-        if not (_is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
+        if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
             raise InputError(
                 f"{source}: is not there; expected a folder of photographs, with cameras or "
                 f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
@@ -120,7 +120,7 @@ def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
     check_there(given)
     for words in given:
         place, source = _parted(words)
-        if _is_chunks(source):
+        if is_chunks(source):
             folder = source.rstrip("/")
             if folder.endswith(CHUNK):
                 yield Source(source, folder, place)
@@ -128,7 +128,7 @@ def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
             chunks = re10k.chunk_names(folder)
             if not chunks:
                 raise InputError(
-                    f"{source}: holds no chunk ({CHUNK}); `slgaussian pack` makes some"
+                    f"{source}: holds no chunk ({CHUNK}); `slgaussian ingest` makes some"
                 )
             for chunk in chunks:
                 yield Source(source, f"{folder}/{chunk}", place)
@@ -140,7 +140,8 @@ def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
 CHUNK = ".torch"
 
 
-def _is_chunks(source: str) -> bool:
+def is_chunks(source: str) -> bool:
+    """Return whether a source is a chunk, or a folder or URL of chunks."""
     path = Path(source)
     return (
         "://" in source or source.endswith(CHUNK) or (path.is_dir() and any(path.glob(f"*{CHUNK}")))

@@ -34,7 +34,7 @@ def find_clip(config: ClipConfig) -> tuple[str | None, str]:
         return others[0], f"{others[0]} is the one CLIP in the hub's cache"
     if others:
         names = ", ".join(others)
-        return None, f"the hub's cache holds several of CLIP ({names}); name one with --clip-model"
+        return None, f"the hub's cache holds several of CLIP ({names}); name one as clip.model"
     return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
 
 

@@ -29,7 +29,8 @@ class Packed:
 def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     """Add every source as one clip to the folder of chunks ``out``, in new chunks.
 
-    A source that cannot be read, or of which a view cannot, is left out by itself.
+    A clip whose name is there already is left as it is. A source that cannot be read, or of which a
+    view cannot, is left out by itself.
 
     Parameters
     ----------
@@ -41,18 +42,12 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     Raises
     ------
     InputError
-        If a source has no such form, two have one name, a name is in the folder already, or the
-        folder cannot be written.
+        If a source has no such form, two have one name, or the folder cannot be written.
     """
-    scenes = _scenes(sources, settings)
-    if (out / re10k.INDEX).exists():
-        taken = sorted(scenes.keys() & re10k.read_index(out).keys())
-        if taken:
-            more = f" and {len(taken) - 1} more" if taken[1:] else ""
-            raise InputError(
-                f"{out}: has a clip {taken[0]!r}{more} already; leave it out, or choose another "
-                "folder with -o"
-            )
+    there = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
+    scenes = {k: scene for k, scene in _scenes(sources, settings).items() if k not in there}
+    if not scenes:
+        return Packed()
     threads.limit()
     packed = Packed()
     with Progress(len(scenes), 1) as progress:

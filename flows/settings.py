@@ -351,7 +351,7 @@ class Settings(Engine, Method):
         description="Its format, if the index does not say: nerfstudio if left out.",
     )
     pairs: Path | None = Field(
-        None, description="Its index: what `pairs` wrote, or a file made by hand."
+        None, description="Its index: what `benchmark` wrote, or made by hand."
     )
     labels: Path | None = Field(
         None, description="Folder of its labels, if they are not in that of the data."

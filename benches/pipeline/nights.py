@@ -134,7 +134,7 @@ def wrongs(nights: Nights, there: set[str], gone: str, changed: str) -> list[str
         if count != 1:
             found.append(f"{clip} was {kind} {count} times")
     again = [*CLI, "supervise", work / "chunks", "-o", work / "again", "--store", work / "other"]
-    again += ["--size", "72x96", "--replicas", "1", "--withdrawn", work / "withdrawn.txt"]
+    again += ["--size", "72x96", "--set", "replicas=1", "--set", f"withdrawn={work}/withdrawn.txt"]
     subprocess.run(list(map(str, again)), check=False, capture_output=True)
     for name in ("views", "pairs", "lessons"):
         ours, theirs = (

@@ -28,9 +28,9 @@ from slgaussian.datasets.training_set import INDEX, TrainingSet
 
 KINDS = {
     "jpg, depth": (),
-    "png, depth": ("--images", "png"),
+    "png, depth": ("--set", "images=png"),
     "jpg, depth, Gaussians": ("--gaussians",),
-    "png, depth, Gaussians": ("--images", "png", "--gaussians"),
+    "png, depth, Gaussians": ("--set", "images=png", "--gaussians"),
 }
 """What a set holds, and the options that make it so."""
 

@@ -8,29 +8,29 @@ import typer
 from typer.exceptions import TyperException
 
 from flows.cli import (
-    build_commands,
     corpus_commands,
     field_commands,
     score_commands,
     upkeep_commands,
 )
-from flows.cli.command_settings import UPKEEP
-from flows.cli.help import App, told
-from flows.cli.store_commands import store_app
+from flows.cli.help import Group, usage_sentence
 from flows.runners.progress import Waiting
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling
 
-app = App(
+app = typer.Typer(
+    cls=Group,
     help="Two photographs in, a scene that answers words out. Try `slgaussian demo`.",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
-for commands in (build_commands, field_commands, score_commands, corpus_commands, upkeep_commands):
-    app.add_typer(commands.commands)
-app.add_typer(store_app, name="store", rich_help_panel=UPKEEP)
+for family in (field_commands, score_commands, corpus_commands, upkeep_commands):
+    app.add_typer(family.commands)
 
 
-def _say_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"slgaussian {__version__}")
         raise typer.Exit
@@ -41,11 +41,11 @@ def slgaussian(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_say_version, is_eager=True, help="Show the version and exit."
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
         ),
     ] = False,
 ) -> None:
-    """What all commands have."""
+    """Hold the options of all commands."""
 
 
 def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
@@ -59,7 +59,7 @@ def main() -> None:
         with compiling.told_to(Waiting(sys.stderr)):
             status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
-        typer.echo(f"error: {told(error)}", err=True)
+        typer.echo(f"error: {usage_sentence(error)}", err=True)
         raise SystemExit(error.exit_code) from None
     except SLGaussianError as error:
         typer.echo(f"error: {error}", err=True)

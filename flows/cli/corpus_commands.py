@@ -5,73 +5,73 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.arguments import Out, Verbose
-from flows.cli.command_settings import COMMON, CORPORA, DATASET, INGEST, SUPERVISE, TRAIN
-from flows.cli.help import App
-from flows.cli.options import with_options
-from flows.cli.running import performed, prepare_and_say, tell_left_out
+from flows.cli import options
+from flows.cli.options import settings_from
 from slgaussian.errors import InputError
 
-commands = App()
+commands = typer.Typer()
+
+Config = typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
 
 
-Chunks = Annotated[
-    str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
-]
-
-
-@commands.command(rich_help_panel=CORPORA)
-@with_options(of="flows.corpus_settings:PackSettings")
-def pack(
-    settings: dict,
+@commands.command(rich_help_panel=options.CORPORA)
+def ingest(
+    ctx: typer.Context,
     sources: Annotated[
         list[str],
         typer.Argument(
             metavar="SOURCE",
-            help="Folder of photographs, or procedural:FIRST-LAST (seeds of rooms).",
+            help="Folder or fsspec URL of .torch chunks; or folders of photographs or camera "
+            "files, and procedural:FIRST-LAST (seeds of rooms).",
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the chunks.")],
+    out: options.Out,
+    most: options.Most = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
-    """Write scenes as chunks, the format of RealEstate10K.
-
-    Each scene becomes one clip with the name of its folder. New clips are added to chunks that are
-    there; a clip that is there already is refused.
-
-    \b
-    slgaussian pack procedural:0-39 office_walk -o chunks/train
-    slgaussian pack procedural:40-59 -o chunks/train --views 24 --baseline 1.6
-    """
-    from flows.corpus_settings import PackSettings
-    from flows.packing import pack as write
-    from flows.settings import checked
-
-    packed = write(sources, out, checked(PackSettings, settings, "pack"))
-    typer.echo(f"{packed.clips} clips in {len(packed.chunks)} chunks  {out}")
-    if packed.left_out:
-        typer.echo(f"left out: {len(packed.left_out)}, each said above", err=True)
-        raise typer.Exit(1)
-
-
-@commands.command(rich_help_panel=CORPORA)
-@with_options(*INGEST, of="flows.corpus_settings:CorpusSettings", common=COMMON["ingest"])
-def ingest(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
     """Choose samples to learn from in a corpus of chunks.
 
     Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
     pairs.parquet (two context and three target views each) and failures.parquet (what could not
     be used, and why). After new chunks were added, only those are read.
 
+    Sources that are no chunks are first added to OUT/chunks, in the format of RealEstate10K, each
+    scene as a clip with the name of its folder; those that are there are left as they are. The exit
+    status is 1 if something was left out.
+
     \b
     slgaussian ingest chunks/train -o corpus
     slgaussian ingest s3://bucket/re10k/train -o corpus --most 2
+    slgaussian ingest procedural:0-39 office_walk -o corpus --set views=24 --set baseline=1.6
     """
-    prepare_and_say("ingest", {**settings, "chunks": chunks, "out": out}, verbose)
+    from flows.cli.ingest import ingest_sources
+
+    values = settings_from(ctx, sources=sources, out=out)
+    ingest_sources(values, verbose)
 
 
-@commands.command(rich_help_panel=CORPORA)
-@with_options(*SUPERVISE, of="flows.corpus_settings:CorpusSettings", common=COMMON["supervise"])
-def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False) -> None:
+@commands.command(rich_help_panel=options.CORPORA)
+def supervise(
+    ctx: typer.Context,
+    chunks: Annotated[
+        str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
+    ],
+    out: options.Out,
+    size: options.SampleSize = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    most: options.Most = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
     """Label the samples of a corpus: lessons for `train`.
 
     Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, lessons.parquet,
@@ -80,16 +80,18 @@ def supervise(settings: dict, chunks: Chunks, out: Out, verbose: Verbose = False
 
     \b
     slgaussian supervise chunks/train -o corpus
-    slgaussian supervise chunks/train -o corpus \\
-        --proposer sam --sam-model facebook/sam-vit-base
+    slgaussian supervise corpus/chunks -o corpus --proposer sam --set sam.model=models/sam
     """
-    prepare_and_say("supervise", {**settings, "chunks": chunks, "out": out}, verbose)
+    from flows.cli.ingest import prepare_corpus
+    from flows.corpus_settings import make_corpus_settings
+
+    values = settings_from(ctx, chunks=chunks, out=out)
+    prepare_corpus("supervise", make_corpus_settings(values, "supervise"), verbose)
 
 
-@commands.command(rich_help_panel=CORPORA)
-@with_options(*DATASET, of="flows.dataset_settings:DatasetSettings", common=COMMON["dataset"])
+@commands.command(rich_help_panel=options.CORPORA)
 def dataset(
-    settings: dict,
+    ctx: typer.Context,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the training set.")],
     sources: Annotated[
         list[str],
@@ -99,7 +101,26 @@ def dataset(
             "procedural:FIRST-LAST; or PLACE=SOURCE.",
         ),
     ],
-    verbose: Verbose = False,
+    size: options.SampleSize = None,
+    targets: Annotated[
+        int | None, typer.Option(help="Target views of a sample. [default: 3]")
+    ] = None,
+    min_confirmed: Annotated[
+        float | None,
+        typer.Option(help="Least share of the depth that a second view confirms. [default: 0.0]"),
+    ] = None,
+    held_out: Annotated[
+        float | None,
+        typer.Option(help="Share of the places that go to the split test. [default: 0.2]"),
+    ] = None,
+    gaussians: Annotated[
+        bool, typer.Option("--gaussians", help="Store the Gaussians too, not depth alone.")
+    ] = False,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Make a training set for any network, as tar shards.
 
@@ -111,79 +132,96 @@ def dataset(
     slgaussian dataset set chunks/train kitchen office=walk office=office_two
     slgaussian dataset set photos --targets 1 --min-confirmed 0.5
     """
+    from flows.cli.run import report_left_out, run_flow
+    from flows.data_card import CARD
     from flows.dataset_settings import make_dataset_settings
 
-    chosen = make_dataset_settings({**settings, "out": out, "sources": sources})
-    made = performed("dataset", chosen, verbose)
-    from flows.data_card import CARD
-
+    values = settings_from(
+        ctx,
+        out=out,
+        sources=sources,
+        targets=targets,
+        min_confirmed=min_confirmed,
+        held_out=held_out,
+        gaussians=gaussians or None,
+    )
+    written = run_flow("dataset", make_dataset_settings(values), verbose)
     typer.echo(
-        f"{made.samples} samples of {made.places} places in {made.shards} shards, "
-        f"{made.new_shards} of them new, {made.bytes / 1e6:.1f} MB  {out}"
+        f"{written.samples} samples of {written.places} places in {written.shards} shards, "
+        f"{written.new_shards} of them new, {written.bytes / 1e6:.1f} MB  {out}"
     )
     typer.echo(f"card  {out / CARD}")
-    tell_left_out(out, made.failures)
+    report_left_out(out, written.failures)
 
 
-@commands.command(rich_help_panel=CORPORA)
-@with_options(
-    *TRAIN, "architecture", "store",
-    of="flows.training_settings:TrainSettings", common=COMMON["train"],
-)  # fmt: skip
+@commands.command(rich_help_panel=options.CORPORA)
 def train(
-    settings: dict,
+    ctx: typer.Context,
     lessons: Annotated[Path, typer.Option(help="Folder that `supervise` wrote, or `dataset`.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
     start: Annotated[
         Path | None,
         typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
     ] = None,
-    verbose: Verbose = False,
+    steps: options.Steps = None,
+    architecture: Annotated[
+        str | None,
+        typer.Option(
+            metavar="<name>",
+            help="What the branch sees of a pixel: what several views say, or as the paper its own "
+            "alone. [default: several]",
+            autocompletion=lambda: ["several", "paper"],
+        ),
+    ] = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Train the semantic branch on lessons, and judge it.
 
     It is judged on clips that it has not seen; of a training set made with --gaussians, on its
-    split test. Leaves branch.safetensors, report.html,
-    metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting).
-    A training that was interrupted goes on where it was.
+    split test. Leaves branch.safetensors, report.html, metrics.parquet (a row a step) and
+    judgements.parquet (a row a held-out lesson and lifting). A training that was interrupted goes
+    on where it was.
 
     \b
     slgaussian train --lessons corpus -o trained
-    slgaussian train --lessons corpus --architecture paper -o paper
-    slgaussian train --lessons corpus --from trained/branch.safetensors -o more
-    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
-        --branch-weights trained/branch.safetensors -o field/
+    slgaussian train --lessons corpus --from trained/branch.safetensors --set batch=2 -o more
+    slgaussian field a.png b.png --set lifting=branch \\
+        --set branch.weights=trained/branch.safetensors -o field/
     """
+    from flows.cli.run import run_flow
     from flows.settings import checked
     from flows.training_settings import TrainSettings
 
-    given = {"lessons": lessons, "out": out} | ({} if start is None else {"start": start})
-    chosen = checked(TrainSettings, {**settings, **given}, "train")
-    made = performed("train", chosen, verbose)
+    values = settings_from(ctx, lessons=lessons, out=out, start=start, architecture=architecture)
+    trained = run_flow("train", checked(TrainSettings, values, "train"), verbose)
     from flows.cli.tables import judgements_table
     from flows.training import FILES
 
-    typer.echo(judgements_table(made.judgements))
-    typer.echo(f"weights  {chosen.out / FILES['weights']}")
-    typer.echo(f"report   {chosen.out / FILES['report']}")
+    typer.echo(judgements_table(trained.judgements))
+    typer.echo(f"weights  {out / FILES['weights']}")
+    typer.echo(f"report   {out / FILES['report']}")
 
 
-@commands.command(rich_help_panel=CORPORA)
-@with_options(
-    "chunks",
-    "out",
-    "models",
-    *TRAIN,
-    *SUPERVISE,
-    of="flows.training_settings:RetrainSettings",
-    common=COMMON["retrain"],
-)
+@commands.command(rich_help_panel=options.CORPORA)
 def retrain(
-    settings: dict,
-    config: Annotated[
-        Path | None, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ctx: typer.Context,
+    config: Annotated[Path | None, Config] = None,
+    chunks: Annotated[str | None, typer.Option(help="Folder or fsspec URL of the chunks.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the tables and contact sheets.")
     ] = None,
-    verbose: Verbose = False,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of the versions of the weights.")
+    ] = None,
+    steps: options.Steps = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Learn what is new in a corpus; use it if it is better.
 
@@ -195,41 +233,33 @@ def retrain(
     \b
     slgaussian retrain --chunks chunks/train --out corpus --models models
     slgaussian retrain retrain.toml --steps 300
-    slgaussian field a.png b.png --cameras transforms.json --lifting branch \\
-        --branch-weights models -o field/
+    slgaussian field a.png b.png --set lifting=branch --set branch.weights=models -o field/
     """
+    from flows.cli.run import run_flow
     from flows.training_settings import read_retraining
 
-    chosen = read_retraining(config, settings)
-    learnt, prepared = performed("retrain", chosen, verbose)
+    values = settings_from(ctx, chunks=chunks, out=out, models=models)
+    settings = read_retraining(config, values)
+    learnt, prepared = run_flow("retrain", settings, verbose)
     if prepared.failures:
-        file = chosen.out / "failures.parquet"
+        file = settings.out / "failures.parquet"
         typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
     typer.echo(learnt.said)
 
 
-@commands.command(rich_help_panel=CORPORA)
-@with_options(
-    "chunks",
-    "out",
-    "models",
-    *TRAIN,
-    *SUPERVISE,
-    of="flows.night_settings:NightSettings",
-    common=COMMON["nightly"],
-)
+@commands.command(rich_help_panel=options.CORPORA)
 def nightly(
-    settings: dict,
-    config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
-    ],
+    ctx: typer.Context,
+    config: Annotated[Path, Config],
     every: Annotated[
         float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
     ] = None,
     cron: Annotated[
         str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
     ] = None,
-    verbose: Verbose = False,
+    store: options.Store = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Do what `retrain` does, by the clock, and report it.
 
@@ -244,33 +274,33 @@ def nightly(
     slgaussian nightly night.toml
     slgaussian nightly night.toml --cron "0 3 * * *"
     """
-    from flows.night_settings import read_night
+    from flows.night_settings import STATUS, read_night
+    from slgaussian.storage.locks import BusyError
 
-    chosen = read_night(config, settings)
+    values = settings_from(ctx)
+    settings = read_night(config, values)
     if every is not None or cron is not None:
         from flows.runners.environment import home_of, prepare
         from slgaussian.storage.store import ArtifactStore
 
-        prepare(home_of(ArtifactStore(chosen.store)))
+        prepare(home_of(ArtifactStore(settings.store)))
         from flows.schedule import serve
 
-        serve(config, settings, every, cron)
+        serve(config, values, every, cron)
         return
-
-    from flows.night_settings import STATUS
-    from slgaussian.storage.locks import BusyError
+    from flows.cli.run import run_flow
 
     try:
-        had = performed("nightly", chosen, verbose)
+        night = run_flow("nightly", settings, verbose)
     except BusyError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(STATUS["busy"]) from None
-    typer.echo("\n".join(had.said))
-    typer.echo(f"{had.outcome}; record: {had.record}")
-    raise typer.Exit(STATUS[had.outcome])
+    typer.echo("\n".join(night.said))
+    typer.echo(f"{night.outcome}; record: {night.record}")
+    raise typer.Exit(STATUS[night.outcome])
 
 
-@commands.command(rich_help_panel=CORPORA)
+@commands.command(rich_help_panel=options.CORPORA)
 def versions(
     models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
     use: Annotated[
@@ -304,8 +334,8 @@ def versions(
     from flows.cli.tables import history_lines, versions_table
     from slgaussian.semantic.versions import Versions, somebody
 
-    kept = Versions(models)
-    known = {version.number: version for version in kept.all()}
+    folder = Versions(models)
+    known = {version.number: version for version in folder.all()}
     if use is not None and roll_back:
         raise InputError("versions: --use and --roll-back are two ways; choose one")
     if why is not None and use is None and not roll_back:
@@ -316,12 +346,12 @@ def versions(
             raise InputError(
                 f"--use: found {use}, expected one of the versions there ({numbers}), or none"
             )
-        kept.use(None if use == "none" else known[int(use)], somebody(), why or "")
+        folder.use(None if use == "none" else known[int(use)], somebody(), why or "")
     if roll_back:
-        kept.roll_back(somebody(), why or "")
+        folder.roll_back(somebody(), why or "")
     if history:
-        typer.echo("\n".join(history_lines(kept.history())) or f"{models}: no history")
+        typer.echo("\n".join(history_lines(folder.history())) or f"{models}: no history")
     elif known:
-        typer.echo(versions_table(known.values(), kept.current(), kept.history()))
+        typer.echo(versions_table(known.values(), folder.current(), folder.history()))
     else:
         typer.echo(f"{models}: no version")

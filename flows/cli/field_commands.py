@@ -5,25 +5,32 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.command_settings import COMMON, FIELDS, PLACES, RULES
-from flows.cli.help import App
-from flows.cli.options import with_options
+from flows.cli import options
+from flows.cli.object_commands import objects
+from flows.cli.options import settings_from
 from slgaussian.errors import InputError
 
-commands = App()
+commands = typer.Typer()
+commands.add_typer(objects, name="objects", rich_help_panel=options.FIELDS)
 
+Photos = Annotated[
+    list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs, or a folder of them.")
+]
+Cameras = Annotated[
+    Path | None,
+    typer.Option(
+        help="Their cameras: transforms.json, poses_bounds.npy, or a COLMAP folder; found if left "
+        "out."
+    ),
+]
+Refine = Annotated[
+    bool, typer.Option("--refine", help="Find given cameras anew, in their own world.")
+]
 Folder = Annotated[
     Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
 ]
-Texts = Annotated[
-    list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
-]
-MaybeTexts = Annotated[
-    list[str] | None, typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
-]
-What = Annotated[
-    str,
-    typer.Argument(metavar="WHAT", help="A text, a name that you gave, or the id of an object."),
+FieldOrPly = Annotated[
+    Path, typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply.")
 ]
 Words = Annotated[
     Path | None,
@@ -42,7 +49,7 @@ CameraFile = Annotated[
     typer.Option(
         "--camera",
         "--cameras",
-        help="Look from cameras of your own: one as JSON, or a transforms.json.",
+        help="Look from other cameras: one as JSON, or a transforms.json.",
     ),
 ]
 Between = Annotated[
@@ -58,18 +65,151 @@ Orbit = Annotated[
     ),
 ]
 Picture = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg."),
+    Path | None, typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")]
 
 
-@commands.command(rich_help_panel=FIELDS)
-@with_options("preset", *RULES, *PLACES, common=COMMON["query"])
+@commands.command(rich_help_panel=options.FIELDS)
+def demo(
+    ctx: typer.Context,
+    out: options.Out = Path("slg-demo"),
+    preset: options.Preset = None,
+    encoder: options.Encoder = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Try everything on scenes that come with the installation.
+
+    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes
+    one or two minutes, leaves a report and a field of every scene, and ends with a command that
+    asks one. Run it again, and what is unchanged comes from the store.
+
+    \b
+    slgaussian demo
+    slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
+    slgaussian demo --preset fast --store /data/slg -o fast
+    """
+    from flows.cli.run import run_scenes
+    from flows.demo import demo_scenes
+    from flows.settings import make_settings
+
+    values = settings_from(ctx, out=out, scenes=demo_scenes())
+    run_scenes("demo", make_settings(values, "demo"), verbose)
+
+
+@commands.command(rich_help_panel=options.FIELDS)
+def field(
+    ctx: typer.Context,
+    photos: Photos,
+    cameras: Cameras = None,
+    refine: Refine = False,
+    keyframes: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
+    ] = None,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    encoder: options.Encoder = None,
+    set_: options.Set = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
+) -> None:
+    """Build a field from two or more photographs.
+
+    A field is a folder with the scene as Gaussians and what words need to find its objects.
+    `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
+    first two are 1 apart.
+
+    \b
+    slgaussian field a.jpg b.jpg -o field/
+    slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
+    slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
+    """
+    from flows.cli.field import build
+
+    settings = settings_from(ctx)
+    build(photos, cameras, refine, keyframes, out, settings)
+    typer.echo(out)
+
+
+@commands.command(rich_help_panel=options.FIELDS)
+def cameras(
+    photos: Photos,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out", "-o", help="transforms.json, or a folder ending in / for a COLMAP model."
+        ),
+    ] = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Find the cameras of photographs.
+
+    Prints a row for each pair: matches, those that its pose explains, degrees between the lines of
+    sight, by how many degrees the pose may be off, and a verdict. The world is the first camera's;
+    the first two are 1 apart. A transforms.json says all this too, and `--cameras` reads it.
+
+    \b
+    slgaussian cameras a.jpg b.jpg
+    slgaussian cameras photos/ -o transforms.json
+    slgaussian cameras photos/ -o model/
+    slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
+    """
+    import json
+
+    from flows.cli.cameras import estimate_cameras, pairs_table
+
+    estimate = estimate_cameras(photos, out)
+    typer.echo(json.dumps(estimate.as_json()) if as_json else pairs_table(estimate))
+    if out is not None and not as_json:
+        typer.echo(out)
+
+
+@commands.command(rich_help_panel=options.FIELDS)
+def masks(
+    ctx: typer.Context,
+    photos: Photos,
+    cameras: Cameras = None,
+    refine: Refine = False,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    set_: options.Set = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
+) -> None:
+    """Label the objects of photographs, alike in all views.
+
+    Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
+    look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
+
+    \b
+    slgaussian masks a.jpg b.jpg -o ids/
+    slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
+    slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
+    """
+    from flows.cli.masks import label, maps_table
+
+    settings = settings_from(ctx)
+    typer.echo(maps_table(*label(photos, cameras, refine, out, settings)))
+    typer.echo(out)
+
+
+@commands.command(rich_help_panel=options.FIELDS)
 def query(
-    settings: dict,
+    ctx: typer.Context,
     field: Folder,
-    texts: MaybeTexts = None,
+    texts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="TEXT", help='What to look for, as "red basket".'),
+    ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(metavar="<path>", help="Look for what a picture shows; may be repeated."),
@@ -78,9 +218,11 @@ def query(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
+    threshold: options.Threshold = None,
     words: Words = None,
+    set_: options.Set = None,
     out: Picture = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Ask a field where something is, in words or by a picture.
 
@@ -94,38 +236,43 @@ def query(
     slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
     slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
     slgaussian query field/ "red basket" --orbit 60 -o turn.mp4
-    slgaussian query field/ fox --words other_field/words.npz
-    slgaussian query field/ --like crop.png -o hit.png
+    slgaussian query field/ --like crop.png --set share=0.8 -o hit.png
     """
     import json
 
-    from flows.cli import questions
+    from flows.cli.query import answers_text, ask, exit_status
     from flows.cli.viewpoints import Choice
 
     if not texts and not like:
         raise InputError("nothing is asked: give a TEXT, or a picture with --like")
     choice = Choice(view or (), camera, between, orbit)
-    answers = questions.ask(field, texts or [], choice, out, settings, words, like or ())
-    said = questions.spoken_film(answers) if choice.film else questions.spoken(answers)
-    typer.echo("\n".join(map(json.dumps, answers)) if as_json else said)
-    if out is not None and not as_json:
-        typer.echo(f"picture  {out}")
-    raise typer.Exit(questions.exit_status(answers))
+    settings = settings_from(ctx)
+    answers = ask(field, texts or [], choice, out, settings, words, like or ())
+    if as_json:
+        typer.echo("\n".join(map(json.dumps, answers)))
+    else:
+        typer.echo(answers_text(answers, choice.film))
+        if out is not None:
+            typer.echo(f"picture  {out}")
+    raise typer.Exit(exit_status(answers))
 
 
-@commands.command(rich_help_panel=FIELDS)
-@with_options("threshold", "canonical", "temperature", "absent", *PLACES, common=COMMON["segment"])
+@commands.command(rich_help_panel=options.FIELDS)
 def segment(
-    settings: dict,
+    ctx: typer.Context,
     field: Folder,
-    texts: Texts,
+    texts: Annotated[
+        list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+    ],
     view: Views = None,
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
+    threshold: options.Threshold = None,
     words: Words = None,
+    set_: options.Set = None,
     out: Picture = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Give each object in view the text that fits it best.
 
@@ -144,12 +291,13 @@ def segment(
     """
     import json
 
-    from flows.cli import questions
+    from flows.cli.query import segment_views, texts_table
     from flows.cli.viewpoints import Choice
 
     choice = Choice(view or (), camera, between, orbit)
-    rows = questions.segmented(field, texts, choice, out, settings, words)
-    typer.echo("\n".join(map(json.dumps, rows)) if as_json else questions.tabled(rows))
+    settings = settings_from(ctx)
+    rows = segment_views(field, texts, choice, out, settings, words)
+    typer.echo("\n".join(map(json.dumps, rows)) if as_json else texts_table(rows))
     if out is not None and not as_json:
         typer.echo(f"picture  {out}")
         if not choice.film:
@@ -158,7 +306,7 @@ def segment(
         raise typer.Exit(1)
 
 
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def words() -> None:
     """List the words that the encoder lexicon knows.
 
@@ -174,93 +322,9 @@ def words() -> None:
         typer.echo(f"{family}: {', '.join(listed)}")
 
 
-@commands.command(rich_help_panel=FIELDS)
-@with_options("temperature", "canonical", "absent", *PLACES, common=COMMON["objects"])
-def objects(
-    settings: dict,
-    field: Folder,
-    texts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
-    ] = None,
-    words: Words = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Table (.parquet), or picture of all (.png).")
-    ] = None,
-    crops: Annotated[
-        Path | None, typer.Option(metavar="<path>", help="Folder for a picture of each: ID.png.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """List the objects of a field: words, size, place and views.
-
-    Each has the words that fit it best, of all that the field knows or of the texts given; how
-    clearly its pixels are its own (from 0 to 1); the size of the upright box around it, longer
-    side, shorter side and height; and the views that hold it. The table and --json have its centre
-    and axes too. The exit status is 1 if a text is refused.
-
-    \b
-    slgaussian objects field/
-    slgaussian objects field/ wall "red sofa" plant -o objects.png
-    slgaussian objects field/ -o objects.parquet --crops things/
-    """
-    import json
-
-    from flows.cli import things
-
-    rows = things.inventory(field, texts or [], out, crops, settings, words)
-    typer.echo("\n".join(map(json.dumps, rows)) if as_json else things.listed(rows))
-    if any(row.get("refused") for row in rows):
-        raise typer.Exit(1)
-
-
-@commands.command(rich_help_panel=FIELDS)
-def teach(
-    field: Folder,
-    word: Annotated[str, typer.Argument(metavar="WORD", help='What you call it, as "fox".')],
-    at: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="X Y", help="Pixel of the thing: column and row from the top left."),
-    ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(metavar="<name>", help="View of that pixel, by name or number. [default: 0]"),
-    ] = None,
-    forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
-) -> None:
-    """Teach a field a word of your own by pointing at a thing.
-
-    The word is kept in the field, and asked like any other. Point again, at other things or in
-    other views, for more examples. Other fields of the same place take the words with
-    --words field/words.npz.
-
-    \b
-    slgaussian teach field/ fox --at 312 140
-    slgaussian teach field/ fox --at 80 210 --view 1
-    slgaussian query field/ fox -o hit.png
-    slgaussian teach field/ fox --forget
-    """
-    from flows.cli import things
-
-    if forget == (at is not None):
-        raise InputError("say either where it is, with --at X Y, or --forget")
-    if forget:
-        things.forget(field, word)
-        typer.echo(f"{word!r} is forgotten")
-        return
-    assert at is not None
-    lesson = things.teach(field, word, at, view)
-    typer.echo(f"{word!r} is object {lesson['object']}")
-    typer.echo(f"examples  {lesson['examples']}")
-    typer.echo(f"it means  {things.told(lesson['found'])}")
-
-
-@commands.command(rich_help_panel=FIELDS)
+@commands.command(rich_help_panel=options.FIELDS)
 def render(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
-    ],
+    source: FieldOrPly,
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg.")],
     view: Views = None,
     between: Between = None,
@@ -281,21 +345,17 @@ def render(
     slgaussian render field/ -o turn.mp4 --orbit 60
     slgaussian render scene.ply --camera transforms.json -o picture.png
     """
-    from flows.cli.fields import picture
+    from flows.cli.render import draw
     from flows.cli.viewpoints import Choice
 
-    picture(source, Choice(view or (), camera, between, orbit), out, stats)
+    draw(source, Choice(view or (), camera, between, orbit), out, stats)
     typer.echo(out)
 
 
-@commands.command(rich_help_panel=FIELDS)
-@with_options(*PLACES, common=COMMON["view"])
+@commands.command(rich_help_panel=options.FIELDS)
 def view(
-    settings: dict,
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
-    ],
+    ctx: typer.Context,
+    source: FieldOrPly,
     port: Annotated[
         int | None,
         typer.Option(min=1, max=65535, help="Where to listen. [default: 8080, or a free one]"),
@@ -303,6 +363,7 @@ def view(
     host: Annotated[
         str, typer.Option(help="Who can open it: at 0.0.0.0, whoever has the address it prints.")
     ] = "127.0.0.1",
+    set_: options.Set = None,
 ) -> None:
     """Look at a scene in the browser; ask it by word and by click.
 
@@ -316,21 +377,17 @@ def view(
     slgaussian view field/ --port 9000
     slgaussian view scene.ply
     """
-    from flows.cli.viewing import view as look
+    from flows.cli.view import serve_page
 
-    look(source, host, port, settings)
+    serve_page(source, host, port, settings_from(ctx))
 
 
-@commands.command(rich_help_panel=FIELDS)
-@with_options(*PLACES, common=COMMON["export"])
+@commands.command(rich_help_panel=options.FIELDS)
 def export(
-    settings: dict,
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply."),
-    ],
+    ctx: typer.Context,
+    source: FieldOrPly,
     out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
-    what: Annotated[
+    name: Annotated[
         str | None,
         typer.Option("--object", help="Write this alone: a text, a name you gave, or an id."),
     ] = None,
@@ -339,6 +396,7 @@ def export(
         typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
     ] = None,
     title: Annotated[str | None, typer.Option(help="Title of a page.")] = None,
+    set_: options.Set = None,
 ) -> None:
     """Write a field as one file: a page to send, or for a viewer.
 
@@ -353,71 +411,7 @@ def export(
     slgaussian export field/ -o scene.spz
     slgaussian export field/ --object "red chair" -o chair.ply
     """
-    from flows.cli.exporting import export as write
+    from flows.cli.export import write
 
-    write(source, out, what, texts or [], title, settings)
+    write(source, out, name, texts or [], title, settings_from(ctx))
     typer.echo(out)
-
-
-@commands.command(rich_help_panel=FIELDS)
-@with_options(*RULES, *PLACES, common=COMMON["extract"])
-def extract(
-    settings: dict,
-    field: Folder,
-    what: What,
-    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
-    words: Words = None,
-) -> None:
-    """Take a thing out of a field, alone.
-
-    A text takes the objects that a query would take, in whatever view. The exit status is 3 if the
-    scene as a whole does not hold it, by the verdict of `query`; then nothing is written.
-
-    \b
-    slgaussian extract field/ "red chair" -o chair.ply
-    slgaussian extract field/ 17 -o chair/
-    """
-    from flows.cli import things
-
-    made = things.take_out(field, what, out, settings, words)
-    if not made["found"]:
-        typer.echo(f"nothing found for {what!r}, so nothing is written")
-        raise typer.Exit(3)
-    typer.echo(f"objects  {things.told(made['found'])}")
-    typer.echo(f"{made['gaussians']:,} Gaussians  {out}")
-
-
-@commands.command(rich_help_panel=FIELDS)
-@with_options(*RULES, *PLACES, common=COMMON["remove"])
-def remove(
-    settings: dict,
-    field: Folder,
-    what: Annotated[
-        list[str],
-        typer.Argument(metavar="WHAT", help="Texts, names that you gave, or ids of objects."),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
-    words: Words = None,
-) -> None:
-    """Write a field again without some of its things.
-
-    What was behind is shown where another view saw it. Where none did, nothing is painted: pictures
-    have grey stripes there. The exit status is 3 if nothing is found for any text; what is found of
-    the others is removed.
-
-    \b
-    slgaussian remove field/ "red chair" -o without/
-    slgaussian render without/ -o picture.png
-    """
-    from flows.cli import things
-
-    *rows, last = things.remove(field, what, out, settings, words)
-    rows = rows if "open" in last else [*rows, last]
-    for row in rows:
-        found = f"objects {things.told(row['found'])}" if row["found"] else "nothing found"
-        typer.echo(f"{row['text']!r}: {found}, {row['gaussians']:,} Gaussians")
-    if "open" in last:
-        typer.echo(f"open in the context views: {100 * last['open']:.1f} % of the pixels")
-        typer.echo(out)
-    if not all(row["found"] for row in rows):
-        raise typer.Exit(3)

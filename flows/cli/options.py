@@ -1,144 +1,182 @@
-"""Settings as command-line options, so that a setting is described and checked in one place."""
+"""Options that several commands share, and the settings that they and ``--set`` give."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-import pkgutil
-from collections.abc import Callable, Collection, Sequence
-from copy import copy
+import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from typing import Annotated, Any
 
 import typer
 
-from slgaussian.parts.registry import KINDS, names_of
+from slgaussian.errors import InputError
 
-if TYPE_CHECKING:  # `--help` names the commands, and waits for no model
-    from pydantic import BaseModel
-    from pydantic.fields import FieldInfo
-
-Names = str | Callable[[], Collection[str]]
-"""A setting; or a function that names several, which is called when the command is looked at."""
+FIELDS, SCORES = "Build a field and ask it", "Score it"
+CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"
+"""The headings under which commands are listed."""
 
 
-def with_options(
-    *names: Names, of: str = "flows.settings:Settings", common: Collection[str] | None = None
-) -> Callable[[Callable], Callable]:
-    """Give a command an option for each named setting, and for each key of one that is a table.
+def _component(kind: str, text: str) -> Any:
+    """Return the option of a kind of component; completion asks for the names that there are."""
 
-    The settings are those of the model ``of``, as ``module:name``, all of them if none is named.
-    The command gets its options when it is first looked at, and only then models are imported:
-    :class:`flows.cli.help.Command` asks its function :data:`LATER` for them.
+    def names() -> list[str]:
+        from slgaussian.parts.registry import names_of
 
-    A name such as ``clip.model`` stands for one key of a table, whose default is not said. Those
-    that are not ``common`` get a heading in the help; otherwise all are common.
+        return [*names_of(kind), *(["auto"] if kind == "encoder" else [])]
 
-    Those that the user set arrive as one dict in the parameter ``settings``, as a configuration
-    file would have them; the others are left out of it, so that defaults and such files have their
-    say.
+    return typer.Option(metavar="<name>", help=text, autocompletion=names)
+
+
+def _data_formats() -> list[str]:
+    from slgaussian.datasets import FROM_FILES
+
+    return list(FROM_FILES)
+
+
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="<key=value>",
+        help="Any other field of the configuration, as planesweep.depth_candidates=96; may be "
+        "repeated.",
+    ),
+]
+Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON.")]
+
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<name>",
+        help="Begin from named settings: fast, balanced or paper; others win.",
+        autocompletion=lambda: ["fast", "balanced", "paper"],
+    ),
+]
+Size = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<size>",
+        help="Height and width to work at: 416x576, 'at most 416x576', original or auto. "
+        "[default: auto]",
+    ),
+]
+SampleSize = Annotated[
+    str | None,
+    typer.Option(metavar="<size>", help="Height and width of the views. [default: 256x256]"),
+]
+Predictor = Annotated[
+    str | None,
+    _component("predictor", "planesweep, mvsplat or precomputed. [default: planesweep]"),
+]
+Proposer = Annotated[
+    str | None, _component("proposer", "Finds masks: regions or sam. [default: regions]")
+]
+Tracker = Annotated[
+    str | None,
+    _component("tracker", "geometric, sam2-video or precomputed. [default: geometric]"),
+]
+Encoder = Annotated[
+    str | None, _component("encoder", "lexicon, clip, named or auto. [default: lexicon]")
+]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything random. [default: 0]")]
+Threshold = Annotated[
+    float | None, typer.Option(help="Take what fits a text above this relevancy, 0 to 1.")
+]
+Store = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<path>",
+        help="Folder or fsspec URL that keeps the results of every stage. [default: ./slg-data]",
+    ),
+]
+Runner = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<name>",
+        help="threads, processes, dask://host:port or ray://host:port. [default: threads]",
+        autocompletion=lambda: ["threads", "processes"],
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option(help="Scenes (or chunks) done at a time. [default: 2]")
+]
+Data = Annotated[Path | None, typer.Option(help="Folder of a labelled set, as its format has it.")]
+Pairs = Annotated[
+    Path | None, typer.Option(help="Its index: OUT/pairs.json of `benchmark`, or made by hand.")
+]
+Labels = Annotated[
+    Path | None, typer.Option(help="Folder of its labels, if they are not in that of the data.")
+]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        metavar="<name>",
+        help="Its format, if the index does not say, as lerf_ovs. [default: nerfstudio]",
+        autocompletion=_data_formats,
+    ),
+]
+Rooms = Annotated[
+    str | None,
+    typer.Option(metavar="<first-last>", help="Made-up rooms to score, by their seeds."),
+]
+Steps = Annotated[int | None, typer.Option(help="Steps of training. [default: 1500]")]
+Most = Annotated[
+    int | None, typer.Option(help="Most samples of a clip; 0 for as many as there are.")
+]
+
+
+FIELDS_OF_OPTIONS = (
+    "preset", "size", "predictor", "proposer", "tracker", "encoder", "seed", "threshold", "store",
+    "runner", "workers", "data", "pairs", "labels", "format", "rooms", "steps", "most",
+)  # fmt: skip
+"""The options above that give fields of the configuration, as commands call their parameters."""
+
+
+def settings_from(ctx: typer.Context, **values: Any) -> dict[str, Any]:
+    """Return settings as a configuration file would have them, tables as nested dicts.
+
+    They are those options of the command that give fields (:data:`FIELDS_OF_OPTIONS`), and texts
+    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid
+    TOML, else it is text. Relative paths are relative to the working folder.
+
+    Parameters
+    ----------
+    ctx : Context
+        Of the command.
+    **values
+        Other fields; None if not given.
+
+    Raises
+    ------
+    InputError
+        If a text has no such form, or a key is given twice.
     """
-
-    def decorate(command: Callable) -> Callable:
-        def made() -> Callable:
-            return _with_options(command, names, pkgutil.resolve_name(of), common)
-
-        setattr(command, LATER, made)
-        return command
-
-    return decorate
-
-
-LATER = "with_its_options"
-"""The attribute of a command that makes it one with its options."""
-
-
-def _with_options(
-    command: Callable, names: Sequence[Names], of: type[BaseModel], common: Collection[str] | None
-) -> Callable:
-    from flows.settings import TABLES
-
-    named = [n for name in names for n in ([name] if isinstance(name, str) else name())]
-    fields: dict[tuple[str, ...], FieldInfo] = {}
-    for name in named or of.model_fields:
-        if name in TABLES:
-            for key, field in TABLES[name].model_fields.items():
-                fields[name, key] = field
-        elif "." in name:
-            table, key = name.split(".")
-            fields[table, key] = copy(TABLES[table].model_fields[key])
-            fields[table, key].default = None
-        else:
-            fields[name,] = of.model_fields[name]
-
-    own = inspect.signature(command)
-    kept = [p for p in own.parameters.values() if p.name != "settings"]
-
-    @functools.wraps(command)
-    def wrapper(**values: Any) -> Any:
-        chosen: dict[str, Any] = {}
-        for path in fields:
-            value = values.pop("_".join(path))
-            if value is not None:
-                table = chosen.setdefault(path[0], {}) if len(path) > 1 else chosen
-                table[path[-1]] = value
-        return command(**values, settings=chosen)
-
-    extra = []
-    for path, field in fields.items():
-        rare = common is not None and ".".join(path) not in common
-        extra.append(_option(path, field, _heading(path, of) if rare else None))
-    wrapper.__signature__ = own.replace(  # type: ignore[attr-defined]  # inspect looks for it
-        parameters=[*kept, *extra]
-    )
-    hints = {p.name: p.annotation for p in (*kept, *extra)}
-    wrapper.__annotations__ = {**hints, "return": None}
-    return wrapper
+    values |= {name: ctx.params.get(name) for name in FIELDS_OF_OPTIONS}
+    values = {name: value for name, value in values.items() if value is not None}
+    assignments = ctx.params.get("set_")
+    for assignment in assignments or ():
+        key, equals, text = assignment.partition("=")
+        *tables, name = key.strip().split(".")
+        if not equals or not all([*tables, name]):
+            raise InputError(
+                f"--set: found {assignment!r}, expected KEY=VALUE, as "
+                "planesweep.depth_candidates=96"
+            )
+        inner: Any = values
+        for table in tables:
+            inner = inner.setdefault(table, {}) if isinstance(inner, dict) else None
+        if not isinstance(inner, dict) or name in inner:
+            raise InputError(
+                f"--set: {key.strip()} is given twice, or by an option of its own; give it once"
+            )
+        inner[name] = _parsed(text.strip())
+    return values
 
 
-def _option(path: tuple[str, ...], field: FieldInfo, heading: str | None) -> inspect.Parameter:
-    from pydantic_core import PydanticUndefined
-
-    from flows.encoder_choice import AUTO
-
-    name = "_".join(path)
-    kinds: dict[Any, type] = {bool: bool, int: int, float: float}
-    kinds |= {int | None: int, float | None: float}
-    kind = kinds.get(field.annotation, str)
-    help_text = field.description or ""
-    literal = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
-    choices: Sequence[str] = field.examples or literal
-    if name in KINDS and not choices:
-        choices = (*names_of(name), *((AUTO,) if name == "encoder" else ()))
-        help_text = f"{help_text.removesuffix('.')}: {_listed(choices)}."
-    value = field.default
-    if value is not None and value is not False and value is not PydanticUndefined:
-        shown = "x".join(map(str, value)) if isinstance(value, tuple) else value
-        help_text += f" [default: {shown}]"
-    metavar = "<path>" if field.annotation in (Path, Path | None) else "<name>" if choices else None
-    default = typer.Option(
-        None,
-        f"--{name.replace('_', '-')}",
-        help=help_text,
-        show_default=False,
-        metavar=metavar,
-        autocompletion=(lambda: choices) if choices else None,
-        rich_help_panel=heading,
-    )
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind | None
-    )
-
-
-def _heading(path: tuple[str, ...], of: type[BaseModel]) -> str:
-    """Which part a key of a table belongs to, or what the model that declares a setting is of."""
-    if len(path) > 1:
-        part = path[0].replace("_", "-")
-        kind = next(kind for kind in KINDS if part in names_of(kind))
-        return f"{kind.capitalize()} {part}"
-    owner: Any = next(c for c in of.__mro__ if path[0] in inspect.get_annotations(c))
-    return owner.model_config["title"]
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+def _parsed(text: str) -> Any:
+    try:
+        (value,) = tomllib.loads(f"value = {text}").values()
+    except (tomllib.TOMLDecodeError, ValueError):
+        return text
+    return value

@@ -1,15 +1,17 @@
 """The commands `slgaussian store gc | verify | du`. Heavy imports wait until one is given."""
 
-import sys
-import time
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.help import App
-from flows.cli.options import with_options
+from flows.cli import options
+from flows.cli.help import Group
+from flows.cli.options import settings_from
+from flows.cli.text import aligned
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,15 +19,12 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = App(
-    help="Look after a store: clean it, check it, measure it.",
-)
+store_app = typer.Typer(cls=Group, help="Look after a store: clean it, check it, measure it.")
 
 
 @store_app.command()
-@with_options("store")
 def gc(
-    settings: dict,
+    store: options.Store = None,
     yes: Annotated[
         bool, typer.Option("--yes", help="Remove it. Otherwise it is only listed.")
     ] = False,
@@ -62,29 +61,27 @@ def gc(
         raise InputError(f"--age: found {age:g}, expected a number of days from 0")
     from slgaussian.storage.housekeeping import collect
 
-    store, watch = _open(settings), _Watch()
     versions = _versions() if superseded else None
-    found = collect(store, age * DAY, versions, keep or (), yes, watch)
-    watch.end()
+    with _opened(store) as (opened, tell):
+        garbage = collect(opened, age * DAY, versions, keep or (), yes, tell)
     kinds = {
-        "artifacts that nothing refers to": found.artifacts,
-        "records that are superseded or unreadable": found.records,
-        "unfinished files": found.unfinished,
-        "unfinished uploads": found.uploads,
+        "artifacts that nothing refers to": garbage.artifacts,
+        "records that are superseded or unreadable": garbage.records,
+        "unfinished files": garbage.unfinished,
+        "unfinished uploads": garbage.uploads,
     }
-    told = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    done = "removed" if yes else "would be removed"
-    typer.echo(f"{done}: {told or 'nothing'}" + (f"; {told_size(found.bytes)}" if told else ""))
-    young = f", {found.young} others younger than {age:g} days" if found.young else ""
-    typer.echo(f"stays: {found.kept} artifacts that are referred to{young}")
-    if told and not yes:
+    some = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    size = f"; {size_text(garbage.bytes)}" if some else ""
+    typer.echo(f"{'removed' if yes else 'would be removed'}: {some or 'nothing'}{size}")
+    young = f", {garbage.young} others younger than {age:g} days" if garbage.young else ""
+    typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
+    if some and not yes:
         typer.echo("nothing was removed: give --yes to do it")
 
 
 @store_app.command()
-@with_options("store")
 def verify(
-    settings: dict,
+    store: options.Store = None,
     remove: Annotated[
         bool, typer.Option("--remove", help="Delete what is damaged: it is then made again.")
     ] = False,
@@ -98,13 +95,12 @@ def verify(
     slgaussian store verify
     slgaussian store verify --store s3://bucket/slg --remove
     """
-    from slgaussian.storage.housekeeping import verify as look
+    from slgaussian.storage.housekeeping import verify as verify_store
 
-    store, watch = _open(settings), _Watch()
-    found = look(store, remove, _versions(), watch)
-    watch.end()
-    for why in found.damaged.values():
-        typer.echo(f"damaged: {why}")
+    with _opened(store) as (opened, tell):
+        found = verify_store(opened, remove, _versions(), tell)
+    for reason in found.damaged.values():
+        typer.echo(f"damaged: {reason}")
     done = " and removed: the next run makes them again" if found.damaged and remove else ""
     typer.echo(f"{found.sound} artifacts are whole, {len(found.damaged)} files are damaged{done}")
     if found.missing:
@@ -122,8 +118,7 @@ def verify(
 
 
 @store_app.command()
-@with_options("store")
-def du(settings: dict) -> None:
+def du(store: options.Store = None) -> None:
     """Count the files and bytes in a store, by spec and stage.
 
     \b
@@ -132,14 +127,17 @@ def du(settings: dict) -> None:
     """
     from slgaussian.storage.housekeeping import usage
 
-    store, watch = _open(settings), _Watch()
-    rows = usage(store, watch)
-    watch.end()
-    typer.echo(_table(rows))
+    with _opened(store) as (opened, tell):
+        rows = usage(opened, tell)
+    total = [sum(column) for column in zip(*rows.values(), strict=True)] or [0, 0]
+    lines = [["folder", "made by", "files", "size"]]
+    for (folder, maker), (files, size) in [*rows.items(), (("all", ""), total)]:
+        lines.append([folder or ".", maker or "-", f"{files}", size_text(size)])
+    typer.echo(aligned(lines, "<<"))
 
 
-def told_size(size: float) -> str:
-    """Bytes as people read them."""
+def size_text(size: float) -> str:
+    """Return bytes as people read them."""
     units = ["bytes", "kB", "MB", "GB", "TB"]
     while size >= 999.5 and len(units) > 1:
         size /= 1000
@@ -147,59 +145,32 @@ def told_size(size: float) -> str:
     return f"{size:.0f} {units[0]}" if units[0] == "bytes" else f"{size:.3g} {units[0]}"
 
 
-def _table(rows: dict[tuple[str, str], list[int]]) -> str:
-    whole = [sum(column) for column in zip(*rows.values(), strict=True)] or [0, 0]
-    lines = [["folder", "made by", "files", "size"]]
-    for (folder, maker), (files, size) in [*rows.items(), (("all", ""), whole)]:
-        lines.append([folder or ".", maker or "-", f"{files}", told_size(size)])
-    wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        f"{a:<{wide[0]}}  {b:<{wide[1]}}  {c:>{wide[2]}}  {d:>{wide[3]}}" for a, b, c, d in lines
-    )
+@contextmanager
+def _opened(
+    ctx: typer.Context, url: str | None
+) -> "Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]":
+    """Open a store; on a terminal, show how far a long walk through it is."""
+    from rich.console import Console
 
-
-class _Watch:
-    """Says every now and then, on standard error, how far a long walk through a store is."""
-
-    EVERY = 0.5
-    """Seconds between two changes of the live line; on no terminal a line is said every 30."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self.stream = stream or sys.stderr
-        self.live = self.stream.isatty()
-        self.last = time.monotonic()
-        self.counts: Counter[str] = Counter()
-        self.bytes: Counter[str] = Counter()
-
-    def __call__(self, what: str, files: int, size: int) -> None:
-        self.counts[what] += files
-        self.bytes[what] += size
-        now = time.monotonic()
-        if now - self.last < (self.EVERY if self.live else 30.0):
-            return
-        self.last = now
-        told = f"{self.counts[what]} {what}, {told_size(self.bytes[what])}"
-        self.stream.write(f"\r\x1b[2K{told}" if self.live else f"{told}\n")
-        self.stream.flush()
-
-    def end(self) -> None:
-        """Take the live line away."""
-        if self.live:
-            self.stream.write("\r\x1b[2K")
-
-
-def _open(settings: dict) -> "ArtifactStore":
     from flows.settings import make_settings
     from slgaussian.storage.store import ArtifactStore
 
-    store = ArtifactStore(make_settings(settings, "store").store)
+    store = ArtifactStore(make_settings(settings_from(ctx, store=url), "store").store)
     if store.local and not Path(store.path).is_dir():
         raise InputError(f"{store.root}: found no folder, expected a store; say where with --store")
-    return store
+    counts, sizes = Counter[str](), Counter[str]()
+    with Console(stderr=True).status(f"reading {store.root}") as status:
+
+        def tell(kind: str, files: int, size: int) -> None:
+            counts[kind] += files
+            sizes[kind] += size
+            status.update(f"{counts[kind]} {kind}, {size_text(sizes[kind])}")
+
+        yield store, tell
 
 
 def _versions() -> dict[str, int]:
-    """The version of every stage that this installation has."""
+    """Return the version of every stage that this installation has."""
     from importlib import import_module
     from pkgutil import iter_modules
 

@@ -1,4 +1,4 @@
-"""Scores as text for a terminal."""
+"""Tables of scores and versions as text for a terminal."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from flows.cli.text import aligned
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.score_tables import MAIN, MORE, Table, conditions, method_tables
 from slgaussian.benchmark.scores import score_table
@@ -107,7 +108,7 @@ def gains_table(table: Table) -> str:
     return aligned(rows)
 
 
-def given_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+def masks_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table a data set and protocol of samples, one line a method: each score and its interval.
 
     Below is what the scores go by.
@@ -147,16 +148,15 @@ def versions_table(
     versions: Collection[Version], current: Version | None, history: Sequence[Change]
 ) -> str:
     """One line a version and what its gate said, the one in use marked; and since when it is."""
-    rows = [["version", "from", "made", "weights", "gate"]]
+    rows = [["version", "from", "made", "weights", "gate", ""]]
     for version in versions:
         mark = " *" if version == current else ""
         facts = [str(version.parent or "-"), version.made, version.digest[:12]]
-        rows.append([f"{version.number}{mark}", *facts, "passed" if version.promoted else "held"])
-    lines = aligned(rows).splitlines()
-    whys = ["", *(f"  {version.why}" for version in versions)]
-    told = [line + why for line, why in zip(lines, whys, strict=True)]
+        gate = "passed" if version.promoted else "held"
+        rows.append([f"{version.number}{mark}", *facts, gate, version.why])
+    lines = aligned(rows, "<>>>><")
     used = "none is in use" if current is None else f"* in use: version {current.number}"
-    return "\n".join([*told, f"{used}, {_changed(history[-1])}" if history else used])
+    return f"{lines}\n{used}, {_changed(history[-1])}" if history else f"{lines}\n{used}"
 
 
 def history_lines(history: Sequence[Change]) -> list[str]:
@@ -167,16 +167,6 @@ def history_lines(history: Sequence[Change]) -> list[str]:
 def _changed(change: Change) -> str:
     why = f": {change.why}" if change.why else ""
     return f"since {change.when} instead of {called(change.before)}, by {change.by}{why}"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Lines of cells as text, in columns: the first to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for name, *cells in rows:
-        rest = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-        lines.append("  ".join([name.ljust(widths[0]), *rest]))
-    return "\n".join(lines)
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -5,17 +5,33 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.command_settings import COMMON, FILES, UPKEEP
-from flows.cli.help import App
-from flows.cli.options import with_options
+from flows.cli import options
+from flows.cli.options import settings_from
+from flows.cli.store_commands import store_app
 from slgaussian.errors import InputError
 
-commands = App()
+commands = typer.Typer()
+commands.add_typer(store_app, name="store", rich_help_panel=options.UPKEEP)
 
 
-@commands.command(rich_help_panel=UPKEEP)
-@with_options("store", "runner", *FILES, common=COMMON["doctor"])
-def doctor(settings: dict) -> None:
+@commands.command(rich_help_panel=options.UPKEEP)
+def doctor(
+    ctx: typer.Context,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    encoder: options.Encoder = None,
+    set_: options.Set = None,
+    components: Annotated[
+        bool,
+        typer.Option("--components", help="List the components and their fields, no checks."),
+    ] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
+    ] = False,
+) -> None:
     """Check what a run needs, and say what to do about it.
 
     Looks at packages, threads, the store, the Prefect server and the files and models that options
@@ -26,49 +42,35 @@ def doctor(settings: dict) -> None:
     \b
     slgaussian doctor
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
-    slgaussian doctor --encoder clip --clip-model models/clip-vit-b-16
+    slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
+    slgaussian doctor --components
     """
+    if components and schema:
+        raise InputError("doctor: --components and --schema are two outputs; choose one")
+    if components or schema:
+        import json
+
+        from flows.settings import Settings
+        from slgaussian.components.catalogue import as_text
+
+        typer.echo(json.dumps(Settings.model_json_schema(), indent=1) if schema else as_text())
+        return
     from flows.cli.doctor import examine
     from flows.settings import make_settings
 
+    values = settings_from(ctx)
     healthy = True
-    for finding in examine(make_settings(settings, "doctor"), "runner" in settings):
+    for finding in examine(make_settings(values, "doctor"), "runner" in values):
         healthy &= finding.good is not False
         mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
         typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
     raise typer.Exit(0 if healthy else 1)
 
 
-@commands.command(rich_help_panel=UPKEEP)
-def parts(
-    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
-    ] = False,
-) -> None:
-    """List the parts of the method, with their settings.
-
-    Also those that other packages bring. What a file, folder or model holds decides what is
-    computed anew, not where it is.
-
-    \b
-    slgaussian parts
-    slgaussian parts --json
-    slgaussian parts --schema
-    """
-    from flows.cli import parts as known
-    from slgaussian.components import catalogue
-
-    if as_json and schema:
-        raise InputError("parts: --json and --schema are two outputs; choose one")
-    shown = known.schema if schema else catalogue.as_json if as_json else catalogue.as_text
-    typer.echo(shown())
-
-
-@commands.command(rich_help_panel=UPKEEP)
+@commands.command(rich_help_panel=options.UPKEEP)
 def inspect(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to inspect.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print all as JSON.")] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Show the data spec, fields, units and origin of a file.
 

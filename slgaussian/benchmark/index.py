@@ -114,7 +114,7 @@ def read_index(path: str | Path) -> Index:
     if content["version"] != VERSION:
         raise InputError(
             f"{path}: is of version {content['version']}, this program reads up to {VERSION}; make "
-            "it again with `slgaussian pairs`, or install a newer slgaussian"
+            "it again with `slgaussian benchmark`, or install a newer slgaussian"
         )
     for key, kind in {"format": str, "rule": dict, "scenes": dict, "left_out": dict}.items():
         if not isinstance(content.get(key), kind):

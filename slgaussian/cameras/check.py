@@ -52,8 +52,8 @@ TURNED = 30.0
 """Degrees between the optical axes of two cameras above which depth suffers, as measured there."""
 
 OTHERWISE = (
-    "`slgaussian field --refine` finds them anew from the photographs, --trust-cameras goes on all "
-    "the same"
+    "`slgaussian field --refine` finds them anew from the photographs, --set trust_cameras=true "
+    "goes on all the same"
 )
 """What a user whose cameras are refused may do beside mending them."""
 
@@ -250,7 +250,7 @@ def _refusal(check: PairCheck, estimated: bool) -> str:
             f"{a!r} and {b!r}: the cameras that were found explain {told} between the photographs "
             f"to within {check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, "
             "so they are wrong; take the photographs from places nearer to each other, or give "
-            "their cameras with --cameras (--trust-cameras goes on all the same)"
+            "their cameras with --cameras (--set trust_cameras=true goes on all the same)"
         )
     if check.correction is None:
         return (

@@ -1,9 +1,8 @@
-"""Every component with its fields, from their configs: as text, as JSON, as the page of docs."""
+"""Every component with its fields, from their configs: as text and as a page."""
 
 from __future__ import annotations
 
 import inspect
-import json
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -14,14 +13,15 @@ from slgaussian.parts.registry import KINDS, find_config, names_of
 
 HEAD = """# Components and their fields
 
-Made by `python docs/make_parts.py` from what the components declare. `slgaussian parts` says the
-same of an installation, with the components of other packages.
+Made by `python docs/make_parts.py` from what the components declare. `slgaussian doctor
+--components` says the same of an installation, with the components of other packages.
 
-A field such as `depth_candidates` of `planesweep` is the option `--planesweep-depth-candidates`,
-`depth_candidates` in the table `[planesweep]` of a configuration file (the table of `sam2-video` is
-`[sam2_video]`), and in Python `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A
-file, folder or model is known by its content in cache keys and results, wherever it is. How a
-component is added: [architecture](../architecture.md#where-to-add-a-part)."""
+A field such as `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on the
+command line, `depth_candidates` in the table `[planesweep]` of a configuration file (the table of
+`sam2-video` is `[sam2_video]`), and in Python
+`slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A file, folder or model is known by
+its content in cache keys and results, wherever it is. How a component is added:
+[architecture](../architecture.md#where-to-add-a-part)."""
 
 
 def catalogue() -> Iterator[dict[str, Any]]:
@@ -48,11 +48,6 @@ def catalogue() -> Iterator[dict[str, Any]]:
                 for key, field in config.model_fields.items()
             ]
             yield {"kind": kind, "name": name, "about": _sentence(config), "fields": fields}
-
-
-def as_json() -> str:
-    """Return the components as JSON: a list, one entry each."""
-    return json.dumps(list(catalogue()), indent=1)
 
 
 def as_text() -> str:

@@ -218,7 +218,7 @@ class Clip(ClipConfig):
                 raise InputError(
                     f"model {self.model}: has no tokenizer beside it; put its tokenizer.json, or "
                     "vocab.json and merges.txt, there, or say where they are, as in "
-                    f"--clip-tokenizer {self.FAMILY.example}"
+                    f"--set clip.tokenizer={self.FAMILY.example}"
                 ) from None
         words = load_tokenizer(place, "CLIPTokenizer")
         config = self.network.config.text_config

@@ -62,7 +62,7 @@ class Named(NamedConfig):
         super().__init__(**values)
         table = self.table
         if table is None:
-            raise InputError("named table: none given; give the .npz, as in --named-table FILE")
+            raise InputError("named table: none given; give the .npz, as in --set named.table=FILE")
         names, features = _read(Path(table))
         self._rows = {_normal(name): row for row, name in enumerate(names)}
         if len(self._rows) != len(names):

@@ -57,7 +57,7 @@ class Precomputed(PrecomputedConfig):
         if self.folder is None:
             raise InputError(
                 "precomputed folder: none given; give the folder of the id maps, as in "
-                "--precomputed-folder FOLDER"
+                "--set precomputed.folder=FOLDER"
             )
         if not self.folder.is_dir():
             raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")

@@ -95,7 +95,7 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
     if model is None:
         raise InputError(
             f"{part} model: none given; give a folder, or a name on the hub as in "
-            f"--{part}-model {family.example}"
+            f"--set {part.replace('-', '_')}.model={family.example}"
         )
     found = find_model(model)
     if found.checkpoint is None:

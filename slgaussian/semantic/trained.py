@@ -37,7 +37,7 @@ class TrainedBranch(BranchConfig):
         if self.weights is None:
             raise InputError(
                 "lifting 'branch': no weights are given; train some with `slgaussian train` and "
-                "give the file, as in --branch-weights trained/branch.safetensors, or choose the "
+                "give the file, as --set branch.weights=trained/branch.safetensors, or choose the "
                 "lifting 'hard'"
             )
         self._branch = load_branch(find_weights(self.weights))

@@ -4,7 +4,7 @@ import pytest
 from left import MANIFEST, leave
 from pages import check_alone
 
-from flows.cli.comparing import compare
+from flows.cli.compare import compare
 from slgaussian.benchmark.comparison import read_made
 from slgaussian.benchmark.run_ranking import rank_methods
 from slgaussian.errors import InputError

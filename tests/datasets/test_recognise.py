@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows.cli.own_scene import own_scene
-from flows.cli.posing import listed_photographs
+from flows.cli.benchmark import scene_of_photographs
+from flows.cli.load_views import listed_photographs
 from slgaussian import datasets
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.datasets.photographs import open_rgb, stored_size
@@ -106,7 +106,7 @@ def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
         scene, start = posed_scene(folder / kind, [str(place)])
         listed = listed_photographs(scene, [str(place)], start)
         assert [Path(photo).resolve() for photo in listed] == [root / "images" / n for n in NAMES]
-        own, _ = own_scene([str(place)], folder / kind)
+        own = scene_of_photographs([str(place)], folder / kind)
         assert [Path(name).name for name in own.context] == list(NAMES)
         options = {"images": own.options["images"]} if own.options else {}
         assert len(datasets.load(own.format, own.path, **options).cameras) == 2

@@ -76,8 +76,8 @@ def test_a_query_follows_its_rules(field, monkeypatch, capsys):
 
     assert objects() == [1]
     assert objects("--threshold", "0.01") == [1, 2]
-    assert objects("--canonical", "object, red wall", "--absent", "zero") == []
-    assert objects("--protocol", "langsplat") == [1]
+    assert objects("--set", "canonical=object, red wall", "--set", "absent=zero") == []
+    assert objects("--set", "protocol=langsplat") == [1]
 
 
 def test_a_query_takes_the_rules_of_a_preset_and_what_is_given_wins(field, monkeypatch, capsys):
@@ -88,7 +88,7 @@ def test_a_query_takes_the_rules_of_a_preset_and_what_is_given_wins(field, monke
     # The sigmoid of the same gap, ten times as steep.
     printed, common = (np.log(s / (1 - s)) for s in (score("--preset", "paper"), score()))
     assert common == pytest.approx(10 * printed, rel=1e-6)
-    assert score("--preset", "paper", "--temperature", "10") == score()
+    assert score("--preset", "paper", "--set", "temperature=10") == score()
 
 
 def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
@@ -105,9 +105,9 @@ def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
         (["red", "--view", "nowhere.png"], "no view 'nowhere.png'"),
         (["red", "-o", "no/such/folder/hit.png"], "cannot be written"),
         (["red", "--threshold", "2"], "threshold"),
-        (["red", "--protocol", "lerf"], "expected one of slgaussian, langsplat"),
-        (["red", "--canonical", "qwxyz"], "qwxyz"),
-        (["red", "--absent", "0"], "expected one of skip, zero"),
+        (["red", "--set", "protocol=lerf"], "expected one of slgaussian, langsplat"),
+        (["red", "--set", "canonical=qwxyz"], "qwxyz"),
+        (["red", "--set", "absent=0"], "expected one of skip, zero"),
         (["red", "--preset", "papr"], "did you mean 'paper'?"),
         ([], "nothing is asked: give a TEXT, or a picture with --like"),
         (["--like", "nowhere.png"], "nowhere.png"),

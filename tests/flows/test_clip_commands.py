@@ -56,19 +56,19 @@ def made(model, photos, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("made") / "field"
     words = ["field", photos / "view_00.png", photos / "view_02.png", "--cameras", photos]
     words += [
-        "--near",
-        "0.8",
-        "--far",
-        "12",
-        "--replicas",
-        "1",
+        "--set",
+        "near=0.8",
+        "--set",
+        "far=12",
+        "--set",
+        "replicas=1",
         "--encoder",
         "clip",
-        "--clip-model",
-        model,
+        "--set",
+        f"clip.model={model}",
     ]
     with pytest.MonkeyPatch.context() as patch:
-        assert run(patch, *words, "--clip-crops", "context", "-o", folder) == 0
+        assert run(patch, *words, "--set", "clip.crops=context", "-o", folder) == 0
     return folder
 
 
@@ -105,21 +105,27 @@ def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, t
     sentence = said(capsys)
     assert "encoder 'clip' needs its model, which is not stored with a field and is" in sentence
     assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --clip-model" in sentence
-    assert run(monkeypatch, "query", field, "red basket", "--json", "--clip-model", moved) == 0
+    assert (
+        run(monkeypatch, "query", field, "red basket", "--json", "--set", f"clip.model={moved}")
+        == 0
+    )
     assert json.loads(capsys.readouterr().out) == answer
-    assert run(monkeypatch, "objects", field, "red", "box", "--clip-model", moved) == 0
+    assert (
+        run(monkeypatch, "objects", "list", field, "red", "box", "--set", f"clip.model={moved}")
+        == 0
+    )
 
 
 def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
     other = shutil.copytree(model, tmp_path / "other")
     config = json.loads((other / "config.json").read_text())
     (other / "config.json").write_text(json.dumps({**config, "note": 1}))
-    assert run(monkeypatch, "query", made, "red", "--clip-model", other) == 2
+    assert run(monkeypatch, "query", made, "red", "--set", f"clip.model={other}") == 2
     assert f"model {other}: is not what the field was built with" in said(capsys)
-    assert run(monkeypatch, "query", made, "red", "--clip-model", "no/such/place") == 2
+    assert run(monkeypatch, "query", made, "red", "--set", "clip.model=no/such/place") == 2
     assert "model no/such/place: there is no such folder" in said(capsys)
-    assert run(monkeypatch, "query", made, "red", "--named-table", tmp_path / "x.npz") == 2
-    assert "settings of 'named' are given, but the field's encoder is 'clip'" in said(capsys)
+    assert run(monkeypatch, "query", made, "red", "--set", f"named.table={tmp_path}/x.npz") == 2
+    assert "named is given, but the field is built, and its encoder is 'clip'" in said(capsys)
     assert run(monkeypatch, "query", made, "word " * 100) == 2
     assert "tokens, but the model reads at most 77" in said(capsys)
 
@@ -249,19 +255,28 @@ def _toml(value) -> str:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--encoder", "clip", "--clip-model", "no/such/folder"], "there is no such folder"),
-        (["--encoder", "clip", "--clip-model", "CLIP", "--clip-crops", "x"], "crops: found 'x'"),
-        (["--encoder", "clip", "--clip-model", "CLIP", "--clip-batch", "0"], "batch: found 0"),
-        (["--clip-batch", "2"], "settings of 'clip' are given, but no part is 'clip'"),
+        (["--encoder", "clip", "--set", "clip.model=no/such/folder"], "there is no such folder"),
+        (
+            ["--encoder", "clip", "--set", "clip.model=CLIP", "--set", "clip.crops=x"],
+            "crops: found 'x'",
+        ),
+        (
+            ["--encoder", "clip", "--set", "clip.model=CLIP", "--set", "clip.batch=0"],
+            "batch: found 0",
+        ),
+        (["--set", "clip.batch=2"], "settings of 'clip' are given, but no part is 'clip'"),
         (["--encoder", "named"], "named table: none given"),
-        (["--encoder", "named", "--named-table", "none.npz"], "named table none.npz: cannot be"),
+        (
+            ["--encoder", "named", "--set", "named.table=none.npz"],
+            "named table none.npz: cannot be",
+        ),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(model, tmp_path, monkeypatch, capsys, words, sentence):
     config = tmp_path / "run.toml"
     config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
-    words = [model if word == "CLIP" else word for word in words]
+    words = [word.replace("CLIP", str(model)) for word in words]
     assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
     assert sentence in said(capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]

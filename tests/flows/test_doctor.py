@@ -128,11 +128,8 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
     pytest.importorskip("transformers")
     save_sam(tmp_path / "sam")
     np.savez(tmp_path / "names.npz", names=np.array(["a"]), features=np.ones((1, 2)))
-    parts = {
-        "--proposer": "sam", "--sam-model": tmp_path / "sam",
-        "--encoder": "named", "--named-table": tmp_path / "names.npz",
-    }  # fmt: skip
-    words = ["--store", tmp_path / "store", *(word for pair in parts.items() for word in pair)]
+    words = ["--store", tmp_path / "store", "--proposer", "sam", "--encoder", "named"]
+    words += ["--set", f"sam.model={tmp_path}/sam", "--set", f"named.table={tmp_path}/names.npz"]
     status, told = examined(monkeypatch, capsys, *words)
     assert told["BAD"] == [] and status == 0
     assert told["ok"][-2:] == [
@@ -142,7 +139,7 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
     (tmp_path / "small.ckpt").write_bytes(b"no checkpoint")
     (tmp_path / "sam" / "model.safetensors").write_bytes(b"\xff" * 20)
     (tmp_path / "names.npz").unlink()
-    words += ["--predictor", "mvsplat", "--mvsplat-checkpoint", tmp_path / "small.ckpt"]
+    words += ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={tmp_path}/small.ckpt"]
     status, told = examined(monkeypatch, capsys, *words)
     assert status == 1
     for found, said in zip(
@@ -159,13 +156,13 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
 
 def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch, capsys):
     pytest.importorskip("transformers")
-    words = ["--store", tmp_path, "--predictor", "mvsplat", "--encoder", "clip", "--clip-model"]
-    words += ["no-such-owner/no-such-model", "--lifting", "soft"]
+    words = ["--store", tmp_path, "--predictor", "mvsplat", "--encoder", "clip"]
+    words += ["--set", "clip.model=no-such-owner/no-such-model", "--set", "lifting=soft"]
     status, told = examined(monkeypatch, capsys, *words)
     mvsplat, clip, lifting = told["BAD"]
     assert status == 1
     assert "unknown lifting 'soft'" in lifting and "branch, filled, hard" in lifting
-    assert mvsplat == "mvsplat its checkpoint is not given; give --mvsplat-checkpoint PLACE"
+    assert mvsplat == "mvsplat its checkpoint is not given; give --set mvsplat.checkpoint=PLACE"
     assert "`hf download no-such-owner/no-such-model`" in clip
 
 

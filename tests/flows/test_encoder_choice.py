@@ -117,8 +117,17 @@ def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys
     photos = tmp_path / "photos"
     photos.mkdir()
     save_photographs(photos)
-    words = ["field", *sorted(photos.glob("*.png")), "--cameras", photos, "--near", "0.8"]
-    words += ["--far", "12", "--replicas", "1", "--encoder", "auto", "--clip-model", model]
+    words = ["field", *sorted(photos.glob("*.png")), "--cameras", photos, "--set", "near=0.8"]
+    words += [
+        "--set",
+        "far=12",
+        "--set",
+        "replicas=1",
+        "--encoder",
+        "auto",
+        "--set",
+        f"clip.model={model}",
+    ]
     assert run(monkeypatch, *words, "-o", tmp_path / "field") == 0
     assert capsys.readouterr().err.startswith(f"encoder auto: clip, as {model} is on this machine")
     known = SemanticField.load(tmp_path / "field").settings

@@ -173,11 +173,11 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["demo", "--encoder", "lexcion"], "; did you mean 'lexicon'?"),
         (["demo", "--preset", "balanecd"], "; did you mean 'balanced'?"),
         (["demo", "--protocol", "langsplatt"], "; did you mean 'langsplat'?"),
-        (["demo", "--codes", "seperated"], "; did you mean 'separated'?"),
+        (["demo", "--set", "codes=seperated"], "; did you mean 'separated'?"),
         (["demo", "--runner", "proceses"], "; did you mean 'processes'?"),
         (["pairs", ".", "--format", "lerf-ovs"], "; did you mean 'lerf_ovs'?"),
         (["benchmark", "--rooms", "0-0", "--against", "lerflike"], "; did you mean 'lerf-like'?"),
-        (["demo", "--lifting", "branch"], "no weights are given; train some"),
+        (["demo", "--set", "lifting=branch"], "no weights are given; train some"),
     ],
 )
 def test_a_slip_is_one_sentence_with_the_nearest_name(

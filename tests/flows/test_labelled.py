@@ -130,8 +130,8 @@ class TestIndex:
 
     def test_its_settings_are_in_it_and_have_an_effect(self, lerf, monkeypatch):
         file = lerf / "pairs.json"
-        words = ("pairs", lerf, "--format", "lerf_ovs", "-o", file, "--max-aside", "0.4")
-        assert run(monkeypatch, *words, "--min-baseline", "0.2") == 0
+        words = ("pairs", lerf, "--format", "lerf_ovs", "-o", file, "--set", "max_aside=0.4")
+        assert run(monkeypatch, *words, "--set", "min_baseline=0.2") == 0
         index = read_index(file)
         assert (index.rule["max_aside"], index.rule["min_baseline"]) == (0.4, 0.2)
         assert all(pair.measured["baseline"] >= 0.2 for pair in index.pairs)
@@ -169,10 +169,10 @@ class TestIndex:
             ((lerf, "--format", "stereo", "--labels", lerf), "'stereo' reads no folder"),
             ((lerf, "--format", "magic", "--labels", lerf), "unknown data format 'magic'"),
             ((lerf / "label", "--format", "lerf_ovs"), "no labelled frame has a pair (no labels)"),
-            ((lerf, "--format", "lerf_ovs", "--max-aside", "0.7"), "max_aside"),
-            ((lerf, "--format", "lerf_ovs", "--min-overlap", "0.9", "--max-overlap", "0.8"),
+            ((lerf, "--format", "lerf_ovs", "--set", "max_aside=0.7"), "max_aside"),
+            ((lerf, "--format", "lerf_ovs", "--set", "min_overlap=0.9", "--set", "max_overlap=0.8"),
              "min_overlap 0.9 is above max_overlap 0.8"),
-            ((lerf, "--format", "lerf_ovs", "--min-baseline", "0.4"), "have it between them"),
+            ((lerf, "--format", "lerf_ovs", "--set", "min_baseline=0.4"), "have it between them"),
         ):  # fmt: skip
             assert run(monkeypatch, "pairs", *words, "-o", file) == 2
             assert sentence in said(capsys)
@@ -274,8 +274,8 @@ class TestPublished:
             lerf,
             "--pairs",
             file,
-            "--replicas",
-            "1",
+            "--set",
+            "replicas=1",
             "--size",
             "96x144",
         )

@@ -8,7 +8,7 @@ from command import ROOM, room_sample, run, said, save_photographs
 from PIL import Image
 
 import slgaussian as slg
-from flows.cli.labelling import label
+from flows.cli.masks import label
 from slgaussian.geometry import SeenView
 from slgaussian.masks.precomputed import Precomputed, encode_ids, map_names, read_ids
 
@@ -19,7 +19,7 @@ PHOTOS = [f"{name}.png" for name in ROOM["context"]]
 def words(tmp_path, monkeypatch):
     """A command about two photographs, up to where it writes to."""
     monkeypatch.chdir(save_photographs(tmp_path))
-    return [*PHOTOS, "--cameras", "transforms.json", "--near", "0.8", "--far", "12"]
+    return [*PHOTOS, "--cameras", "transforms.json", "--set", "near=0.8", "--set", "far=12"]
 
 
 def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, monkeypatch, capsys):
@@ -40,7 +40,7 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     again = Precomputed(folder=tmp_path / "ids")
     for view, ids in zip(sample.context, maps, strict=True):
         np.testing.assert_array_equal(again.propagate(SeenView(view)), ids)
-    tracker = ["--tracker", "precomputed", "--precomputed-folder", "ids"]
+    tracker = ["--tracker", "precomputed", "--set", "precomputed.folder=ids"]
     assert run(monkeypatch, "field", *words, *tracker, "-o", "given") == 0
     given = slg.SemanticField.load("given")
     assert given.bank.ids.tolist() == objects.tolist()
@@ -66,7 +66,7 @@ def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, caps
     # What fails half way leaves what was there.
     before = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     with monkeypatch.context() as patched:
-        patched.setattr("flows.cli.labelling.pictures.encode_jpeg", lambda *a: 1 / 0)
+        patched.setattr("flows.cli.masks.pictures.encode_jpeg", lambda *a: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             label(PHOTOS, tmp_path, False, tmp_path / "ids", {"near": 0.8, "far": 12.0})
     after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}

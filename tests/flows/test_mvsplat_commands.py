@@ -47,12 +47,12 @@ def photos(tmp_path_factory) -> Path:
 
 def field_words(photos: Path, *words) -> list:
     pair = (photos / "view_00.png", photos / "view_02.png")
-    return ["field", *pair, "--cameras", photos, "--near", 0.8, *words]
+    return ["field", *pair, "--cameras", photos, "--set", "near=0.8", *words]
 
 
 def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypatch, capsys):
-    given = ["--predictor", "mvsplat", "--mvsplat-checkpoint", checkpoint]
-    given += ["--mvsplat-depth-candidates", "auto", "-o", tmp_path / "field"]
+    given = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={checkpoint}"]
+    given += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
     assert run(monkeypatch, *field_words(photos, *given)) == 0
     assert "with mvsplat, regions, geometric" in capsys.readouterr().err
     field = SemanticField.load(tmp_path / "field")
@@ -85,16 +85,32 @@ NOT_WEIGHTS = "<html>Sign in to download</html>"
     ("words", "sentence"),
     [
         (["--predictor", "mvsplat"], "mvsplat checkpoint: none given; download re10k.ckpt"),
-        (["--predictor", "mvsplat", "--mvsplat-checkpoint", "none.ckpt"], "there is no such file"),
-        (["--predictor", "mvsplat", "--mvsplat-checkpoint", "page.ckpt"], "page.ckpt: is damaged"),
-        (["--mvsplat-precision", "bfloat16"], "but no part is 'mvsplat' (found predictor 'planes"),
         (
-            ["--predictor", "mvsplat", "--mvsplat-precision", "half", "--mvsplat-checkpoint", None],
+            ["--predictor", "mvsplat", "--set", "mvsplat.checkpoint=none.ckpt"],
+            "there is no such file",
+        ),
+        (
+            ["--predictor", "mvsplat", "--set", "mvsplat.checkpoint=page.ckpt"],
+            "page.ckpt: is damaged",
+        ),
+        (
+            ["--set", "mvsplat.precision=bfloat16"],
+            "but no part is 'mvsplat' (found predictor 'planes",
+        ),
+        (
+            [
+                "--predictor",
+                "mvsplat",
+                "--set",
+                "mvsplat.precision=half",
+                "--set",
+                "mvsplat.checkpoint=SMALL",
+            ],
             "mvsplat precision: found 'half', expected one of float32, bfloat16",
         ),
         (
-            ["--predictor", "mvsplat", "--mvsplat-depth-candidates", "129"]
-            + ["--mvsplat-checkpoint", None],
+            ["--predictor", "mvsplat", "--set", "mvsplat.depth_candidates=129"]
+            + ["--set", "mvsplat.checkpoint=SMALL"],
             "mvsplat depth_candidates: found 129, expected 2 to 128 or",
         ),
     ],
@@ -104,7 +120,7 @@ def test_field_that_cannot_be_ends_in_one_sentence(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "page.ckpt").write_text(NOT_WEIGHTS)
-    words = [checkpoint if word is None else word for word in words]
+    words = [word.replace("SMALL", str(checkpoint)) for word in words]
     assert run(monkeypatch, *field_words(photos, *words, "-o", "field")) == 2
     said = [n for n in capsys.readouterr().err.splitlines() if not n.startswith("building")]
     assert len(said) == 1

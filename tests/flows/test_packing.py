@@ -92,7 +92,7 @@ def test_a_source_that_cannot_be_read_costs_itself_alone(photos, tmp_path):
         (["procedural:1", "procedural:1-2"], "its clip would be called 'procedural_1'"),
         (["procedural:1", "--size", "2x3"], "pack: size: found '2x3'; expected height and width"),
         (["procedural:1", "--views", "1"], "pack: views: found 1; "),
-        (["procedural:1", "--chunk-mb", "0"], "pack: chunk_mb: found 0"),
+        (["procedural:1", "--set", "chunk_mb=0"], "pack: chunk_mb: found 0"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, sentence):

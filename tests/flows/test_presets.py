@@ -73,7 +73,7 @@ def test_a_preset_that_is_not_there_is_one_sentence(found):
 def test_a_field_says_what_ran(tmp_path, monkeypatch, capsys):
     photos = save_photographs(tmp_path)
     pair = photos / "view_00.png", photos / "view_02.png"
-    words = ["field", *pair, "--cameras", photos, "--near", 0.8, "--far", 12]
+    words = ["field", *pair, "--cameras", photos, "--set", "near=0.8", "--set", "far=12"]
     assert run(monkeypatch, *words, "--preset", "fast", "-o", tmp_path / "field") == 0
     field = SemanticField.load(tmp_path / "field")
     chosen = make_settings({"preset": "fast"}, "test")

@@ -48,7 +48,7 @@ def test_a_text_that_is_refused_does_not_take_the_others_along(field, ask, monke
 
 
 def test_a_refused_text_is_named_by_objects_and_segment(field, ask, monkeypatch, capsys):
-    status, rows = ask("objects", field, "red", "zeppelin", "blue")
+    status, rows = ask("objects", "list", field, "red", "zeppelin", "blue")
     assert status == 1
     assert [row["words"] for row in rows if "id" in row] == [["red", "blue"], ["blue", "red"]]
     assert "zeppelin" in rows[-1]["refused"]
@@ -57,8 +57,8 @@ def test_a_refused_text_is_named_by_objects_and_segment(field, ask, monkeypatch,
     assert [(row["text"], row.get("label")) for row in rows] == [
         ("red", 2), ("blue", 3), (None, 0), ("zeppelin", None),
     ]  # fmt: skip
-    for command in ("objects", "segment"):
-        assert run(monkeypatch, command, field, "red", "zeppelin") == 1
+    for command in (["objects", "list"], ["segment"]):
+        assert run(monkeypatch, *command, field, "red", "zeppelin") == 1
         assert "'zeppelin' is refused: " in capsys.readouterr().out
 
 
@@ -275,9 +275,9 @@ def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
     point = answer["confidence"]["point"]
     said_so = f"probably not here: {point:.2f} that the best object is it\n"
     assert capsys.readouterr().out.startswith(said_so)
-    status, (other,) = ask("query", field, "red", "--protocol", "langsplat")
+    status, (other,) = ask("query", field, "red", "--set", "protocol=langsplat")
     assert (other["confidence"], other["verdict"]) == (None, "found")
-    assert run(monkeypatch, "query", field, "red", "--protocol", "langsplat") == 0
+    assert run(monkeypatch, "query", field, "red", "--set", "protocol=langsplat") == 0
     assert other["uncalibrated"] == "the protocol langsplat" and answer["uncalibrated"] is None
     said_so = "found, uncalibrated for the protocol langsplat\n"
     assert capsys.readouterr().out.startswith(said_so)

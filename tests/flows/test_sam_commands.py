@@ -116,11 +116,14 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     ("words", "sentence"),
     [
         (["--proposer", "sam"], "sam model: none given; give a folder, or a name on the hub as"),
-        (["--proposer", "sam", "--sam-model", "no/such/folder"], "there is no such folder"),
-        (["--proposer", "sam2", "--sam2-model", "SAM"], "is of type 'sam', but sam2 needs"),
-        (["--proposer", "sam", "--sam-model", "SAM", "--sam-preset", "x"], "preset: found 'x'"),
-        (["--sam-points", "4"], "settings of 'sam' are given, but no part is 'sam'"),
-        (["--proposer", "sam", "--sam-points", "few"], "invalid value for '--sam-points'"),
+        (["--proposer", "sam", "--set", "sam.model=no/such/folder"], "there is no such folder"),
+        (["--proposer", "sam2", "--set", "sam2.model=SAM"], "is of type 'sam', but sam2 needs"),
+        (
+            ["--proposer", "sam", "--set", "sam.model=SAM", "--set", "sam.preset=x"],
+            "preset: found 'x'",
+        ),
+        (["--set", "sam.points=4"], "settings of 'sam' are given, but no part is 'sam'"),
+        (["--proposer", "sam", "--set", "sam.points=few"], "sam.points: found 'few'"),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(
@@ -129,7 +132,7 @@ def test_a_run_that_cannot_be_does_not_begin(
     config = tmp_path / "run.toml"
     config.write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
-    words = [folders["sam"] if word == "SAM" else word for word in words]
+    words = [word.replace("SAM", str(folders["sam"])) for word in words]
     assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: ") and said.count("\n") == 1

@@ -74,7 +74,16 @@ def data(folder: Path, pairs: bool = True) -> list:
 
 def benchmark(labelled: Path, package: Path, out: Path) -> None:
     """A run in a process of its own, in which the package is installed."""
-    words = ["benchmark", *data(labelled), "--near", "0.8", "--far", "12", "--replicas", "1"]
+    words = [
+        "benchmark",
+        *data(labelled),
+        "--set",
+        "near=0.8",
+        "--set",
+        "far=12",
+        "--set",
+        "replicas=1",
+    ]
     words += ["--against", "colours", "-o", out, "--store"]
     argv = ["slgaussian", *map(str, words), str(out.parent / "store")]
     code = f"import sys; sys.argv = {argv}\nfrom flows.cli.app import main; main()"

@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from command import run, said, save_photographs, score
 
-from flows.cli.own_scene import held_out, own_scene
+from flows.cli.benchmark import held_out, scene_of_photographs
 from flows.settings import make_settings
 from flows.sweep import combinations
 from slgaussian.errors import InputError
@@ -106,8 +106,8 @@ def test_which_photograph_is_held_out(names, middle, context, targets):
 def test_photographs_of_ones_own_are_a_scene(monkeypatch, capsys, tmp_path):
     folder = save_photographs(tmp_path)
     photos = [folder / f"view_0{k}.png" for k in (0, 2)]
-    scene, message = own_scene([str(photo) for photo in photos], folder)
-    assert scene.targets == [] and "add a third" in message
+    scene = scene_of_photographs([str(photo) for photo in photos], folder)
+    assert scene.targets == []
     words = ["benchmark", "--cameras", folder / "transforms.json", "-o", tmp_path / "out"]
     assert run(monkeypatch, *words) == 2
     assert "is given without photographs" in said(capsys)

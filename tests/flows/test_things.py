@@ -45,27 +45,29 @@ def ask(monkeypatch, capsys):
 
 
 def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "objects", field) == 0
+    assert run(monkeypatch, "objects", "list", field) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[:3]] == ["object", "1", "2"]
     assert "red" in lines[1] and "blue" in lines[2]
     assert lines[1].endswith("images/001.png, images/002.png")
     assert lines[-1] == "Sizes are in scene units, those of the given cameras."
-    status, things = ask("objects", field, "blue", "red wall")
+    status, things = ask("objects", "list", field, "blue", "red wall")
     assert status == 0 and [one["id"] for one in things] == [RED, BLUE]
     assert [one["words"][0] for one in things] == ["red wall", "blue"]
-    assert run(monkeypatch, "objects", field, "yellow") == 0
+    assert run(monkeypatch, "objects", "list", field, "yellow") == 0
     assert capsys.readouterr().out.count("(yellow") == 2
 
 
 def test_the_list_as_a_table_a_picture_and_pictures(field, tmp_path, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "objects", field, "-o", tmp_path / "t.parquet") == 0
+    assert run(monkeypatch, "objects", "list", field, "-o", tmp_path / "t.parquet") == 0
     table = pq.read_table(tmp_path / "t.parquet")
     load_spec("things").check_table(table, "t.parquet")
-    _, rows = ask("objects", field)
+    _, rows = ask("objects", "list", field)
     assert table.to_pylist() == rows
     made = tmp_path / "crops"
-    assert run(monkeypatch, "objects", field, "--crops", made, "-o", tmp_path / "a.png") == 0
+    assert (
+        run(monkeypatch, "objects", "list", field, "--crops", made, "-o", tmp_path / "a.png") == 0
+    )
     assert sorted(file.name for file in made.iterdir()) == ["1.png", "2.png"]
     red, blue = (np.asarray(Image.open(made / f"{k}.png")).astype(int) for k in (RED, BLUE))
     assert red.shape == (32, 24, 3) and (red[4:-4, 4:-4, 0] > 120).all()
@@ -73,25 +75,25 @@ def test_the_list_as_a_table_a_picture_and_pictures(field, tmp_path, ask, monkey
     assert (np.asarray(Image.open(tmp_path / "a.png"))[30:90, 30:70, 0] > 120).all()
     # A bank that was made by hand knows no boxes.
     plain = two_walls(tmp_path / "plain")
-    assert run(monkeypatch, "objects", plain, "-o", tmp_path / "b.png") == 2
+    assert run(monkeypatch, "objects", "list", plain, "-o", tmp_path / "b.png") == 2
     assert "leave out --crops" in said(capsys)
-    assert run(monkeypatch, "objects", field, "-o", tmp_path / "b.txt") == 2
+    assert run(monkeypatch, "objects", "list", field, "-o", tmp_path / "b.txt") == 2
     assert "expected the name of a table to end in .parquet" in said(capsys)
 
 
 def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
     labels = SemanticField.load(field).labels()
     for what in ("red wall", RED):
-        assert run(monkeypatch, "extract", field, what, "-o", tmp_path / "red.ply") == 0
+        assert run(monkeypatch, "objects", "extract", field, what, "-o", tmp_path / "red.ply") == 0
         own = labels_of(tmp_path / "red.ply")
         assert len(own) == (labels == RED).sum() and (own == RED).all()
-    assert run(monkeypatch, "extract", field, "red", "-o", tmp_path / "red") == 0
+    assert run(monkeypatch, "objects", "extract", field, "red", "-o", tmp_path / "red") == 0
     assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
     capsys.readouterr()
-    assert run(monkeypatch, "extract", field, "yellow", "-o", tmp_path / "x.ply") == 3
+    assert run(monkeypatch, "objects", "extract", field, "yellow", "-o", tmp_path / "x.ply") == 3
     assert "nothing found for 'yellow'" in capsys.readouterr().out
     assert not (tmp_path / "x.ply").exists()
-    assert run(monkeypatch, "extract", field, 7, "-o", tmp_path / "x.ply") == 2
+    assert run(monkeypatch, "objects", "extract", field, 7, "-o", tmp_path / "x.ply") == 2
     assert "'7': is no object of the field" in said(capsys)
 
 
@@ -100,16 +102,19 @@ def test_a_thing_that_the_scene_does_not_hold_by_its_verdict_is_not_taken_out(
 ):
     out = tmp_path / "red.ply"
     monkeypatch.setattr(confidence, "ABSENT", 1.1)  # "red wall" selects all the same
-    for command in (["extract", field, "red wall", "-o", out], ["remove", field, "red", "-o", out]):
+    for command in (
+        ["objects", "extract", field, "red wall", "-o", out],
+        ["objects", "remove", field, "red", "-o", out],
+    ):
         assert run(monkeypatch, *command) == 3
     assert run(monkeypatch, "export", field, "-o", out, "--object", "red wall") == 2
     assert not out.exists()
-    assert run(monkeypatch, "extract", field, RED, "-o", out) == 0
+    assert run(monkeypatch, "objects", "extract", field, RED, "-o", out) == 0
 
 
 def test_a_name_that_the_user_gave_means_its_object(field, tmp_path, monkeypatch):
     SemanticField.load(field).named(BLUE, "Sea  wall").save_edits(field)
-    assert run(monkeypatch, "extract", field, "sea WALL", "-o", tmp_path / "a.ply") == 0
+    assert run(monkeypatch, "objects", "extract", field, "sea WALL", "-o", tmp_path / "a.ply") == 0
     assert (labels_of(tmp_path / "a.ply") == BLUE).all()
 
 
@@ -117,14 +122,14 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     field, tmp_path, ask, monkeypatch, capsys
 ):
     out = tmp_path / "without"
-    assert run(monkeypatch, "remove", field, "red wall", "-o", out) == 0
+    assert run(monkeypatch, "objects", "remove", field, "red wall", "-o", out) == 0
     assert "open in the context views: " in capsys.readouterr().out
     left = SemanticField.load(out)
     assert left.removed == {RED} and RED not in left.labels()
     assert SemanticField.load(field).removed == frozenset()
     status, (answer,) = ask("query", out, "red")
     assert status == 3 and not answer["found"]
-    assert [one["id"] for one in ask("objects", out)[1]] == [BLUE]
+    assert [one["id"] for one in ask("objects", "list", out)[1]] == [BLUE]
     assert run(monkeypatch, "render", out, "-o", tmp_path / "a.png") == 0
     opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[12:44, 12:60][4:-4, 4:18]
     assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
@@ -135,21 +140,23 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
 def test_what_cannot_be_removed_is_said_and_nothing_is_written(
     field, tmp_path, monkeypatch, capsys
 ):
-    assert run(monkeypatch, "remove", field, "yellow", "-o", tmp_path / "no") == 3
+    assert run(monkeypatch, "objects", "remove", field, "yellow", "-o", tmp_path / "no") == 3
     assert "'yellow': nothing found" in capsys.readouterr().out
-    assert run(monkeypatch, "remove", field, "red", "-o", field) == 2
+    assert run(monkeypatch, "objects", "remove", field, "red", "-o", field) == 2
     assert "is the field itself" in said(capsys)
-    assert run(monkeypatch, "remove", field, 9, "-o", tmp_path / "no") == 2
+    assert run(monkeypatch, "objects", "remove", field, 9, "-o", tmp_path / "no") == 2
     assert "'9': is no object" in said(capsys)
     assert not (tmp_path / "no").exists()
     # What is found of the others is removed all the same.
-    assert run(monkeypatch, "remove", field, "yellow", "blue", "-o", tmp_path / "some") == 3
+    assert (
+        run(monkeypatch, "objects", "remove", field, "yellow", "blue", "-o", tmp_path / "some") == 3
+    )
     assert SemanticField.load(tmp_path / "some").removed == {BLUE}
 
 
 def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch, capsys):
     assert run(monkeypatch, "query", field, "zorp") == 2
-    assert run(monkeypatch, "teach", field, "Zorp", "--at", 8, 16) == 0
+    assert run(monkeypatch, "objects", "teach", field, "Zorp", "--at", 8, 16) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["'Zorp' is object 1", "examples  1"]
     status, (answer, known) = ask("query", field, "zorp", "blue", "--view", 1)
@@ -158,10 +165,10 @@ def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch
     assert known["kind"] == "known" and known["examples"] == 0
     assert run(monkeypatch, "query", field, "zorp") == 0
     assert "a taught word: 1 example" in capsys.readouterr().out
-    assert run(monkeypatch, "teach", field, "blue", "--at", 8, 16, "--view", 1) == 0
+    assert run(monkeypatch, "objects", "teach", field, "blue", "--at", 8, 16, "--view", 1) == 0
     assert run(monkeypatch, "query", field, "blue") == 0
     assert "not as the encoder knows it: blue" in capsys.readouterr().out
-    assert run(monkeypatch, "teach", field, "blue", "--forget") == 0
+    assert run(monkeypatch, "objects", "teach", field, "blue", "--forget") == 0
     assert ask("query", field, "blue")[1][0]["kind"] == "known"
 
 
@@ -172,21 +179,35 @@ def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch
     assert (answer["kind"], answer["verdict"], answer["confidence"]) == ("named", "found", None)
     assert run(monkeypatch, "query", field, "Anna's wall") == 0
     assert "a name that you gave" in capsys.readouterr().out
-    assert run(monkeypatch, "extract", field, "anna's wall", "-o", tmp_path / "wall.ply") == 0
+    assert (
+        run(monkeypatch, "objects", "extract", field, "anna's wall", "-o", tmp_path / "wall.ply")
+        == 0
+    )
     assert set(labels_of(tmp_path / "wall.ply")) == {BLUE}
 
 
 def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "teach", field, "zorp", "--at", 40, 16) == 0
+    assert run(monkeypatch, "objects", "teach", field, "zorp", "--at", 40, 16) == 0
     other = two_walls(tmp_path / "other")
     words = field / "words.npz"
     status, (answer,) = ask("query", other, "zorp", "--words", words)
     assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
     _, rows = ask("segment", other, "zorp", "red", "--words", words)
     assert [(row["text"], row["objects"]) for row in rows[:2]] == [("zorp", [BLUE]), ("red", [RED])]
-    assert ask("objects", other, "--words", words)[1][1]["words"][0] == "zorp"
+    assert ask("objects", "list", other, "--words", words)[1][1]["words"][0] == "zorp"
     assert (
-        run(monkeypatch, "extract", other, "zorp", "--words", words, "-o", tmp_path / "f.ply") == 0
+        run(
+            monkeypatch,
+            "objects",
+            "extract",
+            other,
+            "zorp",
+            "--words",
+            words,
+            "-o",
+            tmp_path / "f.ply",
+        )
+        == 0
     )
     assert not (other / "words.npz").exists()
     words.write_bytes(words.read_bytes()[:-9])
@@ -206,15 +227,15 @@ def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch
     ],
 )
 def test_a_bad_lesson_is_one_sentence(field, monkeypatch, capsys, words, sentence):
-    assert run(monkeypatch, "teach", field, *words) == 2
+    assert run(monkeypatch, "objects", "teach", field, *words) == 2
     assert sentence in said(capsys)
     assert not (field / "words.npz").exists()
 
 
 def test_where_there_is_nothing_nothing_can_be_taught(field, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "remove", field, "red", "-o", tmp_path / "without") == 0
+    assert run(monkeypatch, "objects", "remove", field, "red", "-o", tmp_path / "without") == 0
     capsys.readouterr()
-    assert run(monkeypatch, "teach", tmp_path / "without", "zorp", "--at", 8, 16) == 2
+    assert run(monkeypatch, "objects", "teach", tmp_path / "without", "zorp", "--at", 8, 16) == 2
     assert "--at 8 16: view 'images/001.png' shows no object there" in said(capsys)
 
 

@@ -81,8 +81,8 @@ def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
     [
         (["--tracker", "sam2-video"], "sam2-video model: none given; give a folder, or a name"),
         (["--tracker", "precomputed"], "precomputed folder: none given"),
-        (["--tracker", "precomputed", "--precomputed-folder", "no"], "there is no folder 'no'"),
-        (["--sam2-video-batch", "4"], "settings of 'sam2_video' are given, but no part"),
+        (["--tracker", "precomputed", "--set", "precomputed.folder=no"], "there is no folder 'no'"),
+        (["--set", "sam2_video.batch=4"], "settings of 'sam2_video' are given, but no part"),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(tmp_path, monkeypatch, capsys, words, sentence):

@@ -200,7 +200,7 @@ def count_steps(monkeypatch) -> list[int]:
 
 def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys):
     lessons_of(tmp_path, range(6))
-    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--rate", "1e30")) == 2
+    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--set", "rate=1e30")) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("error: training step ")
     assert "sample 'wall " in said[-1] and sum("wall" in line for line in said) == 1
@@ -212,7 +212,7 @@ def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys)
     [
         (("--held-out", "0.001"), "6 clips with lessons to learn from and 0 to judge by"),
         (("--from", "no.safetensors"), "weights no.safetensors: cannot be read"),
-        (("--codes", "exact"), "found codes of 0 numbers, expected 3"),
+        (("--set", "codes=exact"), "found codes of 0 numbers, expected 3"),
         (("--store", "elsewhere"), "give the --store that `slgaussian supervise` had"),
         (("--lessons", "nowhere"), "nowhere/lessons.parquet: cannot be read (No such file"),
         (("--steps", "0"), "train: steps: found 0"),

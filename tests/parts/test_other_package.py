@@ -53,21 +53,11 @@ def test_the_page_about_the_architecture_shows_it_whole():
     assert (PACKAGE / "ink.py").read_text("utf-8") in page
 
 
-def test_its_settings_are_options_with_bounds_and_help(asked):
-    text = asked(command("field", "--help"))
-    assert "Proposer ink:" in text
-    assert "--ink-colours <path>" in text and "--ink-least <int>" in text
-    assert "Greatest distance from a colour. [default: 40.0]" in " ".join(text.split())
-    assert "--ink-colours" in asked(command("doctor", "--help"))
-    assert "--ink-within" not in asked(command("doctor", "--help"))
-
-
 def test_it_is_listed_with_the_others(asked):
-    parts = {part["name"]: part for part in json.loads(asked(command("parts", "--json")))}
-    assert parts["ink"]["kind"] == "proposer" and "regions" in parts
-    assert [row["name"] for row in parts["ink"]["fields"]] == ["colours", "within", "least"]
-    assert parts["ink"]["fields"][0]["file"] is True
-    schema = json.loads(asked(command("parts", "--schema")))
+    listed = " ".join(asked(command("doctor", "--components")).split())
+    assert "regions: " in listed and "ink.colours <" in listed
+    assert "[40.0] Greatest distance from a colour." in listed
+    schema = json.loads(asked(command("doctor", "--schema")))
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
 
@@ -96,8 +86,8 @@ def test_a_field_is_built_with_it(asked, tmp_path):
     colours = [np.median(view.image[view.instances == i], 0) for i in ids[counts > 30]]
     np.savetxt(tmp_path / "colours.txt", colours)
     photographs = [folder / f"{name}.png" for name in ROOM["context"]]
-    own = ["--proposer", "ink", "--ink-colours", "colours.txt", "--ink-within", "60"]
-    near = ["--near", "0.8", "--far", "12", "--size", "64x64", "--replicas", "1"]
+    own = ["--proposer", "ink", "--set", "ink.colours=colours.txt", "--set", "ink.within=60"]
+    near = ["--set", "near=0.8", "--set", "far=12", "--size", "64x64", "--set", "replicas=1"]
     cameras = ["--cameras", folder / "transforms.json"]
     asked(command("field", *photographs, *cameras, *own, *near, "-o", "field"))
     said = json.loads((tmp_path / "field" / "field.json").read_text())["settings"]
@@ -140,15 +130,15 @@ def test_a_name_that_is_taken_is_refused(asked, tmp_path):
         own,
     )
     assert said.startswith("mask proposer 'regions': the package mine brings one, but a mask ")
-    assert "--sam-model" in asked(command("field", "--help"), own)
+    assert "sam.model" in asked(command("doctor", "--components"), own)
 
 
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
-    assert "--sam-model" in asked(command("field", "--help"), own)
-    listed = json.loads(asked(command("parts", "--json"), own))
-    (problem,) = [part["problem"] for part in listed if part["name"] == "broken"]
+    listed = asked(command("doctor", "--components"), own).splitlines()
+    (line,) = [line for line in listed if line.startswith("  broken: ")]
+    problem = line.removeprefix("  broken: ")
     assert problem.startswith("encoder 'broken': broken:Encoder of the package broken cannot be ")
     said = asked(
         "from slgaussian.language import load_encoder\n"

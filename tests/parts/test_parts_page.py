@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli import parts
+from flows.cli import components as parts
 from flows.cli.app import main
 from slgaussian.components import catalogue
 from slgaussian.parts.registry import KINDS, names_of
@@ -23,7 +23,7 @@ def test_every_part_is_listed_with_a_sentence_under_its_kind():
         assert f"{kind}: " in text
         for name in names_of(kind):
             assert f"\n  {name}: " in text
-    for part in json.loads(catalogue.as_json()):
+    for part in catalogue.catalogue():
         assert part["about"].endswith(".") and "``" not in part["about"]
 
 
@@ -44,7 +44,7 @@ def test_the_schema_tells_configurations_from_others(values, fits):
 
 
 def test_two_outputs_at_once_are_refused(monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["slgaussian", "parts", "--json", "--schema"])
+    monkeypatch.setattr("sys.argv", ["slgaussian", "doctor", "--components", "--schema"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2 and "choose one" in capsys.readouterr().err

@@ -155,7 +155,7 @@ def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
     other = tmp_path / "other"
     field.save(other)
     x, y = field.render(field.cameras["a"]).query("green").point
-    assert run(monkeypatch, "teach", other, "zorp", "--at", x, y) == 0
+    assert run(monkeypatch, "objects", "teach", other, "zorp", "--at", x, y) == 0
     taught = SemanticField.load(other)
     taught.named(GREEN, "the zerp").without([YELLOW]).save_edits(other)
     for name in ("words.npz", "edits.npz"):

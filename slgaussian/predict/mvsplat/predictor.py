@@ -81,7 +81,7 @@ class MVSplat(MVSplatConfig):
         if self.checkpoint is None:
             raise InputError(
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
-                "says, and give its path, as in --mvsplat-checkpoint re10k.ckpt"
+                "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
             )
         most = self.config.candidates
         if self.depth_candidates != "auto" and self.depth_candidates > most:

@@ -1,4 +1,4 @@
-"""What `slgaussian view` does: open a scene in the browser until it is told to stop."""
+"""Serve the page of a scene until it is told to stop."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flows.cli.questions import opened
+from flows.cli.query import open_field
 from slgaussian.formats.ply import load_ply
 from slgaussian.viewer.auth import listen
 from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 from slgaussian.viewer.server import LiveField, app, serve
 
 
-def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any]) -> None:
+def serve_page(source: Path, host: str, port: int | None, settings: Mapping[str, Any]) -> None:
     """Show a field or a ``.ply`` in the browser until Ctrl-C or SIGTERM.
 
     ``settings`` say, by the name of the field's encoder, where its files are now. The address goes
@@ -40,7 +40,7 @@ def view(source: Path, host: str, port: int | None, settings: Mapping[str, Any])
         if source.suffix.lower() == ".ply" and not source.is_dir():
             page = gaussians_page(load_ply(source)[0], source.stem)
         else:
-            live = LiveField(opened(source, settings)[1], source)
+            live = LiveField(open_field(source, settings, rules=False)[1], source)
             page = scene_page(live.field, live=True)
         print(access.address, flush=True)
         if access.token:

@@ -1,4 +1,4 @@
-"""Cameras for the photographs of a command: given, found, or found anew."""
+"""Load the photographs of a command with cameras: given, estimated, or estimated anew."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.cli.finding import tell
+import numpy as np
+
+from flows.cli.cameras import report
 from flows.settings import Settings
 from slgaussian.datasets import unposed
 from slgaussian.datasets.keyframes import choose_keyframes
@@ -14,28 +16,40 @@ from slgaussian.datasets.recognise import posed_scene
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
 from slgaussian.predict.links import usable
-from slgaussian.scene import Sample, Scene
+from slgaussian.scene import Camera, Sample, Scene
 
 
-def posed_sample(
+def load_views(
     photos: Sequence[str],
     cameras: Path | None,
     refine: bool,
     method: Settings,
     keyframes: int | None = None,
 ) -> tuple[Sample, dict[str, str]]:
-    """The photographs with their cameras, at the size that ``method`` asks for.
+    """Load photographs with their cameras, at the size that ``method`` asks for.
 
-    And which photographs these are, by their names: paths from the root or, where no file was
-    given, names of views. All that were taken, also those that could not be placed.
-
-    Of more than ``keyframes``, so many are taken
-    (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
-
-    Without a place of cameras they are found, and how goes to standard error. With one, a
-    photograph is a file that it lists, or the name of one of its views; ``refine`` finds their
-    cameras anew, in the same world. Photographs that could not be placed are left out with a
+    Prints how cameras were estimated; photographs that could not be placed are left out with a
     warning.
+
+    Parameters
+    ----------
+    photos : sequence of str
+        Photographs, or a folder of them. With ``cameras``, files that these list, or names of
+        their views.
+    cameras : path, optional
+        Estimated from the photographs if left out.
+    refine : bool
+        Estimate given cameras anew, in the same world.
+    method : Settings
+    keyframes : int, optional
+        Of more photographs, take so many (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
+
+    Returns
+    -------
+    sample : Sample
+    places : dict str -> str
+        Of all photographs that were taken, also those that could not be placed: paths from the
+        root by name or, where no file was given, names of views.
 
     Raises
     ------
@@ -51,60 +65,66 @@ def posed_sample(
         files = unposed.named(photos)
         if keyframes is not None:
             looks = [glance(path.read_bytes())[0] for path in files.values()]
-            kept = choose_keyframes([blur(look) for look in looks], keyframes)
-            names = list(files)
-            files = {names[k]: files[names[k]] for k in kept}
-            _tell_keyframes(list(files), len(names))
-        found = unposed.find(files)
-        tell(found)
-        scene = unposed.posed(files, found)
+            files = {name: files[name] for name in _keyframes(list(files), looks, keyframes)}
+        estimate = unposed.find(files)
+        report(estimate)
+        scene = unposed.posed(files, estimate)
         names = list(scene.cameras)
-        taken = {name: str(file.absolute()) for name, file in files.items()}
+        places = {name: str(file.absolute()) for name, file in files.items()}
     else:
         scene, folder = posed_scene(cameras, photos)
         photos = _placed(scene, listed_photographs(scene, photos, folder), folder)
         names = [view_of(scene, photo, folder) for photo in photos]
+        named = dict(zip(names, map(Path, photos), strict=True))
         if keyframes is not None:
-            among = [scene.cameras[name] for name in names]
             looks = [small(scene.read(name).image) for name in names]
-            kept = choose_keyframes([blur(look) for look in looks], keyframes, among)
-            names, photos = [names[k] for k in kept], [photos[k] for k in kept]
-            _tell_keyframes(names, len(among))
-        given = [(Path(photo), name) for photo, name in zip(photos, names, strict=True)]
-        taken = {n: str(file.absolute()) if file.is_file() else n for file, n in given}
+            names = _keyframes(names, looks, keyframes, [scene.cameras[name] for name in names])
+        files = {name: named[name] for name in names}
+        places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
         if refine:
-            files = {name: photo for photo, name in given if photo.is_file()}
-            scene, found = unposed.refined(scene, names, files)
-            tell(found)
+            files = {name: file for name, file in files.items() if file.is_file()}
+            scene, estimate = unposed.refined(scene, names, files)
+            report(estimate)
             names = list(scene.cameras)
     sample = scene.sample(names, size=method.size, near=method.near, far=method.far)
     sample, left_out = usable(sample)
-    for name, why in left_out.items():
-        print(f"warning: {name} is left out: {why}", file=sys.stderr)
-    return sample, taken
+    for name, reason in left_out.items():
+        print(f"warning: {name} is left out: {reason}", file=sys.stderr)
+    return sample, places
 
 
-def _tell_keyframes(kept: Sequence[str], among: int) -> None:
-    named = ", ".join(kept[:4]) + (", ..." if len(kept) > 4 else "")
-    print(f"keyframes: {len(kept)} of {among} photographs, {named}", file=sys.stderr)
+def _keyframes(
+    names: Sequence[str],
+    looks: Sequence[np.ndarray],
+    count: int,
+    cameras: Sequence[Camera] | None = None,
+) -> list[str]:
+    """Choose so many of the views, and print which."""
+    chosen = [names[k] for k in choose_keyframes([blur(look) for look in looks], count, cameras)]
+    some = ", ".join(chosen[:4]) + (", ..." if len(chosen) > 4 else "")
+    print(f"keyframes: {len(chosen)} of {len(names)} photographs, {some}", file=sys.stderr)
+    return chosen
 
 
 def _placed(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
-    """The photographs without those that were left out when the scene's cameras were found."""
-    left = {(folder / name).resolve(): why for name, why in scene.left_out.items()}
+    """Return the photographs without those left out when the scene's cameras were estimated."""
+    left_out = {(folder / name).resolve(): reason for name, reason in scene.left_out.items()}
+    placed = []
     for photo in photos:
-        why = left.get(Path(photo).resolve())
-        if why is not None:
+        reason = left_out.get(Path(photo).resolve())
+        if reason is None:
+            placed.append(photo)
+        else:
             print(
                 f"warning: {photo} could not be placed when cameras were found, and is left out: "
-                f"{why}",
+                f"{reason}",
                 file=sys.stderr,
             )
-    return [photo for photo in photos if Path(photo).resolve() not in left]
+    return placed
 
 
 def listed_photographs(scene: Scene, photos: Sequence[str], folder: Path) -> list[str]:
-    """The photographs, with those in place of a folder that lie in it and have a camera.
+    """Return the photographs, in place of a folder those in it that have a camera.
 
     Raises
     ------
@@ -131,7 +151,7 @@ def listed_photographs(scene: Scene, photos: Sequence[str], folder: Path) -> lis
 
 
 def view_of(scene: Scene, photo: str, folder: Path) -> str:
-    """The name that a scene, whose views are named from ``folder``, has for a photograph.
+    """Return the name that a scene, whose views are named from ``folder``, has for a photograph.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the commands about the things of a field do: list, take out, remove, teach."""
+"""List, extract, remove and teach the objects of a field."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from flows.cli.drawings import PICTURES, check_drawing, write_picture
-from flows.cli.questions import EVEN, opened, refusals, sorted_out
+from flows.cli.query import EVEN, open_field, refusals, sort_texts
+from flows.cli.text import aligned
 from flows.cli.viewpoints import Choice
 from slgaussian.benchmark import pictures
 from slgaussian.errors import InputError
@@ -30,6 +31,9 @@ UNITS = {
     None: "Sizes are in scene units, those of the given cameras.",
 }
 
+Hits = tuple[tuple[int, float], ...]
+"""Ids of objects with their relevancies."""
+
 
 def inventory(
     folder: Path,
@@ -39,14 +43,14 @@ def inventory(
     settings: Mapping[str, Any],
     words: Path | None,
 ) -> list[dict[str, Any]]:
-    """Every thing of a field; as a table or a picture in ``out``, and cut out in folder ``crops``.
+    """Return every object of a field; as a table or a picture in ``out``, cut out in ``crops``.
 
-    ``settings`` and ``words`` as in :func:`flows.cli.questions.ask`.
+    ``settings`` and ``words`` as in :func:`flows.cli.query.ask`.
 
     Returns
     -------
     list of dict
-        One a thing, as ``data_specs/things.toml`` has it. And one a text that was refused:
+        One an object, as ``data_specs/things.toml`` has it. And one a text that was refused:
         ``text``, ``refused``.
 
     Raises
@@ -62,10 +66,13 @@ def inventory(
                 f"in .parquet, or that of a picture in {' or '.join(PICTURES)}"
             )
         check_drawing(out, film=False)
-    rules, field = opened(folder, settings, words)
-    asked, refused = sorted_out(field, texts) if texts else ([], {})
+    rules, field = open_field(folder, settings, words)
+    asked, refused = sort_texts(field, texts) if texts else ([], {})
     things = field.inventory(asked or None, **rules)
     rows = [_row(thing) for thing in things]
+    if out is not None and table:
+        arrow = pa.Table.from_pylist(rows, schema=load_spec("things").schema)
+        write_file(out, packed("things", arrow, str(out))[1])
     if crops is not None or (out is not None and not table):
         cuts = _cut_out(folder, field, things)
         if crops is not None:
@@ -73,71 +80,70 @@ def inventory(
         if out is not None and not table:
             tiles = [(_caption(thing), cut) for thing, cut in zip(things, cuts, strict=True)]
             write_picture(out, pictures.contact_sheet(tiles, side=112, columns=8))
-    if out is not None and table:
-        made = pa.Table.from_pylist(rows, schema=load_spec("things").schema)
-        write_file(out, packed("things", made, str(out))[1])
-    return rows + [{"text": text, "refused": why} for text, why in refused.items()]
+    return rows + [{"text": text, "refused": reason} for text, reason in refused.items()]
 
 
-def listed(rows: Sequence[Mapping[str, Any]]) -> str:
-    """What :func:`inventory` found, as a table."""
+def objects_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Tabulate the rows of :func:`inventory`."""
     things = [row for row in rows if "id" in row]
-    said = [_words(row) for row in things]
-    wide = max(map(len, ["best words", *said]))
-    lines = [f"object  {'best words':<{wide}}  sure   size             seen in"]
-    for row, words in zip(things, said, strict=True):
+    lines = [("object", "best words", "sure", "size", "seen in")]
+    for row in things:
         size = " x ".join(f"{2 * half:.2f}" for half in row["half_sizes"] or ())
-        views = ", ".join(row["views"])
-        lines.append(
-            f"{row['id']:>6}  {words:<{wide}}  {row['confidence']:.2f}  {size:<18} {views}"
-        )
-    if any(row["relevancies"][:1] <= [EVEN] for row in things):
-        lines.append("(in brackets: no text fits better than the canonical phrases do)")
+        sure = f"{row['confidence']:.2f}"
+        lines.append((str(row["id"]), _best_words(row), sure, size, ", ".join(row["views"])))
+    notes = refusals(rows)
     if things:
-        lines.append(UNITS[things[0]["metres"]])
-    return "\n".join(lines + refusals(rows))
+        notes.insert(0, UNITS[things[0]["metres"]])
+    if any(row["relevancies"][:1] <= [EVEN] for row in things):
+        notes.insert(0, "(in brackets: no text fits better than the canonical phrases do)")
+    return "\n".join([aligned(lines, "><><<"), *notes])
 
 
-def take_out(
-    folder: Path, what: str, out: Path, settings: Mapping[str, Any], words: Path | None
-) -> dict[str, Any]:
+def write_alone(
+    folder: Path, text: str, out: Path, settings: Mapping[str, Any], words: Path | None
+) -> bool:
     """Write the Gaussians of what a text, a name or an id means: ``.ply``, or a field folder.
 
-    Returns
-    -------
-    dict
-        ``found``, the (id, relevancy) of it; ``gaussians``, how many; nothing is written of none.
+    Returns False, and writes nothing, if the scene has none of it; prints what was taken.
     """
     ply = out.suffix.lower() == ".ply"
     if not ply:
         check_target(out)
-    rules, field = opened(folder, settings, words)
-    found = meant(field, what, rules)
-    alone = field.dropped().only(id_ for id_, _ in found)
+    rules, field = open_field(folder, settings, words)
+    hits = objects_meant(field, text, rules)
+    alone = field.dropped().only(id_ for id_, _ in hits)
     if not len(alone.gaussians):
-        return {"found": [], "gaussians": 0}
+        print(f"nothing found for {text!r}, so nothing is written")
+        return False
     if ply:
         save_ply(alone.gaussians, out, alone.labels())
     else:
         alone.save(out)
-    return {"found": found, "gaussians": len(alone.gaussians)}
+    print(f"objects  {_listed(hits)}\n{len(alone.gaussians):,} Gaussians  {out}")
+    return True
 
 
-def remove(
+def write_without(
     folder: Path,
-    what: Sequence[str],
+    texts: Sequence[str],
     out: Path,
     settings: Mapping[str, Any],
     words: Path | None,
-) -> list[dict[str, Any]]:
+) -> bool:
     """Write the field without the Gaussians of what texts, names or ids mean, to another folder.
+
+    Prints a line a text, and the share of the context views' pixels where nothing is known now,
+    and was before. Writes nothing if nothing is found of any text.
 
     Returns
     -------
-    list of dict
-        One a text: ``text``, ``found`` (id, relevancy), ``gaussians`` that are gone; then one of
-        all: ``open``, the share of the context views' pixels where nothing is known now, and was
-        before. Nothing is written if nothing is found of any.
+    bool
+        True if something was found for every text.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used, or ``out`` is the field itself.
     """
     if out.resolve() == folder.resolve():
         raise InputError(
@@ -145,36 +151,40 @@ def remove(
             "folder"
         )
     check_target(out)
-    rules, field = opened(folder, settings, words)
-    labels, gone = field.labels(), set[int]()
-    rows: list[dict[str, Any]] = []
-    for text in what:
-        found = meant(field, text, rules)
-        ids = {id_ for id_, _ in found} - gone
-        gone |= ids
+    rules, field = open_field(folder, settings, words)
+    hits = {text: objects_meant(field, text, rules) for text in texts}
+    labels, removed = field.labels(), set[int]()
+    for text, objects in hits.items():
+        ids = {id_ for id_, _ in objects} - removed
+        removed |= ids
         count = int(np.isin(labels, list(ids)).sum())
-        rows.append({"text": text, "found": found, "gaussians": count})
-    if gone:
-        without = field.without(gone).dropped()
+        meaning = f"objects {_listed(objects)}" if objects else "nothing found"
+        print(f"{text!r}: {meaning}, {count:,} Gaussians")
+    if removed:
+        without = field.without(removed).dropped()
         without.save(out)
         before, after = (
             np.concatenate([f.render(camera).unknown.ravel() for camera in f.cameras.values()])
             for f in (field, without)
         )
-        rows.append({"open": float((after & ~before).mean())})
-    return rows
+        opened = float((after & ~before).mean())
+        print(f"open in the context views: {100 * opened:.1f} % of the pixels\n{out}")
+    return all(hits.values())
 
 
-def teach(folder: Path, word: str, at: tuple[int, int], view: str | None) -> dict[str, Any]:
-    """Teach the field in ``folder`` that a word means what is at a pixel of a view.
+def teach_word(
+    folder: Path, word: str, at: tuple[int, int] | None, view: str | None, forget: bool
+) -> str:
+    """Teach the field that a word means what is at a pixel of a view, or let it forget the word.
 
-    Returns
-    -------
-    dict
-        ``object``; ``examples``, how many the word has now; ``found``, the (id,
-        relevancy) of what it means in the scene.
+    Returns a message for people; InputError if the pixel, view or word cannot be used.
     """
+    if forget == (at is not None):
+        raise InputError("say either where it is, with --at X Y, or --forget")
     field = SemanticField.load(folder)
+    if at is None:
+        field.forget(word).save_edits(folder)
+        return f"{word!r} is forgotten"
     (viewpoint,) = Choice([view] if view else ()).of_field(folder, field)
     x, y = at
     width, height = viewpoint.camera.width, viewpoint.camera.height
@@ -191,38 +201,33 @@ def teach(folder: Path, word: str, at: tuple[int, int], view: str | None) -> dic
         )
     taught = field.teach(word, id_)
     taught.save_edits(folder)
-    return {"object": id_, "examples": taught.taught.examples(word), "found": taught.find(word)}
+    return (
+        f"{word!r} is object {id_}\nexamples  {taught.taught.examples(word)}\n"
+        f"it means  {_listed(taught.find(word))}"
+    )
 
 
-def forget(folder: Path, word: str) -> None:
-    """Let the field in ``folder`` forget a taught word."""
-    SemanticField.load(folder).forget(word).save_edits(folder)
-
-
-def told(found: Sequence[tuple[int, float]]) -> str:
-    """Objects and relevancies, for people."""
-    return ", ".join(f"{id_} ({score:.3f})" for id_, score in found)
-
-
-def meant(
-    field: SemanticField, what: str, rules: Mapping[str, Any]
-) -> tuple[tuple[int, float], ...]:
+def objects_meant(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
     """Return the objects that a text means: that of this id, those of this name, or those it fits.
 
     None where the scene as a whole answers the text with "not here".
     """
     there = {int(id_) for id_ in field.bank.ids} - field.removed
-    if what.strip().isdecimal():
-        if int(what) not in there:
+    if text.strip().isdecimal():
+        if int(text) not in there:
             raise InputError(
-                f"{what!r}: is no object of the field; `slgaussian objects` lists them"
+                f"{text!r}: is no object of the field; `slgaussian objects list` has them"
             )
-        return ((int(what), 1.0),)
+        return ((int(text), 1.0),)
     labels = field.labels()
     labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
     seen = ObjectMap(labels[None], field.bank.ids)
-    (answer,) = ask([what], seen, field.reader, Rules(**rules))
-    return () if answer.verdict == "not here" else field.find(what, **rules)
+    (answer,) = ask([text], seen, field.reader, Rules(**rules))
+    return () if answer.verdict == "not here" else field.find(text, **rules)
+
+
+def _listed(hits: Hits) -> str:
+    return ", ".join(f"{id_} ({score:.3f})" for id_, score in hits)
 
 
 def _row(thing: Thing) -> dict[str, Any]:
@@ -242,11 +247,11 @@ def _row(thing: Thing) -> dict[str, Any]:
     }
 
 
-def _words(row: Mapping[str, Any]) -> str:
+def _best_words(row: Mapping[str, Any]) -> str:
     pairs = list(zip(row["words"], row["relevancies"], strict=True))
     good = [f"{text} {relevancy:.3f}" for text, relevancy in pairs if relevancy > EVEN]
-    said = ", ".join(good) if good else ", ".join(f"({text} {r:.3f})" for text, r in pairs[:1])
-    return said if row["name"] is None else f"{row['name']!r}: {said}"
+    words = ", ".join(good) if good else ", ".join(f"({text} {r:.3f})" for text, r in pairs[:1])
+    return words if row["name"] is None else f"{row['name']!r}: {words}"
 
 
 def _caption(thing: Thing) -> str:
@@ -255,24 +260,24 @@ def _caption(thing: Thing) -> str:
 
 
 def _cut_out(folder: Path, field: SemanticField, things: Sequence[Thing]) -> list[np.ndarray]:
-    """What each thing looks like in the view that shows most of it."""
+    """Return how each object looks in the view that shows most of it, uint8 [H, W, 3]."""
     if field.bank.boxes is None:
         raise InputError(
             f"{folder}: its memory bank does not know where the objects are, so they cannot be "
             "drawn; leave out --crops and the picture, or build the field again"
         )
-    seen = [field.render(camera) for camera in field.cameras.values()]
+    views = [field.render(camera) for camera in field.cameras.values()]
     rows = np.searchsorted(field.bank.ids, [thing.id for thing in things])
     return pictures.cut_out(
-        [view.rgb for view in seen],
-        [view.ids for view in seen],
+        [view.rgb for view in views],
+        [view.ids for view in views],
         field.bank.ids[rows],
         field.bank.boxes[rows],
     )
 
 
 def _write_crops(folder: Path, things: Sequence[Thing], cuts: Sequence[np.ndarray]) -> None:
-    """One picture a thing, ``ID.png``."""
+    """Write one picture an object, ``ID.png``."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

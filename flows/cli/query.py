@@ -1,7 +1,9 @@
-"""What the commands that ask a field do: query, segment; and how they say what they found."""
+"""Ask a field, or give each pixel the text that fits it best; answers as text and pictures."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -9,15 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from flows.cli import kept_views
 from flows.cli.drawings import check_drawing, drawing, write_ids
+from flows.cli.text import aligned
 from flows.cli.viewpoints import Choice, Viewpoint
-from flows.settings import RULES, TABLES, layered, preset_values
+from flows.settings import RULES, Method, checked, files_of, layered, preset_values
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.formats import images
+from slgaussian.kernels import threads
 from slgaussian.language.query import QueryResult, Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity
+from slgaussian.scene import Camera
+from slgaussian.storage.field_folder import read_about
+from slgaussian.storage.local_copies import kept_arrays
 
 EVEN = 0.5
 """Relevancy of what fits a text as well as it fits the canonical phrases."""
@@ -26,7 +32,10 @@ VERDICTS = ("found", "not sure", "not here")
 """Best first."""
 
 NOTHING = "no text fits"
-"""What a segmentation says of pixels that fit no text better than the canonical phrases."""
+"""Label of pixels that fit no text better than the canonical phrases."""
+
+RENDERED = ("rgb", "ids", "confidence", "alpha", "depth")
+"""Arrays of a view that the user's cache keeps."""
 
 
 def ask(
@@ -40,9 +49,21 @@ def ask(
 ) -> list[dict[str, Any]]:
     """Ask the field in ``folder`` and draw the answers to ``out``, if given.
 
-    ``settings`` are those of :class:`slgaussian.language.query.Rules`, and by the name of the
-    field's encoder a table that says where its files are now. ``words`` is a file of taught words
-    that the field takes for this, and ``like`` are pictures of things that are asked for too.
+    Parameters
+    ----------
+    folder : path
+    texts : sequence of str
+    choice : Choice
+        Viewpoints.
+    out : path, optional
+        Picture or film.
+    settings : mapping
+        Fields of :class:`slgaussian.language.query.Rules`, ``preset``, and by the name of the
+        field's encoder a table that says where its files are now.
+    words : path, optional
+        File of taught words that the field takes for this.
+    like : sequence of path
+        Pictures of things that are asked for too.
 
     Returns
     -------
@@ -64,17 +85,17 @@ def ask(
     """
     if out is not None:
         check_drawing(out, choice.film)
-    rules, field = opened(folder, settings, words)
+    rules, field = open_field(folder, settings, words)
     crops = [_read_picture(file) for file in like]
-    asked, refused = sorted_out(field, texts) if texts else ([], {})
+    asked, refused = sort_texts(field, texts) if texts else ([], {})
     answers = []
     with drawing(out, choice.film) as draw:
         for viewpoint in choice.of_field(folder, field):
-            seen = kept_views.seen(folder, field, viewpoint.camera)
-            found = seen.query_all(asked, **rules) if asked else []
-            hits = dict(zip(asked, found, strict=True))
+            view = _rendered(folder, field, viewpoint.camera)
+            results = view.query_all(asked, **rules) if asked else []
+            hits = dict(zip(asked, results, strict=True))
             hits |= {
-                str(file): replace(seen.like(*crop, **rules), text=str(file))
+                str(file): replace(view.like(*crop, **rules), text=str(file))
                 for file, crop in zip(like, crops, strict=True)
             }
             for text in [*texts, *map(str, like)]:
@@ -82,14 +103,14 @@ def ask(
                 picture = None if out is None else str(out)
                 answers.append({"view": viewpoint.name, **answer, "picture": picture})
             if out is not None:
-                rows = [_hit_panels(viewpoint, seen, hit) for hit in hits.values()]
+                rows = [_hit_panels(viewpoint, view, hit) for hit in hits.values()]
                 from slgaussian.benchmark import pictures
 
                 draw(np.concatenate([pictures.side_by_side(row) for row in rows]))
     return answers
 
 
-def segmented(
+def segment_views(
     folder: Path,
     texts: Sequence[str],
     choice: Choice,
@@ -119,29 +140,29 @@ def segmented(
     """
     if out is not None:
         check_drawing(out, choice.film)
-    rules, field = opened(folder, settings, words)
-    asked, refused = sorted_out(field, texts)
+    rules, field = open_field(folder, settings, words)
+    asked, refused = sort_texts(field, texts)
     numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
     pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
     objects: list[set[int]] = [set() for _ in pixels]
-    verdicts: dict[str, set[str]] = {text: set() for text in asked}
+    verdicts: list[set[str | None]] = [set() for _ in pixels]
     viewpoints = choice.of_field(folder, field)
     if out is not None and not choice.film and len(viewpoints) > 1:
         raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
     with drawing(out, choice.film) as draw:
         for viewpoint in viewpoints:
-            seen = kept_views.seen(folder, field, viewpoint.camera)
-            hits = seen.query_all(asked, **rules)
-            for hit in hits:
-                verdicts[hit.text].add(hit.verdict)
+            view = _rendered(folder, field, viewpoint.camera)
+            hits = view.query_all(asked, **rules)
+            for number, hit in zip(numbers[1:], hits, strict=True):
+                verdicts[number].add(hit.verdict)
             best = np.stack([hit.relevancy for hit in hits]).max(0)
-            labels = numbers[seen.segment(asked, **rules)]
+            labels = numbers[view.segment(asked, **rules)]
             pixels += np.bincount(labels.ravel(), minlength=len(pixels))
             total += np.bincount(labels.ravel(), best.ravel(), minlength=len(pixels))
             for label in np.unique(labels):
-                objects[label].update(np.unique(seen.ids[labels == label]).tolist())
+                objects[label].update(np.unique(view.ids[labels == label]).tolist())
             if out is not None:
-                draw(_labels_picture(viewpoint, seen, labels, texts, asked))
+                draw(_labels_picture(viewpoint, view, labels, texts, asked))
     if out is not None and not choice.film:
         write_ids(out.with_suffix(".ids.png"), labels)
     rows = [
@@ -150,16 +171,16 @@ def segmented(
             "label": int(label),
             "share": pixels[label] / pixels.sum(),
             "relevancy": total[label] / pixels[label] if pixels[label] else None,
-            "verdict": _best(verdicts[texts[label - 1]]) if label else None,
+            "verdict": next((v for v in VERDICTS if v in verdicts[label]), None),
             "objects": sorted(objects[label] - {0}),
         }
         for label in [*numbers[1:], 0]
     ]
-    return rows + [{"text": text, "refused": why} for text, why in refused.items()]
+    return rows + [{"text": text, "refused": reason} for text, reason in refused.items()]
 
 
 def exit_status(answers: Sequence[Mapping[str, Any]]) -> int:
-    """Exit status of :func:`ask`: 0 if each text is found in some viewpoint, 3 if one is in none.
+    """Return the exit status of :func:`ask`: 0 if each text is found in a viewpoint, 3 if not.
 
     1 if a text is refused.
     """
@@ -169,14 +190,22 @@ def exit_status(answers: Sequence[Mapping[str, Any]]) -> int:
     return 0 if {answer["text"] for answer in answers if answer["found"]} == texts else 3
 
 
-def _best(verdicts: set[str]) -> str:
-    return next(one for one in VERDICTS if one in verdicts)
-
-
-def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
-    """Describe the answers of :func:`ask`, for people."""
+def answers_text(answers: Sequence[Mapping[str, Any]], film: bool = False) -> str:
+    """Describe the answers of :func:`ask` for people; of a film a block a text, not a frame."""
     blocks = []
-    for answer in answers:
+    for text in dict.fromkeys(answer["text"] for answer in answers if film):
+        frames = [answer for answer in answers if answer["text"] == text]
+        scores = [answer["score"] for answer in frames if not answer["refused"]]
+        if not scores:
+            blocks.append(f"{text!r} is {frames[0]['summary']}")
+            continue
+        sure, unsure = (sum(a["verdict"] == verdict for a in frames) for verdict in VERDICTS[:2])
+        line = (
+            f"{text!r} found in {sure} of {len(frames)} frames, not sure in {unsure}, "
+            f"score {min(scores):.3f} to {max(scores):.3f}"
+        )
+        blocks.append("\n".join([line, *_words_used(frames[0])]))
+    for answer in answers if not film else ():
         if answer["refused"]:
             blocks.append(f"{answer['text']!r} is {answer['summary']}")
             continue
@@ -188,44 +217,43 @@ def spoken(answers: Sequence[Mapping[str, Any]]) -> str:
             if answer["point"]:
                 lines.append("point  x {}, y {}".format(*answer["point"]))
             lines.append(f"{'objects' if answer['point'] else 'most like it'}  {ids or 'none'}")
-        blocks.append("\n".join(lines + _of_words(answer)))
-    return "\n\n".join(dict.fromkeys(blocks))
+        blocks.append("\n".join(lines + _words_used(answer)))
+    return ("\n" if film else "\n\n").join(dict.fromkeys(blocks))
 
 
-def spoken_film(answers: Sequence[Mapping[str, Any]]) -> str:
-    """Describe the answers of :func:`ask` along a turn: a block a text, not a frame."""
-    lines = []
-    for text in dict.fromkeys(answer["text"] for answer in answers):
-        own = [answer for answer in answers if answer["text"] == text]
-        if own[0]["refused"]:
-            lines.append(f"{text!r} is {own[0]['summary']}")
-            continue
-        scores = [answer["score"] for answer in own]
-        sure, unsure = (
-            sum(answer["verdict"] == verdict for answer in own) for verdict in VERDICTS[:2]
-        )
-        lines.append(
-            f"{text!r} found in {sure} of {len(own)} frames, not sure in {unsure}, "
-            f"score {min(scores):.3f} to {max(scores):.3f}"
-        )
-        lines += _of_words(own[0])
-    return "\n".join(lines)
-
-
-def tabled(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Tabulate the rows of :func:`segmented`."""
-    shown = [row for row in rows if "label" in row]
-    texts = [NOTHING if row["text"] is None else row["text"] for row in shown]
-    wide = max(map(len, texts))
-    lines = [f"label  {'text':<{wide}}  pixels  relevancy  verdict   objects"]
-    for row, text in zip(shown, texts, strict=True):
+def texts_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Tabulate the rows of :func:`segment_views`."""
+    lines = [("label", "text", "pixels", "relevancy", "verdict", "objects")]
+    for row in (row for row in rows if "label" in row):
         mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
-        ids = ", ".join(map(str, row["objects"]))
-        share = f"{100 * row['share']:.1f} %"
-        verdict = f"{row['verdict'] or '':<8}"
-        line = f"{row['label']:>5}  {text:<{wide}}  {share:>6}  {mean:>9}  {verdict}  {ids}"
-        lines.append(line.rstrip())
-    return "\n".join(lines + refusals(rows))
+        share, ids = f"{100 * row['share']:.1f} %", ", ".join(map(str, row["objects"]))
+        text = NOTHING if row["text"] is None else row["text"]
+        lines.append((str(row["label"]), text, share, mean, row["verdict"] or "", ids))
+    return "\n".join([aligned(lines, "><>><<"), *refusals(rows)])
+
+
+def _rendered(folder: Path, field: SemanticField, camera: Camera) -> FieldView:
+    """Render the field of ``folder``, maybe taught, named or removed in, or take it as it was.
+
+    The user's cache keeps views by all that their pixels depend on: content, camera, code and
+    processor. Who asks a view again reads no Gaussians: 1.1 s in place of 2.8 for an office.
+    """
+
+    def arrays() -> dict[str, np.ndarray]:
+        view = field.render(camera)
+        return {name: getattr(view, name) for name in RENDERED}
+
+    about, _ = read_about(folder)
+    inputs = {
+        "content": dict(about.digests),
+        "settings": dict(about.settings),
+        "removed": sorted(field.removed),
+        "camera": [camera.K.tolist(), camera.c2w.tolist(), camera.width, camera.height],
+        "code": threads.sources().whole,
+        "processor": threads.processor(),
+    }
+    key = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+    return FieldView(**kept_arrays(f"views/{key}.npz", arrays), field=field, camera=camera)
 
 
 def _answer(hit: QueryResult) -> dict[str, Any]:
@@ -251,23 +279,30 @@ def _answer(hit: QueryResult) -> dict[str, Any]:
     }
 
 
-def _refusal(text: str, why: str) -> dict[str, Any]:
-    answer: dict[str, Any] = {"text": text, "found": False, "verdict": None}
-    answer |= {
-        "summary": f"refused: {why}",
+def _refusal(text: str, reason: str) -> dict[str, Any]:
+    return {
+        "text": text,
+        "found": False,
+        "verdict": None,
+        "summary": f"refused: {reason}",
         "confidence": None,
         "uncalibrated": None,
         "score": None,
         "point": None,
+        "objects": [],
+        "pixels": 0,
+        "read_as": None,
+        "unknown": [],
+        "unused": {},
+        "kind": "unknown",
+        "examples": 0,
+        "instead_of": None,
+        "refused": reason,
     }
-    answer |= {"objects": [], "pixels": 0, "read_as": None}
-    answer |= {"unknown": [], "unused": {}, "kind": "unknown"}
-    answer |= {"examples": 0, "instead_of": None}
-    return answer | {"refused": why}
 
 
-def _of_words(answer: Mapping[str, Any]) -> list[str]:
-    """Which words of a text count for its answer, if not all."""
+def _words_used(answer: Mapping[str, Any]) -> list[str]:
+    """Describe the words of a text that count for its answer, if not all do."""
     if answer["kind"] == "picture":
         return ["asked by picture"]
     if answer["kind"] in ("named", "taught"):
@@ -280,9 +315,9 @@ def _of_words(answer: Mapping[str, Any]) -> list[str]:
     lines = []
     if answer["unknown"]:
         lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
-    for why in dict.fromkeys(answer["unused"].values()):
-        words = [word for word, other in answer["unused"].items() if other == why]
-        lines.append(f"set aside: {', '.join(words)} ({why})")
+    for reason in dict.fromkeys(answer["unused"].values()):
+        words = [word for word, other in answer["unused"].items() if other == reason]
+        lines.append(f"set aside: {', '.join(words)} ({reason})")
     return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
 
 
@@ -302,17 +337,17 @@ def _read_picture(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A line a text that was refused."""
+    """Return a line for each text that was refused."""
     return [f"{row['text']!r} is refused: {row['refused']}" for row in rows if row.get("refused")]
 
 
 def _hit_panels(
-    viewpoint: Viewpoint, seen: FieldView, hit: QueryResult
+    viewpoint: Viewpoint, view: FieldView, hit: QueryResult
 ) -> list[tuple[str, np.ndarray]]:
     from slgaussian.benchmark import pictures
 
-    relevancy = pictures.paint_relevancy(hit.relevancy, seen.rgb)
-    where = seen.rgb
+    relevancy = pictures.paint_relevancy(hit.relevancy, view.rgb)
+    where = view.rgb
     if hit.verdict == "found":
         where = pictures.draw_point(
             pictures.draw_outline(where, hit.mask, pictures.PREDICTED), hit.point
@@ -320,7 +355,7 @@ def _hit_panels(
     elif hit.verdict == "not sure":
         where = pictures.draw_dashed(where, hit.mask, pictures.PREDICTED)
     return [
-        (viewpoint.caption, seen.rgb),
+        (viewpoint.caption, view.rgb),
         (f"relevancy of {hit.text!r}", relevancy),
         (hit.summary, where),
     ]
@@ -328,54 +363,61 @@ def _hit_panels(
 
 def _labels_picture(
     viewpoint: Viewpoint,
-    seen: FieldView,
+    view: FieldView,
     labels: np.ndarray,
     texts: Sequence[str],
     asked: Sequence[str],
 ) -> np.ndarray:
     from slgaussian.benchmark import pictures
 
-    painted = pictures.spotlight(pictures.paint_labels(labels, seen.rgb), labels > 0)
+    painted = pictures.spotlight(pictures.paint_labels(labels, view.rgb), labels > 0)
     shares = np.bincount(labels.ravel(), minlength=len(texts) + 1) / labels.size
     entries = [(texts.index(text) + 1, text) for text in asked] + [(0, NOTHING)]
     legend = [
         (pictures.label_colors(np.array(label)), f"{text}  {100 * shares[label]:.1f} %")
         for label, text in entries
     ]
-    row = pictures.side_by_side([(viewpoint.caption, seen.rgb), ("the text that fits", painted)])
+    row = pictures.side_by_side([(viewpoint.caption, view.rgb), ("the text that fits", painted)])
     return pictures.with_legend(row, legend)
 
 
-def opened(
-    folder: Path, settings: Mapping[str, Any], words: Path | None = None
+def open_field(
+    folder: Path, settings: Mapping[str, Any], words: Path | None = None, rules: bool = True
 ) -> tuple[dict[str, Any], SemanticField]:
-    """The rules among the settings, and the field, with its encoder ready to be asked.
+    """Return the rules among ``settings``, and the field with its encoder ready to be asked.
 
     Of a preset, the rules count. With ``words``, a file of taught ones, it knows those too.
+
+    Raises
+    ------
+    InputError
+        If a setting is unknown, does not fit or has no effect, as rules where ``rules`` is false,
+        or the folder, the encoder's files or the words cannot be read.
     """
-    given = settings
-    if "preset" in settings:
-        given = layered(preset_values(settings["preset"], "options"), dict(settings))
-    rules = {name: value for name, value in given.items() if name in RULES}
-    Rules(**rules)
+    values = dict(settings)
+    preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
+    fields = checked(Method, layered(preset, values), "query").model_dump(exclude_unset=True)
+    chosen = {name: value for name, value in fields.items() if name in RULES}
+    Rules(**chosen)
     field = SemanticField.load(folder, later=True)
-    used = field.settings["encoder"]
-    where = {part: table for part, table in settings.items() if part in TABLES}
-    for part in where:
-        if part != used:
-            raise InputError(
-                f"{folder}: settings of {part!r} are given, but the field's encoder is {used!r}; "
-                "leave them out"
-            )
-    field = replace(field, places={**field.places, **where.get(used, {})})
+    encoder = field.settings["encoder"]
+    places = fields[encoder] if encoder in values else {}
+    fixed = values.keys() - (RULES if rules else set()) - {encoder}
+    fixed |= {f"{encoder}.{k}" for k in places if f"{encoder}.{k}" not in files_of("encoder")}
+    for name in sorted(fixed):
+        raise InputError(
+            f"{folder}: {name} is given, but the field is built, and its encoder is {encoder!r}: "
+            f"only {'rules of queries and ' * rules}files of this encoder can be given"
+        )
+    field = replace(field, places={**field.places, **places})
     field.encoder  # noqa: B018  (what is missing is said before anything is drawn)
     if words is not None:
         field = field.taking(TaughtWords.load(words, encoder_identity(field.settings)))
-    return rules, field
+    return chosen, field
 
 
-def sorted_out(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """The texts that can be asked, each once, and why each of the others cannot be.
+def sort_texts(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the texts that can be asked, each once, and the reason of each that cannot.
 
     InputError if none can.
     """

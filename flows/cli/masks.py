@@ -1,16 +1,16 @@
-"""What `slgaussian masks` does: label maps, in the format that the tracker precomputed reads."""
+"""Label photographs, in the format that the tracker precomputed reads."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flows.cli.posing import posed_sample
+from flows.cli.load_views import load_views
+from flows.cli.text import aligned
 from flows.settings import make_settings
 from slgaussian.benchmark import pictures
 from slgaussian.build import predict
@@ -28,31 +28,29 @@ LOOK = "look.jpg"
 STEPS = ("predictor", "proposer", "tracker")
 
 
-@dataclass(frozen=True)
-class Labelled:
-    """What was written: the file of each view by its name, and the maps."""
-
-    files: dict[str, str]
-    maps: LabelMaps
-
-
 def label(
-    photos: Sequence[str], cameras: Path | None, refine: bool, out: Path, options: dict[str, Any]
-) -> Labelled:
+    photos: Sequence[str], cameras: Path | None, refine: bool, out: Path, values: dict[str, Any]
+) -> tuple[dict[str, str], LabelMaps]:
     """Label the objects of photographs and write the maps to folder ``out``.
 
     The predictor serves the tracker, which wants depth; no word is read and no field is made.
     ``out`` has one map a view, ``masks.json`` with what made them, and ``look.jpg``. A folder that
-    this made is replaced.
+    this made is replaced. ``values`` are settings as a configuration file has them.
+
+    Returns
+    -------
+    files : dict str -> str
+        The file of each view, by the view's name.
+    maps : LabelMaps
 
     Raises
     ------
     InputError
         If anything given cannot be used; a folder that cannot be written is found before the work.
     """
-    method = make_settings(options, "masks")
+    method = make_settings(values, "masks")
     check_target(out, ABOUT, "a folder of masks")
-    sample, _ = posed_sample(photos, cameras, refine, method)
+    sample, _ = load_views(photos, cameras, refine, method)
     names = map_names([view.name for view in sample.context])
     parts = [method.part(step) for step in STEPS]
     predictor, proposer, tracker = parts
@@ -87,17 +85,15 @@ def label(
         about |= {part.name: part.identity() for part in parts if part.settings}
         text = {"size": [height, width], "views": files, "settings": about}
         (draft / ABOUT).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
-    return Labelled(files, maps)
+    return files, maps
 
 
-def tabled(made: Labelled) -> str:
-    """The maps as a table, and how many objects several views show."""
-    wide = max(map(len, ["view", *made.files]))
-    names = max(map(len, ["file", *made.files.values()]))
-    lines = [f"{'view':<{wide}}  {'file':<{names}}  objects  labelled"]
-    counts = (made.maps.areas() > 0).sum(0)
-    for (view, file), ids, n in zip(made.files.items(), made.maps.labels, counts, strict=True):
-        share = f"{100 * (ids > 0).mean():.1f} %"
-        lines.append(f"{view:<{wide}}  {file:<{names}}  {n:>7}  {share:>8}")
-    shared = len(made.maps.ids) - len(made.maps.seen_once)
-    return "\n".join([*lines, f"{len(made.maps.ids)} objects, {shared} of them in several views"])
+def maps_table(files: Mapping[str, str], maps: LabelMaps) -> str:
+    """Tabulate the maps, and count the objects that several views show."""
+    rows = [("view", "file", "objects", "labelled")]
+    counts = (maps.areas() > 0).sum(0)
+    for (view, file), ids, n in zip(files.items(), maps.labels, counts, strict=True):
+        rows.append((view, file, str(n), f"{100 * (ids > 0).mean():.1f} %"))
+    shared = len(maps.ids) - len(maps.seen_once)
+    objects = f"{len(maps.ids)} objects, {shared} of them in several views"
+    return f"{aligned(rows, '<<')}\n{objects}"

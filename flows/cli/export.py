@@ -1,4 +1,4 @@
-"""Write a field, or anybody's ``.ply``, as one file: a page to send, or for other viewers."""
+"""Write a field or a ``.ply`` as one file: a page to send, or for other viewers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from flows.cli.questions import opened
-from flows.cli.things import meant
+from flows.cli.objects import objects_meant
+from flows.cli.query import open_field
 from slgaussian.datasets.photographs import open_photograph
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.field import SemanticField
@@ -24,26 +24,26 @@ from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 SUFFIXES = (".html", ".ply", ".spz")
 
 
-def export(
+def write(
     source: Path,
     out: Path,
-    what: str | None = None,
-    texts: Sequence[str] = (),
-    title: str | None = None,
-    settings: Mapping[str, Any] | None = None,
+    text: str | None,
+    texts: Sequence[str],
+    title: str | None,
+    settings: Mapping[str, Any],
 ) -> None:
     """Write the field in folder ``source``, or a ``.ply``, to ``out``, whose suffix says how.
 
     Parameters
     ----------
     source, out : path
-    what : str, optional
-        An id, a name or a text: what it means is written alone.
+    text : str, optional
+        An id, a name or a text of an object, which is written alone.
     texts : sequence of str
-        What a page shall answer beside the words that it knows anyway.
+        Texts that a page shall answer beside the words that it knows anyway.
     title : str, optional
         Of a page.
-    settings : mapping, optional
+    settings : mapping
         By the name of the field's encoder, a table that says where its files are now.
 
     Raises
@@ -60,52 +60,46 @@ def export(
         )
     if suffix != ".html" and (texts or title):
         raise InputError(f"{out}: --text and --title are for pages (.html); leave them out")
+    field = None
     if source.suffix.lower() == ".ply" and not source.is_dir():
-        _of_strangers(source, out, what, texts, title)
-        return
-    if suffix == ".html" or what is not None:
-        _, field = opened(source, settings or {})
+        if text is not None or texts:
+            raise InputError(
+                f"{source}: a .ply has no objects and answers no words; leave out --object and "
+                "--text"
+            )
+        if suffix == ".ply":
+            raise InputError(f"{source}: is a .ply already; name another format")
+        gaussians, labels = load_ply(source)[0], None
     else:
-        field = SemanticField.load(source)
-    field = field.dropped()
-    if what is not None:
-        ids = [id_ for id_, _ in meant(field, what, {})]
-        field = field.only(ids)
-        if not len(field.gaussians):
-            raise InputError(f"--object {what!r}: nothing is found; `slgaussian objects` lists all")
-    if suffix == ".html":
-        _write_page(out, scene_page(field, _photographs(source, field), texts, title))
-    elif suffix == ".ply":
-        save_ply(field.gaussians, out, field.labels())
-    else:
-        save_spz(field.gaussians, out)
-
-
-def _of_strangers(
-    source: Path, out: Path, what: str | None, texts: Sequence[str], title: str | None
-) -> None:
-    if what is not None or texts:
-        raise InputError(
-            f"{source}: a .ply has no objects and answers no words; leave out --object and --text"
-        )
-    gaussians, _ = load_ply(source)
-    suffix = out.suffix.lower()
-    if suffix == ".html":
-        _write_page(out, gaussians_page(gaussians, title or source.stem))
-    elif suffix == ".ply":
-        raise InputError(f"{source}: is a .ply already; name another format")
-    else:
+        if suffix == ".html" or text is not None:
+            _, field = open_field(source, settings, rules=False)
+        else:
+            field = SemanticField.load(source)
+        field = field.dropped()
+        if text is not None:
+            field = field.only(id_ for id_, _ in objects_meant(field, text, {}))
+            if not len(field.gaussians):
+                raise InputError(
+                    f"--object {text!r}: nothing is found; `slgaussian objects list` has all"
+                )
+        gaussians, labels = field.gaussians, field.labels()
+    if suffix == ".ply":
+        save_ply(gaussians, out, labels)
+    elif suffix == ".spz":
         save_spz(gaussians, out)
-
-
-def _write_page(out: Path, page: str) -> None:
-    data = page.encode()
-    write_file(out, data)
-    print(f"{len(data) / 1e6:.1f} MB, to open in any browser, without a network", file=sys.stderr)
+    else:
+        if field is None:
+            page = gaussians_page(gaussians, title or source.stem)
+        else:
+            page = scene_page(field, _photographs(source, field), texts, title)
+        data = page.encode()
+        write_file(out, data)
+        size = f"{len(data) / 1e6:.1f} MB"
+        print(f"{size}, to open in any browser, without a network", file=sys.stderr)
 
 
 def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:
-    """The photographs of a field that are still where they were, by view."""
+    """Read the photographs of a field that are still where they were, by view."""
     taken = {}
     for name, (file, digest) in read_photographs(folder).items():
         try:
