@@ -26,10 +26,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pyarrow.parquet as pq
+from flows.night_settings import STATUS
 
 from benches.common.machine import measured
 from benches.common.process_cost import CLI
-from flows.night_settings import STATUS
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.semantic.versions import Versions

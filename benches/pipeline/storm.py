@@ -105,9 +105,10 @@ def run(store: str, listed: Path, out: Path, workers: int) -> None:
 
     kept = ArtifactStore(store)
     with interruptible(), orchestration(kept) as ready:
-        from flows.runners.progress import Progress
         from flows.runners.shard import Job
         from flows.runners.worker_pool import job_flow, work_through_all
+
+        from flows.runners.progress import Progress
 
         ready()
         files = json.loads(listed.read_text())

@@ -29,9 +29,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from flows.runners.journal import BEFORE
+
 from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
-from flows.runners.journal import BEFORE
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"

@@ -1,12 +1,11 @@
 """What the parts declare is what the documentation and the command say."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from flows.cli import components as parts
 from flows.cli.app import main
+from flows.settings import Settings
 from slgaussian.components import catalogue
 from slgaussian.parts.registry import KINDS, names_of
 
@@ -39,7 +38,7 @@ def test_every_part_is_listed_with_a_sentence_under_its_kind():
 )
 def test_the_schema_tells_configurations_from_others(values, fits):
     jsonschema = pytest.importorskip("jsonschema")
-    known = jsonschema.Draft202012Validator(json.loads(parts.schema()))
+    known = jsonschema.Draft202012Validator(Settings.model_json_schema())
     assert known.is_valid(values) == fits
 
 
