@@ -67,7 +67,7 @@ def test_ports_are_on_loopback_and_volumes_are_known():
             assert port.startswith("127.0.0.1:")
         for volume in service.get("volumes", []):
             source = volume.split(":")[0]
-            assert source in COMPOSE["volumes"] or (DOCKER / source).is_dir()
+            assert source in COMPOSE["volumes"] or (DOCKER / source).exists()
 
 
 def test_credentials_are_in_no_file_of_the_repository():
