@@ -16,9 +16,9 @@ from slgaussian import datasets
 from slgaussian.datasets import unposed
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
+from tasks.context import RunContext, run_context
 from tasks.ingest import Photographs, ingest
 from tasks.packed import PosedFolder, packed
-from tasks.stage import Worksite, at
 from tasks.truth import Labels, truth
 
 
@@ -36,13 +36,13 @@ def quick():
 
 def answer(stage, arguments, store):
     """What a stage makes in a store, or why it refuses; and whether it was there."""
-    site = Worksite(ArtifactStore(str(store)))
+    context = RunContext(ArtifactStore(str(store)))
     try:
-        with at(site):
+        with run_context(context):
             cached = stage.task.fn(arguments) is not None
     except InputError as error:
         return str(error), False
-    ref = site.made[stage.name]
+    ref = context.refs[stage.name]
     return (ref.digest, ref.meta.get("cameras"), ref.meta.get("left_out")), cached
 
 
@@ -161,10 +161,10 @@ def test_truth_is_read_anew_when_labels_change(tmp_path, masks):
     def ask(data, store):
         folder = data.scene
         asked = Photographs("s", folder.format, folder.path, {}, ("view_10", "view_30"), ASKED)
-        site = Worksite(ArtifactStore(str(store)))
-        with at(site):
+        context = RunContext(ArtifactStore(str(store)))
+        with run_context(context):
             ingest.task.fn({"photographs": asked})
-        sample = site.made["ingest"]
+        sample = context.refs["ingest"]
         labels = Labels(data.folder, ASKED, ("ball", "box")).of_views(sample.meta["targets"])
         return answer(truth, {"sample": sample, "labels": labels}, store)
 

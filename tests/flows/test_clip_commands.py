@@ -23,9 +23,9 @@ from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
 from tasks.supervision import supervision
 from tests.language.small_clip import save_clip
 
@@ -208,15 +208,15 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, 
 
 def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    site, method = Worksite(store), Method(tracker="flow", codes="grid")
+    context, method = RunContext(store), Method(tracker="flow", codes="grid")
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
-    ids = masks.work(site, sample, base, method.proposer, method.tracker, 1)
+    base = geometry.compute(context, sample, method.predictor, 0)
+    ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1)
     own = {"encoder": "clip", "clip": {"model": model_digest(model)}}
 
     def remembered(place):
         encoder = Part.stored("encoder", own, {"model": str(place)})
-        return supervision.work(site, sample, base, ids, encoder, method.codes, 0, "groups")
+        return supervision.compute(context, sample, base, ids, encoder, method.codes, 0, "groups")
 
     assert remembered(model).meta["objects"] >= 1
     other = shutil.copytree(model, tmp_path / "other")

@@ -23,8 +23,8 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
+from tasks.context import RunContext
 from tasks.ingest import Photographs, digests_of, ingest
-from tasks.stage import Worksite
 from tasks.truth import truth
 
 SIZE = (240, 160)
@@ -193,12 +193,12 @@ class TestScored:
         settings = make_settings({"size": (80, 120)}, "test")
         photographs, labels, *_ = scene_task(settings, settings.built_by, scene).arguments
         store = ArtifactStore(str(tmp_path / "store"))
-        site = Worksite(store)
-        made = ingest.work(site, photographs)
+        context = RunContext(store)
+        made = ingest.compute(context, photographs)
         sample = sample_from_arrays(store.get(made))
         assert [view.name for view in sample.targets] == [FRAMES[4]]
         assert sample.context[0].image.shape == (80, 120, 3)
-        found = truth_from_arrays(store.get(truth.work(site, made, labels)))
+        found = truth_from_arrays(store.get(truth.compute(context, made, labels)))
         mask = found.masks[FRAMES[4]]["sheep"]
         assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
         assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
@@ -313,7 +313,7 @@ class TestHeldOut:
         )
         settings = make_settings({}, "test")
         photographs, *_ = scene_task(settings, settings.built_by, scene).arguments
-        return ingest.work(Worksite(ArtifactStore(str(tmp_path / "store"))), photographs)
+        return ingest.compute(RunContext(ArtifactStore(str(tmp_path / "store"))), photographs)
 
     def test_a_target_that_is_a_context_view_is_refused_however_it_is_called(self, lerf, tmp_path):
         folder = lerf / "ramen"

@@ -14,9 +14,9 @@ from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
 
 
 @pytest.fixture
@@ -49,17 +49,17 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     assert steps["masks"]["tracker"].places() == {"folder": str(ids)}
 
     store = ArtifactStore(tmp_path / "store")
-    site = Worksite(store)
+    context = RunContext(store)
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
-    made = masks.work(site, sample, base, method.proposer, method.tracker, 5)
+    base = geometry.compute(context, sample, method.predictor, 0)
+    made = masks.compute(context, sample, base, method.proposer, method.tracker, 5)
     labels = store.get(made)["labels"]
     np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        masks.work(site, sample, base, method.proposer, method.tracker, 5)
+        masks.compute(context, sample, base, method.proposer, method.tracker, 5)
     again = Part.of("tracker", "precomputed", {"folder": ids})
-    made = masks.work(site, sample, base, method.proposer, again, 5)
+    made = masks.compute(context, sample, base, method.proposer, again, 5)
     assert made.meta["objects"] > 0
 
 
