@@ -97,7 +97,8 @@ def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     said = []
     for out in ("first", "second"):
-        words = ["pack", "procedural:0", "--views", "2", "--size", "16x16", "-o", tmp_path / out]
+        words = ["ingest", "procedural:0", "-o", tmp_path / out, "--store", tmp_path / "store"]
+        words += ["--set", "views=2", "--set", "size=16x16"]
         made = subprocess.run(
             [sys.executable, "-c", FIRST_USE, *map(str, words)],
             env=env, capture_output=True, text=True,
