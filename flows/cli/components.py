@@ -54,7 +54,8 @@ A setting such as `depth_candidates` of `planesweep` is `--set planesweep.depth_
 the command line, `depth_candidates` in the table `[planesweep]` of a configuration file (the table
 of `sam2-video` is `[sam2_video]`), and in Python
 `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A file, folder or model is known by
-its content in cache keys and results, wherever it is. How a part is added: [architecture](../architecture.md#where-to-add-a-part).""",
+its content in cache keys and results, wherever it is. How a part is added:
+[architecture](../architecture.md#where-to-add-a-part).""",
     ]
     for kind, parts in _by_kind().items():
         text.append(f"## {kind.capitalize()}\n\n{KINDS[kind].help}")
