@@ -37,8 +37,7 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="<key=value>",
-        help="Any other field of the configuration, as planesweep.depth_candidates=96; may be "
-        "repeated.",
+        help="Any other field of the configuration, as replicas=1 or clip.model=PATH; may be repeated.",
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -57,8 +56,7 @@ Size = Annotated[
     str | None,
     typer.Option(
         metavar="<size>",
-        help="Height and width to work at: 416x576, 'at most 416x576', original or auto. "
-        "[default: auto]",
+        help="Height and width to work at: 416x576, 'at most 416x576', original or auto.",
     ),
 ]
 SampleSize = Annotated[
@@ -69,9 +67,7 @@ Predictor = Annotated[
     str | None,
     _component("predictor", "planesweep, mvsplat or precomputed. [default: planesweep]"),
 ]
-Proposer = Annotated[
-    str | None, _component("proposer", "Finds masks: regions or sam. [default: regions]")
-]
+Proposer = Annotated[str | None, _component("proposer", "regions, sam or sam2. [default: regions]")]
 Tracker = Annotated[
     str | None,
     _component("tracker", "geometric, sam2-video or precomputed. [default: geometric]"),
