@@ -1,10 +1,10 @@
-"""Write `reference/parts.md`: the parts that come with the package, and their settings."""
+"""Write `reference/parts.md`: the components that come with the package, and their fields."""
 
 from pathlib import Path
 
-from flows.cli.components import markdown
+from slgaussian.components.catalogue import as_markdown
 
 PAGE = Path(__file__).parent / "reference" / "parts.md"
 
 if __name__ == "__main__":
-    PAGE.write_text(markdown(), "utf-8")
+    PAGE.write_text(as_markdown(), "utf-8")

@@ -8,8 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from flows.corpus_settings import PairSettings, Sides, Withdrawal, check_bounds
-from flows.encoder_choice import settled
-from flows.settings import Engine, Method, checked, refuse_idle
+from flows.settings import Engine, Method, checked, refuse_idle, settled
 
 
 class SetSettings(BaseModel):

@@ -6,48 +6,28 @@ encoder that was taken, never ``auto``. Nothing is ever downloaded for it.
 
 from __future__ import annotations
 
-import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
 
 from slgaussian.errors import InputError
-
-if TYPE_CHECKING:
-    from flows.settings import MethodSettings
+from slgaussian.language.configs import CLIP, ClipConfig
 
 AUTO = "auto"
 
 CANDIDATES = ("clip", "lexicon")
 """The encoders that it may become: tables of both may be given."""
 
-AnySettings = TypeVar("AnySettings", bound="MethodSettings")
 
-
-def settled(settings: AnySettings) -> AnySettings:
-    """Settings whose encoder is a real one; which, and why, goes to stderr if it was ``auto``."""
-    if settings.encoder != AUTO:
-        return settings
-    table = settings.clip  # type: ignore[attr-defined]  # made of the parts that there are
-    place, why = _clip_here(table.model, table.tokenizer)
-    chosen = "lexicon" if place is None else "clip"
-    print(f"encoder auto: {chosen}, as {why}", file=sys.stderr)
-    update = {"encoder": chosen}
-    if place is not None:
-        update["clip"] = table.model_copy(update={"model": place})
-    return settings.model_copy(update=update)
-
-
-def _clip_here(model: str, tokenizer: str | None) -> tuple[str | None, str]:
-    """The CLIP to take, None if there is none, and why."""
-    from slgaussian.language.clip import Clip
+def find_clip(config: ClipConfig) -> tuple[str | None, str]:
+    """Find the CLIP to take; None if there is none on this machine; and the reason."""
     from slgaussian.parts.hub_cache import cached_models
 
+    model, tokenizer = str(config.model), config.tokenizer
     if find_spec("transformers") is None:
         return None, "CLIP needs the package transformers, which is not installed"
     if _usable(model, tokenizer):
         return model, f"{model} is on this machine"
-    if model != Clip.FAMILY.example:
+    if model != CLIP:
         return None, f"{model} is no whole CLIP with its tokenizer on this machine"
     others = [name for name, folder in cached_models() if _usable(folder, tokenizer)]
     if len(others) == 1:
@@ -58,9 +38,8 @@ def _clip_here(model: str, tokenizer: str | None) -> tuple[str | None, str]:
     return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
 
 
-def _usable(place: str | Path, tokenizer: str | None) -> bool:
+def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
     """Whether a CLIP and its tokenizer are here with all their files, as far as names tell."""
-    from slgaussian.language.clip import Clip
     from slgaussian.parts.hub_cache import local_place
     from slgaussian.parts.pretrained import CONFIG, find_model, find_tokenizer, read_json
 
@@ -75,6 +54,6 @@ def _usable(place: str | Path, tokenizer: str | None) -> bool:
         find_tokenizer(words)
         if found.checkpoint is not None:
             return True
-        return read_json(found.folder / CONFIG).get("model_type") in Clip.FAMILY.types
+        return read_json(found.folder / CONFIG).get("model_type") == "clip"
     except InputError:
         return False

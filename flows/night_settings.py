@@ -9,8 +9,7 @@ from pydantic import ConfigDict, Field
 
 from flows.corpus_settings import check_bounds
 from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.encoder_choice import settled
-from flows.settings import checked, read_values, refuse_idle
+from flows.settings import checked, read_values, refuse_idle, settled
 from flows.training_settings import RetrainSettings
 
 STATUS = {

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property, reduce
-from operator import or_
+from functools import cached_property
 from pathlib import Path
-from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -22,15 +21,19 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from flows.encoder_choice import AUTO, CANDIDATES, settled
+from flows.encoder_choice import AUTO, CANDIDATES, find_clip
+from slgaussian.components.config import ComponentConfig
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
+from slgaussian.language.configs import ClipConfig, GridConfig, NamedConfig, SeparatedConfig
+from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.parts.method import BANK, KEEP, OWN
 from slgaussian.parts.method import Method as BuildMethod
 from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS, find_part, names_of
-from slgaussian.parts.settings import Setting, settings_of
+from slgaussian.parts.registry import KINDS, brought, find_config, names_of
+from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
+from slgaussian.semantic.configs import BranchConfig
 from slgaussian.storage.remote import check_url
 
 SIDES = range(16, 8193)
@@ -71,15 +74,6 @@ Size = Annotated[tuple[int, int] | str, BeforeValidator(_parse_size)]
 Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 
-def _parse_count(value: Any) -> Any:
-    """A whole number, which the command line gives as text, or ``"auto"``."""
-    if isinstance(value, str) and value.isdecimal():
-        return int(value)
-    if value == "auto" or type(value) is int:
-        return value
-    raise PydanticCustomError("count", "expected a whole number or 'auto'")
-
-
 RUNNERS = ("threads", "processes")
 """Who may do the work of a flow on this machine."""
 CLUSTERS = ("dask", "ray")
@@ -102,93 +96,16 @@ def _parse_runner(value: Any) -> str:
 Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
 
-class PartTable(BaseModel):
-    """Settings of one part: the table of its name in a file, options ``--NAME-KEY`` of a command.
-
-    It is made of what the part's class declares (:mod:`slgaussian.parts.settings`). Types are
-    checked here, values by the part itself.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-def _table_of(part: str) -> str:
-    return part.replace("-", "_")
-
-
-def _annotation(declared: Setting) -> Any:
-    """The type of a setting in a file: plain values, and of what may be a name the text."""
-    if declared.words:
-        return Annotated[int | Literal[declared.words], BeforeValidator(_parse_count)]
-    plain = [m for m in declared.members if m in (bool, int, float, str, Path, NoneType)]
-    return reduce(or_, (m for m in plain if m is not Path or declared.is_path))
-
-
-def _table(name: str, settings: Mapping[str, Setting]) -> type[PartTable]:
-    """The table of a part of these settings."""
-    fields: dict[str, Any] = {
-        key: (
-            _annotation(declared),
-            Field(
-                declared.default,
-                description=declared.help,
-                examples=list(declared.choices) or None,
-                json_schema_extra=_bounds(declared),
-            ),
-        )
-        for key, declared in settings.items()
-    }
-    about = f"Settings of the part ``{name}``."
-    return create_model(_table_of(name), __base__=PartTable, __doc__=about, **fields)
-
-
-def _bounds(declared: Setting) -> dict[str, Any]:
-    bounds = {"minimum": declared.low, "maximum": declared.high, "enum": list(declared.choices)}
-    return {name: bound for name, bound in bounds.items() if bound not in (None, [])}
-
-
-def _declared() -> Iterator[tuple[str, str, dict[str, Setting]]]:
-    """Kind, name and settings of every part that has some; of those that can be imported."""
-    for kind in KINDS:
-        for name in names_of(kind):
-            # What is wrong with a part of another package is said when it is asked for.
-            with suppress(InputError):
-                if settings := settings_of(find_part(kind, name)):
-                    yield kind, name, settings
-
-
-DECLARED = {name: (kind, settings) for kind, name, settings in _declared()}
-"""The kind and the settings of each part that has some, by its name."""
-
-TABLES = {_table_of(name): _table(name, settings) for name, (_, settings) in DECLARED.items()}
-"""The settings that are the table of a part, by its name."""
-
-
-def tables_of(*kinds: str) -> tuple[str, ...]:
-    """The tables of the parts of these kinds, of all kinds if none is given."""
-    return tuple(
-        _table_of(name) for name, (kind, _) in DECLARED.items() if kind in (kinds or KINDS)
-    )
-
-
-def files_of(*kinds: str) -> tuple[str, ...]:
-    """As ``table.key``, the settings that are files, folders or models of parts of these kinds."""
-    return tuple(
-        f"{_table_of(name)}.{key}"
-        for name, (kind, settings) in DECLARED.items()
-        for key, declared in settings.items()
-        if kind in kinds and declared.content is not None
-    )
-
-
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. The last is what the paper prints, see
 `docs/reference/paper.md`."""
 
-PARTS = set(KINDS)
-"""The settings that name a part of the method."""
+
+def _table_of(component: str) -> str:
+    """Return the name of a component's table, for which TOML and Python take no hyphen."""
+    return component.replace("-", "_")
 
 
 class QueryRules(BaseModel):
@@ -281,18 +198,28 @@ class MethodSettings(QueryRules):
         description="What a text is scored on: objects and groups of them, or objects alone (as "
         "the paper).",
     )
+    planesweep: PlaneSweepConfig = PlaneSweepConfig()
+    mvsplat: MVSplatConfig = MVSplatConfig()
+    sam: SamConfig = SamConfig()
+    sam2: Sam2Config = Sam2Config()
+    sam2_video: Sam2VideoConfig = Sam2VideoConfig()
+    precomputed: PrecomputedConfig = PrecomputedConfig()
+    clip: ClipConfig = ClipConfig()
+    named: NamedConfig = NamedConfig()
+    grid: GridConfig = GridConfig()
+    separated: SeparatedConfig = SeparatedConfig()
+    branch: BranchConfig = BranchConfig()
 
     def part_names(self) -> dict[str, str]:
         """The name of each part."""
-        return self.model_dump(include=PARTS)
+        return self.model_dump(include=set(KINDS))
 
     def part_settings(self) -> dict[str, dict[str, Any]]:
         """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
-        chosen = {part: _table_of(part) for part in self.part_names().values()}
         return {
-            part: getattr(self, table).model_dump()
-            for part, table in chosen.items()
-            if table in TABLES
+            name: dict(getattr(self, _table_of(name)))
+            for name in self.part_names().values()
+            if _table_of(name) in TABLES
         }
 
     def rules(self) -> dict[str, Any]:
@@ -319,9 +246,39 @@ class MethodSettings(QueryRules):
         return self.built_by.identity()
 
 
-_tables: dict[str, Any] = {table: (model, model()) for table, model in TABLES.items()}
-Method = create_model("Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **_tables)
-"""The parts of the method, and a table of settings for each that has some."""
+def _brought() -> Iterator[tuple[str, Any]]:
+    """Yield table and default config of each component that another package brings."""
+    for kind, known in KINDS.items():
+        for name in brought(known.group):
+            # What is wrong with one is said when it is asked for.
+            with suppress(InputError):
+                config = find_config(kind, name)
+                if config.model_fields:
+                    yield _table_of(name), (config, config())
+
+
+Method = create_model(
+    "Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **dict(_brought())
+)
+"""The parts of the method, and a table of fields for each that has some."""
+
+TABLES: dict[str, type[ComponentConfig]] = {
+    name: field.annotation
+    for name, field in Method.model_fields.items()
+    if isinstance(field.annotation, type) and issubclass(field.annotation, ComponentConfig)
+}
+"""The settings that are the config of a component, by its name."""
+
+
+def tables_of(*kinds: str) -> tuple[str, ...]:
+    """The tables of the parts of these kinds, of all kinds if none is given."""
+    named = [_table_of(name) for kind in kinds or KINDS for name in names_of(kind)]
+    return tuple(table for table in TABLES if table in named)
+
+
+def files_of(*kinds: str) -> tuple[str, ...]:
+    """As ``table.key``, the settings that are files, folders or models of parts of these kinds."""
+    return tuple(f"{t}.{key}" for t in tables_of(*kinds) for key in TABLES[t].files())
 
 
 class SceneSettings(BaseModel):
@@ -415,6 +372,22 @@ PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
 
 URLS = ("store", "chunks")
 """The settings that may be URLs."""
+
+
+AnySettings = TypeVar("AnySettings", bound=MethodSettings)
+
+
+def settled(settings: AnySettings) -> AnySettings:
+    """Return settings whose encoder is a real one; tell it, and the reason, if it was ``auto``."""
+    if settings.encoder != AUTO:
+        return settings
+    place, reason = find_clip(settings.clip)
+    chosen = "lexicon" if place is None else "clip"
+    print(f"encoder auto: {chosen}, as {reason}", file=sys.stderr)
+    update: dict[str, Any] = {"encoder": chosen}
+    if place is not None:
+        update["clip"] = settings.clip.model_copy(update={"model": place})
+    return settings.model_copy(update=update)
 
 
 def make_settings(values: dict[str, Any], source: str) -> Settings:
@@ -522,18 +495,14 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     if "training_set" in values:
         values["training_set"] = _anchored(values["training_set"], ["out"], folder)
     for name in TABLES.keys() & values.keys():
-        own = _settings_in(name)
-        table = _anchored(values[name], [key for key in own if own[key].is_path], folder)
-        for key in (key for key in own if own[key].content is not None):  # or a name
-            place = table.get(key) if isinstance(table, dict) else None
-            if isinstance(place, str) and (folder / place).exists():
-                table[key] = str(folder / place)
-        values[name] = table
+        if isinstance(values[name], dict):
+            places = [
+                key
+                for key in TABLES[name].files().keys() & values[name].keys()
+                if not TABLES[name].takes_name(key) or (folder / str(values[name][key])).exists()
+            ]
+            values[name] = _anchored(values[name], places, folder)
     return values
-
-
-def _settings_in(table: str) -> dict[str, Setting]:
-    return next(settings for name, (_, settings) in DECLARED.items() if _table_of(name) == table)
 
 
 def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
@@ -572,11 +541,12 @@ def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
-        models: dict[str, type[BaseModel]] = {"scenes": SceneSettings, **TABLES}
-        model = models.get(place[0], whole)
+        model = SceneSettings if place[0] == "scenes" else whole
         listed = ", ".join(model.model_fields)
         near = did_you_mean(place[-1], model.model_fields)
         return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
+    if isinstance(first.get("ctx", {}).get("error"), InputError):
+        return str(first["ctx"]["error"])  # of a component's config
     if first["type"] == "missing":
         return f"{key} is missing"
     if first["type"] in SAID:

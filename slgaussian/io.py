@@ -6,10 +6,12 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,9 @@ from slgaussian.errors import InputError
 
 FEW = 4
 """Entries of a collection that are printed; of more, how many there are."""
+
+Digest = Callable[[str | Path], str]
+"""Computes of a place the SHA-256, hexadecimal, of what is there."""
 
 
 def write_atomic(
@@ -95,6 +100,81 @@ def file_sha256(file: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a local file's content, hexadecimal; OSError if it cannot be read."""
     with open(file, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+CHANGED = "was changed after the run had begun; start the run again"
+"""What is said of a file with another content than a run began with."""
+
+SETTLED = 2.0
+"""Seconds after which a file's times tell that it was changed: clocks of file systems tick this
+slowly, and a file may be written twice within a tick."""
+
+
+@dataclass(frozen=True)
+class KnownFile:
+    """A file, folder or model from outside.
+
+    Attributes
+    ----------
+    place : str
+        Where it is: a path from the root, or a name as on the Hugging Face hub.
+    digest : str or None
+        SHA-256 of its content, hexadecimal; None if any content will do.
+    """
+
+    place: str
+    digest: str | None
+
+    @staticmethod
+    def at(place: str | Path, digest_of: Digest) -> KnownFile:
+        """Return what is at a place now; raises as ``digest_of``."""
+        path = Path(place)
+        known = str(path.resolve() if path.exists() else path)
+        return KnownFile(known, digest_of(known))
+
+    def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED) -> str:
+        """Return the place, at which there still is the same content.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or is another one: then ``otherwise`` is said of it. The sentence
+            begins with ``name`` and the place.
+        """
+        try:
+            same = self.digest is None or digest_of(self.place) == self.digest
+        except OSError as error:
+            raise InputError(f"{name} {self.place}: cannot be read ({error.strerror})") from error
+        if not same:
+            raise InputError(f"{name} {self.place}: {otherwise}")
+        return self.place
+
+
+def file_digest(place: str | Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal; OSError if it cannot be read.
+
+    A file of gigabytes, or one that many scenes share, is read once for each :func:`file_stamp`.
+    """
+    file = Path(place).resolve()
+    stamp = file_stamp(file)
+    return file_sha256(file) if stamp is None else _digest_of(file, stamp)
+
+
+def file_stamp(file: str | Path) -> tuple[int, ...] | None:
+    """Return numbers that change whenever a local file's content does; OSError if it is not there.
+
+    The time at which the inode changed is among them: unlike that of the content, no program that
+    copies or unpacks files sets it back. None within :data:`SETTLED` seconds of a change.
+    """
+    state = os.stat(file)
+    if time.time() - state.st_mtime < SETTLED:
+        return None
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
+
+
+@lru_cache(maxsize=1024)
+def _digest_of(file: Path, stamp: tuple[int, ...]) -> str:
+    return file_sha256(file)
 
 
 def write_file(path: str | Path, data: bytes | memoryview) -> None:

@@ -174,7 +174,7 @@ def error_rows(rooms: dict[int, list[Room]]) -> tuple[list[dict], list[dict]]:
                 made = load_codes(strategy, **own)(room.label_maps, np.random.default_rng(0))
                 banks[name] = Codes(objects, made)
             start = time.process_time()
-            taken = Separated("auto")(room.label_maps, np.random.default_rng(0))
+            taken = Separated(dimension="auto")(room.label_maps, np.random.default_rng(0))
             seconds.append(time.process_time() - start)
             dimensions.append(taken.shape[1])
             read.append(misread(taken, neighbours(room.label_maps)))

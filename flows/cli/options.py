@@ -37,7 +37,7 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="<key=value>",
-        help="Any other field of the configuration, as replicas=1 or clip.model=PATH; may be repeated.",
+        help="Any other field of the configuration, as clip.model=PATH; may be repeated.",
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -65,12 +65,12 @@ SampleSize = Annotated[
 ]
 Predictor = Annotated[
     str | None,
-    _component("predictor", "planesweep, mvsplat or precomputed. [default: planesweep]"),
+    _component("predictor", "planesweep or mvsplat. [default: planesweep]"),
 ]
 Proposer = Annotated[str | None, _component("proposer", "regions, sam or sam2. [default: regions]")]
 Tracker = Annotated[
     str | None,
-    _component("tracker", "geometric, sam2-video or precomputed. [default: geometric]"),
+    _component("tracker", "geometric, flow, sam2-video or precomputed. [default: geometric]"),
 ]
 Encoder = Annotated[
     str | None, _component("encoder", "lexicon, clip, named or auto. [default: lexicon]")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import find_part
+from slgaussian.parts.registry import load_component
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
@@ -16,12 +16,12 @@ if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for
 
 ENCODERS = {
     "lexicon": "slgaussian.language.lexicon:Lexicon",
-    "clip": "slgaussian.language.clip:Clip",
-    "named": "slgaussian.language.named:Named",
+    "clip": "slgaussian.language.configs:ClipConfig",
+    "named": "slgaussian.language.configs:NamedConfig",
 }
 CODES = {
-    "grid": "slgaussian.language.codes:Grid",
-    "separated": "slgaussian.language.codes:Separated",
+    "grid": "slgaussian.language.configs:GridConfig",
+    "separated": "slgaussian.language.configs:SeparatedConfig",
     "exact": "slgaussian.language.codes:Exact",
 }
 
@@ -64,7 +64,7 @@ class Encoder(Protocol):
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
     """Make the encoder called ``name``; raises InputError if there is none."""
-    return find_part("encoder", name)(**settings)
+    return load_component("encoder", name, settings)
 
 
 class CodeStrategy(Protocol):
@@ -80,4 +80,4 @@ class CodeStrategy(Protocol):
 
 def load_codes(name: str = "separated", **settings: Any) -> CodeStrategy:
     """Make the ID-code strategy called ``name``; raises InputError if there is none."""
-    return find_part("codes", name)(**settings)
+    return load_component("codes", name, settings)

@@ -12,7 +12,7 @@ from slgaussian.geometry.room import Surroundings
 from slgaussian.io import short_repr
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
-from slgaussian.language.codes import MOST_DIMENSIONS
+from slgaussian.language.configs import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.scene import View
 

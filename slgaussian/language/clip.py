@@ -12,14 +12,15 @@ looks at one thing the softmax temperature that CLIP itself learnt (:attr:`Clip.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import torch
+from pydantic import PrivateAttr
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
+from slgaussian.language.configs import CLIP, ClipConfig
 from slgaussian.parts.pretrained import (
     OPEN_CLIP_CONFIG,
     PREPROCESSOR,
@@ -29,16 +30,11 @@ from slgaussian.parts.pretrained import (
     find_tokenizer,
     load_pretrained,
     load_tokenizer,
-    model_digest,
     read_json,
     table_in,
-    tokenizer_digest,
 )
-from slgaussian.parts.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    import torch
-
     from slgaussian.geometry.room import Surroundings
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
@@ -51,8 +47,7 @@ def _converted(found: ModelFiles) -> Any:
     return load_open_clip(found)
 
 
-@dataclass(frozen=True, eq=False)
-class Clip:
+class Clip(ClipConfig):
     """Regions and texts by CLIP, in one space of ``projection_dim`` axes (512 for a ViT-B).
 
     The same input gives the same bytes on the same machine, whatever else is encoded with it:
@@ -85,48 +80,26 @@ class Clip:
         :func:`slgaussian.parts.pretrained.load_pretrained`.
     """
 
-    FAMILY: ClassVar[Family] = Family(
-        "clip", "CLIPModel", ("clip",), "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", _converted
-    )
+    FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _converted)
     name: ClassVar[str] = "clip"
     calibration: ClassVar[None] = None
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
 
-    model: str | Path = setting(
-        FAMILY.example,
-        "CLIP: folder, name on the Hugging Face hub, or open_clip's file or folder.",
-        content=model_digest,
-    )
-    tokenizer: str | Path | None = setting(
-        None,
-        "CLIP's tokenizer if not beside its model: folder, or name on the hub.",
-        content=tokenizer_digest,
-        optional=True,
-    )
-    crops: str = setting(
-        "masked",
-        "What CLIP sees of a region: masked, itself on black, or context, also what is around it.",
-        choices=("masked", "context"),
-        expected="'masked' or 'context'",
-    )
-    batch: int = setting(4, "Regions encoded together: memory goes with it.", low=1)
-    precision: str = setting(
-        "float32",
-        "Of CLIP's image tower on a CPU: float32 or bfloat16.",
-        choices=("float32", "bfloat16"),
-        expected="'float32' or 'bfloat16'",
-    )
     device: str = "auto"
-    network: Any = field(init=False, repr=False)
-    _words: Any = field(init=False, repr=False)
-    _colours: tuple[torch.Tensor, torch.Tensor] = field(init=False, repr=False)
+    _network: Any = PrivateAttr()
+    _words: Any = PrivateAttr()
+    _colours: tuple[torch.Tensor, torch.Tensor] = PrivateAttr()
 
-    def __post_init__(self) -> None:
-        check_settings(self, "clip")
-        network = load_pretrained(self.model, self.FAMILY, self.device)
-        object.__setattr__(self, "network", network)
-        object.__setattr__(self, "_words", self._load_words())
-        object.__setattr__(self, "_colours", _colours(find_model(self.model)))
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        self._network = load_pretrained(self.model, self.FAMILY, self.device)
+        self._words = self._load_words()
+        self._colours = _colours(find_model(self.model))
+
+    @property
+    def network(self) -> Any:
+        """The model of ``transformers``, on its device."""
+        return self._network
 
     @property
     def soft(self) -> float:
@@ -194,8 +167,6 @@ class Clip:
 
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Unit vectors of at most ``batch`` regions."""
-        import torch
-
         from slgaussian.language.crops import region_crop
 
         side = self.network.config.vision_config.image_size
@@ -231,8 +202,6 @@ class Clip:
             )
         if self._words.eos_token_id in tokens[:-1]:
             raise InputError(f"query {shown!r}: cannot be read by the tokenizer; use other words")
-        import torch
-
         given = torch.tensor([tokens], device=self.network.device)
         with torch.inference_mode(), inside(self.network):
             found = self.network.get_text_features(given)

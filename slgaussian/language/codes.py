@@ -8,25 +8,19 @@ them are chosen at random; a rendered vector means the object whose code is near
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.parts.settings import check_settings, setting
+from slgaussian.language.configs import GridConfig, SeparatedConfig
+from slgaussian.language.separated import misread, neighbours, place
 
 if TYPE_CHECKING:
     from slgaussian.labels import LabelMaps
 
-MOST_DIMENSIONS = 3
-"""Most numbers a code: channels that are rendered."""
 
-DIMENSIONS = f"1 to {MOST_DIMENSIONS} numbers a code"
-"""What sentences expect of a dimension."""
-
-
-@dataclass(frozen=True)
-class Grid:
+class Grid(GridConfig):
     """The paper's codes: points of an even grid, at random.
 
     Attributes
@@ -44,25 +38,12 @@ class Grid:
         If a setting is out of its range.
     """
 
-    dimension: int = setting(
-        3, "Numbers a code, 1 to 3.", low=1, high=MOST_DIMENSIONS, expected=DIMENSIONS
-    )
-    decode: str = setting(
-        "settled",
-        "How pixels are read: settled, where borders ask those around, or nearest, as the paper.",
-        choices=("settled", "nearest"),
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self, "code")
-
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
         return grid_codes(count_objects(label_maps), rng, self.dimension)
 
 
-@dataclass(frozen=True)
-class Separated:
+class Separated(SeparatedConfig):
     """Every second point of a grid, as on a chessboard, given to objects by simulated annealing.
 
     Such points are farther from each other in L1 than as many of the whole grid. For as few objects
@@ -82,28 +63,8 @@ class Separated:
         If a setting is out of its range.
     """
 
-    dimension: int | Literal["auto"] = setting(
-        3,
-        "Numbers a code, 1 to 3, or 'auto': as few as the scene needs.",
-        low=1,
-        high=MOST_DIMENSIONS,
-        expected=DIMENSIONS,
-    )
-    error: float = setting(
-        0.01,
-        "With 'auto': mixtures of neighbours that may read as a third object.",
-        low=0,
-        high=1,
-        expected="a share from 0 to 1",
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self, "code")
-
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
-        from slgaussian.language.separated import misread, neighbours, place
-
         n = count_objects(label_maps)
         pairs = neighbours(label_maps)
         if self.dimension != "auto":

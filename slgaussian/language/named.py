@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from pydantic import PrivateAttr
 
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import file_digest
-from slgaussian.parts.settings import setting
+from slgaussian.language.configs import NamedConfig
 from slgaussian.storage.store import unpacked
 
 if TYPE_CHECKING:
@@ -36,8 +35,7 @@ pairs of different names then have a relevancy above 0.5; four names drawn at ra
 let 9 to 23 % of them through, and the four nearest to the mean 1.4 %."""
 
 
-@dataclass(eq=False)
-class Named:
+class Named(NamedConfig):
     """An oracle that is told what objects are, with vectors by name.
 
     See the module.
@@ -57,9 +55,11 @@ class Named:
     name: ClassVar[str] = "named"
     calibration: ClassVar[None] = None
 
-    table: Path | None = setting(None, "Names and vectors, .npz.", content=file_digest)
+    _rows: dict[str, int] = PrivateAttr()
+    _vectors: np.ndarray = PrivateAttr()
 
-    def __post_init__(self) -> None:
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
         table = self.table
         if table is None:
             raise InputError("named table: none given; give the .npz, as in --set named.table=FILE")

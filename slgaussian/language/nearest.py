@@ -13,7 +13,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.language.codes import MOST_DIMENSIONS
+from slgaussian.language.configs import MOST_DIMENSIONS
 
 LEVELS = {1: 12, 2: 7, 3: 5}
 """How often the cube is halved along every axis, by the dimension: 4,096 to 32,768 cells, which

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.io import short_repr
-from slgaussian.parts.registry import find_part
+from slgaussian.parts.registry import load_component
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np
@@ -15,14 +15,14 @@ if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for
 
 PROPOSERS = {
     "regions": "slgaussian.masks.regions:Regions",
-    "sam": "slgaussian.masks.sam:Sam",
-    "sam2": "slgaussian.masks.sam2:Sam2",
+    "sam": "slgaussian.masks.configs:SamConfig",
+    "sam2": "slgaussian.masks.configs:Sam2Config",
 }
 TRACKERS = {
     "geometric": "slgaussian.masks.geometric:GeometricTracker",
     "flow": "slgaussian.masks.flow:FlowTracker",
-    "sam2-video": "slgaussian.masks.sam2_video:Sam2Video",
-    "precomputed": "slgaussian.masks.precomputed:Precomputed",
+    "sam2-video": "slgaussian.masks.configs:Sam2VideoConfig",
+    "precomputed": "slgaussian.masks.configs:PrecomputedConfig",
 }
 
 
@@ -80,9 +80,9 @@ class MaskTracker(Protocol):
 
 def load_proposer(name: str = "regions", **settings: Any) -> MaskProposer:
     """Make the mask proposer called ``name``; raises InputError if there is none."""
-    return find_part("proposer", name)(**settings)
+    return load_component("proposer", name, settings)
 
 
 def load_tracker(name: str = "geometric", **settings: Any) -> MaskTracker:
     """Make a fresh, empty tracker called ``name``; raises InputError if there is none."""
-    return find_part("tracker", name)(**settings)
+    return load_component("tracker", name, settings)

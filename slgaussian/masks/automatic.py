@@ -1,7 +1,7 @@
 """All masks of an image from a model that answers prompts: a grid of points, then a sieve.
 
 The steps are those of Kirillov et al., "Segment Anything", ICCV 2023, section 5 and appendix B, and
-the numbers of :data:`slgaussian.masks.prompted.PRESETS` those of four programs that use them.
+the numbers of :data:`slgaussian.masks.configs.PRESETS` those of four programs that use them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from slgaussian.masks import Proposals
+from slgaussian.masks.configs import LEVELS, Automatic
 from slgaussian.masks.nms import box_nms, mask_boxes, mask_nms, mostly_visible
-from slgaussian.masks.prompted import LEVELS, Automatic
 
 OVERLAP = 512 / 1500
 """Overlap of neighbouring crops of the first layer, as a fraction of the image's short side."""

@@ -2,43 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from glob import glob
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from pydantic import PrivateAttr
 
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import file_digest
-from slgaussian.parts.settings import setting
+from slgaussian.masks.configs import MAPS, PrecomputedConfig
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
-
-SUFFIXES = (".png", ".npy")
 
 TOP = 2**31 - 1
 TOP_PNG = 2**16 - 1
 """The largest id, in any map and in a grey PNG."""
 
 
-def folder_digest(folder: Path | str) -> str:
-    """What a folder of id maps is known by: SHA-256, hexadecimal, of their names and contents."""
-    folder = Path(folder)
-    digest = hashlib.sha256()
-    # Folders that are links are gone into, as views may be named through them.
-    names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
-    for name in sorted(name for name in names if name.endswith(SUFFIXES)):
-        digest.update(f"{Path(name).as_posix()} {file_digest(folder / name)}\n".encode())
-    return digest.hexdigest()
-
-
-@dataclass(eq=False)
-class Precomputed:
+class Precomputed(PrecomputedConfig):
     """Labels out of a folder that holds one id map a view, with ids that agree across views.
 
     A map is called like its view: for ``images/0013.jpg`` it is ``images/0013.png``, or else
@@ -66,19 +49,17 @@ class Precomputed:
         another type or shape, or is another view's too.
     """
 
-    folder: Path | None = setting(
-        None, "Folder of id maps made elsewhere, PNG or NPY.", content=folder_digest
-    )
     final: ClassVar[bool] = True
-    _views: dict[Path, str] = field(default_factory=dict, init=False)
+    _views: dict[Path, str] = PrivateAttr(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
         if self.folder is None:
             raise InputError(
                 "precomputed folder: none given; give the folder of the id maps, as in "
                 "--set precomputed.folder=FOLDER"
             )
-        if not Path(self.folder).is_dir():
+        if not self.folder.is_dir():
             raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")
 
     def add(self, seen: SeenView, labels: np.ndarray) -> None:
@@ -108,10 +89,10 @@ class Precomputed:
 
     def _find(self, name: str) -> Path:
         assert self.folder is not None  # looked at when this was made
-        folder, view = Path(self.folder), Path(name)
+        folder, view = self.folder, Path(name)
         nested = folder / view.with_suffix("")
         for base in dict.fromkeys((nested, folder / view.stem)):
-            found = [base.with_name(base.name + s) for s in SUFFIXES]
+            found = [base.with_name(base.name + s) for s in MAPS]
             found = [file for file in found if file.is_file()]
             if len(found) > 1:
                 raise InputError(f"{found[0]}: {found[1].name} is there too; remove one of them")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from slgaussian.masks.configs import SamConfig
 from slgaussian.masks.prompted import AutomaticProposer
 from slgaussian.parts.pretrained import Family
 
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from slgaussian.masks.sam_image import SamImage
 
 
-@dataclass(frozen=True, eq=False)
-class Sam(AutomaticProposer):
+class Sam(AutomaticProposer, SamConfig):
     """Masks by SAM; folders and hub names like ``facebook/sam-vit-base``, ``-large``, ``-huge``.
 
     Settings and errors are those of :class:`slgaussian.masks.prompted.AutomaticProposer`.
@@ -29,6 +28,6 @@ class Sam(AutomaticProposer):
 
         side = self.network.config.prompt_encoder_config.image_size
         pixels, used = pixel_values(image, side)
-        with encoder_precision(self.device):
-            embedding = self.network.get_image_embeddings(pixels.to(self.device))
+        with encoder_precision(self.network.device):
+            embedding = self.network.get_image_embeddings(pixels.to(self.network.device))
         return SamImage(self.network, embedding.float(), image.shape[:2], used)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from slgaussian.masks.configs import Sam2Config
 from slgaussian.masks.prompted import AutomaticProposer
 from slgaussian.parts.pretrained import Family
 
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from slgaussian.masks.sam_image import Sam2Image
 
 
-@dataclass(frozen=True, eq=False)
-class Sam2(AutomaticProposer):
+class Sam2(AutomaticProposer, Sam2Config):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``.
 
     Models for video fit too: their image part is used. Settings and errors are those of
@@ -30,8 +29,8 @@ class Sam2(AutomaticProposer):
         """Encode an image uint8 [H, W, 3], brought to the network's square whatever its shape."""
         from slgaussian.masks.sam_image import Sam2Image, encoder_precision, normalised
 
-        side = self.network.config.prompt_encoder_config.image_size
+        side, device = self.network.config.prompt_encoder_config.image_size, self.network.device
         used = side, side
-        with encoder_precision(self.device):
-            levels = self.network.get_image_embeddings(normalised(image, used).to(self.device))
+        with encoder_precision(device):
+            levels = self.network.get_image_embeddings(normalised(image, used).to(device))
         return Sam2Image(self.network, [e.float() for e in levels], image.shape[:2], used)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from pydantic import PrivateAttr
 
-from slgaussian.parts.pretrained import Family, load_pretrained, model_digest
-from slgaussian.parts.settings import check_settings, setting
+from slgaussian.masks.configs import Sam2VideoConfig
+from slgaussian.masks.video_memory import VideoMemory
+from slgaussian.parts.pretrained import Family, load_pretrained
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
-    from slgaussian.masks.video_memory import VideoMemory
 
 
-@dataclass(eq=False)
-class Sam2Video:
+class Sam2Video(Sam2VideoConfig):
     """Carries labels from view to view as SAM 2 carries objects through a video.
 
     Remembered frames are its conditioning frames: the mask of every object there is its prompt.
@@ -48,21 +46,14 @@ class Sam2Video:
         "sam2-video", "Sam2VideoModel", ("sam2_video",), "facebook/sam2.1-hiera-tiny"
     )
 
-    model: str | Path | None = setting(
-        None, "Pretrained model: folder, or name on the Hugging Face hub.", content=model_digest
-    )
-    batch: int = setting(16, "Objects tracked together: memory goes with it.", low=1)
     device: str = "auto"
     final: ClassVar[bool] = False
-    _memory: VideoMemory = field(init=False, repr=False)
+    _memory: VideoMemory = PrivateAttr()
 
-    def __post_init__(self) -> None:
-        check_settings(self, "sam2-video")
-        from slgaussian.masks.video_memory import VideoMemory
-
-        self._memory = VideoMemory(
-            load_pretrained(self.model, self.FAMILY, self.device), self.batch
-        )
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        network = load_pretrained(self.model, self.FAMILY, self.device)
+        self._memory = VideoMemory(network, self.batch)
 
     def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.

@@ -33,10 +33,9 @@ def normalised(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
     return (pixels - torch.tensor(MEAN).view(3, 1, 1)) / torch.tensor(STD).view(3, 1, 1)
 
 
-def encoder_precision(device: str) -> torch.autocast:
+def encoder_precision(device: torch.device) -> torch.autocast:
     """The context in which images are encoded: bfloat16 on accelerators, else float32."""
-    kind = device.split(":")[0]
-    return torch.autocast(kind, torch.bfloat16, enabled=kind != "cpu")
+    return torch.autocast(device.type, torch.bfloat16, enabled=device.type != "cpu")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.parts.hub_cache import local_place
 from slgaussian.parts.part import Part
-from slgaussian.parts.pretrained import find_model, model_digest
-from slgaussian.parts.registry import find_part
-from slgaussian.parts.settings import settings_of
+from slgaussian.parts.pretrained import find_model, model_digest, tokenizer_digest
+from slgaussian.parts.registry import find_config
 
 SHA256 = re.compile("[0-9a-f]{64}")
 AGAIN = "get it again"
@@ -31,7 +30,7 @@ def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
     Parameters
     ----------
     kind, name : str
-        As :func:`slgaussian.parts.registry.find_part` takes them.
+        As :func:`slgaussian.parts.registry.find_config` takes them.
     values : mapping
         Settings of the part.
 
@@ -45,26 +44,19 @@ def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
     InputError
         If a file is missing, damaged, or not what the part needs.
     """
-    part, places, whole = find_part(kind, name), dict(values), list[bool]()
-    declared = {k: s for k, s in settings_of(part).items() if s.content is not None}
-    for key, setting in declared.items():
-        place = places.get(key)
-        if place is None and not setting.optional:
-            table = name.replace("-", "_")
-            raise InputError(f"its {key} is not given; give --set {table}.{key}=PLACE")
-        if place is not None and not setting.is_path:
-            places[key] = local_place(place)
-        if place is not None and setting.content is model_digest:
-            weights = [f for f in find_model(places[key]).files if f.suffix != ".json"]
-            whole += map(is_of_hub, weights)
-    shown = ", ".join(f"{key} {places[key]}" for key in declared if places.get(key) is not None)
-    if not shown:
-        return ""
-    known = Part.of(kind, name, places)
-    if whole and all(whole):
+    config, places, whole = find_config(kind, name), dict(values), list[bool]()
+    for key, file in config.files().items():
+        if places.get(key) is not None and file.digest in (model_digest, tokenizer_digest):
+            places[key] = local_place(places[key])
+            if file.digest is model_digest:
+                weights = [f for f in find_model(places[key]).files if f.suffix != ".json"]
+                whole += map(is_of_hub, weights)
+    shown = ", ".join(f"{key} {places[key]}" for key in config.files() if places.get(key))
+    if shown and whole and all(whole):
         return f"{shown}: is what the hub has, by its SHA-256"
-    check_numbers(known.load(), shown)
-    return f"{shown}: can be loaded and used"
+    part = Part.of(kind, name, places).load()
+    check_numbers(part, shown)
+    return f"{shown}: can be loaded and used" if shown else ""
 
 
 def is_of_hub(file: Path) -> bool:

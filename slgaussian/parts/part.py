@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from slgaussian.errors import InputError, did_you_mean
-from slgaussian.parts.identity import CHANGED, KnownFile
-from slgaussian.parts.registry import find_part
-from slgaussian.parts.settings import Setting, check_settings, settings_of
+from slgaussian.components.config import ComponentConfig
+from slgaussian.errors import InputError
+from slgaussian.io import CHANGED, KnownFile
+from slgaussian.parts.registry import find_config
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Part:
     name : str
         By which the registry knows it.
     settings : mapping
-        All that the part declares, those left out with their defaults, and what else was given for
-        its class. A file, folder or model is a :class:`slgaussian.parts.identity.KnownFile`.
+        All fields of its config, those left out with their defaults, and what else was given for
+        its implementation. A file, folder or model is a :class:`slgaussian.io.KnownFile`.
     """
 
     kind: str
@@ -39,25 +39,26 @@ class Part:
         Raises
         ------
         InputError
-            If there is no such part, it has no such setting, a file cannot be read or a value
-            cannot be written down. What is out of bounds is said by :meth:`load`.
+            If there is no such part, it has no such setting, a value does not fit, a file cannot
+            be read or a value cannot be written down.
         """
-        part, values = find_part(kind, name), values or {}
-        declared = _known(part, name, values)
-        made = {key: setting.default for key, setting in declared.items()} | dict(values)
-        for key, setting in declared.items():
-            if setting.content is not None and made[key] is not None:
+        config, values = find_config(kind, name), values or {}
+        beside = _fields_beside(config, values)
+        checked = config(**{key: value for key, value in values.items() if key not in beside})
+        settings = dict(checked) | {key: values[key] for key in beside}
+        for key, file in config.files().items():
+            if settings[key] is not None:
                 try:
-                    made[key] = KnownFile.at(made[key], setting.content)
+                    settings[key] = KnownFile.at(settings[key], file.digest)
                 except (OSError, InputError) as error:
-                    part(**values)  # which knows better what is wrong with its file
-                    raise InputError(f"{name} {key} {made[key]}: {error}") from error
-        found = Part(kind, name, made)
+                    checked.load()  # which knows better what is wrong with its file
+                    raise InputError(f"{name} {key} {settings[key]}: {error}") from error
+        part = Part(kind, name, settings)
         try:
-            json.dumps(found.identity())
+            json.dumps(part.identity())
         except TypeError as error:
             raise InputError(f"settings: {error}; give plain numbers and text") from None
-        return found
+        return part
 
     @staticmethod
     def stored(
@@ -80,21 +81,24 @@ class Part:
             If there is no such part, or it has no such setting.
         """
         name, places = identity[kind], places or {}
-        part = find_part(kind, name)
-        # What is no setting any more and was not set never mattered.
+        config = find_config(kind, name)
+        # What is no field any more and was not set never mattered.
         stored = identity.get(name, {}).items()
-        own = {key: v for key, v in stored if v is not None or key in settings_of(part)}
-        declared = _known(part, name, {**own, **places})
-        for key, setting in declared.items():
-            place, digest = places.get(key), own.get(key)
-            if setting.content is not None and not place is digest is None:
-                own[key] = KnownFile("" if place is None else str(place), digest)
-        return Part(kind, name, own)
+        settings = {key: v for key, v in stored if v is not None or key in config.model_fields}
+        keys = {**settings, **places}
+        unknown = keys.keys() - config.model_fields.keys() - set(_fields_beside(config, keys))
+        if unknown:
+            config(**dict.fromkeys(unknown))  # which refuses them
+        for key in config.files():
+            place, digest = places.get(key), settings.get(key)
+            if not place is digest is None:
+                settings[key] = KnownFile("" if place is None else str(place), digest)
+        return Part(kind, name, settings)
 
     @property
     def implementation(self) -> Any:
         """The class or function that the name stands for."""
-        return find_part(self.kind, self.name)
+        return find_config(self.kind, self.name).implementation()
 
     def identity(self) -> dict[str, Any]:
         """The settings as artifacts and cache keys hold them: plain, files by content."""
@@ -109,13 +113,12 @@ class Part:
 
     def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
         """The settings, files by place; InputError as :meth:`load`."""
-        declared = settings_of(self.implementation)
-        files = {
-            key: known.checked(key, content, otherwise)
+        marks = find_config(self.kind, self.name).files()
+        places = {
+            key: known.checked(key, marks[key].digest, otherwise)
             for key, known in self.files.items()
-            if (content := declared[key].content) is not None
         }
-        return {**self.settings, **files}
+        return {**self.settings, **places}
 
     def load(self, otherwise: str = CHANGED) -> Any:
         """The part, ready to work.
@@ -126,12 +129,7 @@ class Part:
             If a file is no longer the one that is known, of which ``otherwise`` is said; or as the
             part.
         """
-        try:
-            made = self.implementation(**self.values(otherwise))
-        except TypeError as error:
-            raise InputError(f"settings of {self.name!r}: {error}") from None
-        check_settings(made, self.name)
-        return made
+        return self.implementation(**self.values(otherwise))
 
     @property
     def files(self) -> dict[str, KnownFile]:
@@ -139,14 +137,8 @@ class Part:
         return {key: v for key, v in self.settings.items() if isinstance(v, KnownFile)}
 
 
-def _known(part: Any, name: str, values: Mapping[str, Any]) -> dict[str, Setting]:
-    """The declared settings of a part's class; InputError if ``values`` has another key."""
-    own = [field.name for field in fields(part) if field.init] if is_dataclass(part) else []
-    for key in values:
-        if key not in own:
-            near = did_you_mean(key, own)
-            listed = ", ".join(settings_of(part)) or "none"
-            raise InputError(
-                f"settings of {name!r}: found {key!r}{near or f', expected some of: {listed}'}"
-            )
-    return settings_of(part)
+def _fields_beside(config: type[ComponentConfig], keys: Iterable[str]) -> list[str]:
+    """Of some keys those that the implementation takes and the config has not, as a device."""
+    unknown = [key for key in keys if key not in config.model_fields]
+    taken = getattr(config.implementation(), "model_fields", {}) if unknown else {}
+    return [key for key in unknown if key in taken]

@@ -13,8 +13,9 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError, did_you_mean
 
 
@@ -95,8 +96,10 @@ def names_of(kind: str) -> tuple[str, ...]:
     return tuple({**_table(kind), **brought(KINDS[kind].group)})
 
 
-def find_part(kind: str, name: str) -> Any:
-    """The class of the part of a kind and name.
+def find_config(kind: str, name: str) -> type[ComponentConfig]:
+    """Return the config class of the part of a kind and name.
+
+    What is registered and is none, a class or function, becomes the target of one without fields.
 
     Raises
     ------
@@ -106,7 +109,23 @@ def find_part(kind: str, name: str) -> Any:
     known = KINDS[kind]
     if name in brought(known.group):
         _refuse_clash(known, name)
-    return resolve(known.called, _table(kind), name, known.group)
+    found = resolve(known.called, _table(kind), name, known.group)
+    if isinstance(found, type) and issubclass(found, ComponentConfig):
+        return found
+
+    class Plain(ComponentConfig, title=name):
+        __doc__ = found.__doc__
+        target: ClassVar[Any] = found
+
+    return Plain
+
+
+def load_component(kind: str, name: str, values: Mapping[str, Any]) -> Any:
+    """Return the part of a kind and name with these values; raises as it and :func:`find_config`.
+
+    Values are fields of its config, or what its implementation takes besides, such as a device.
+    """
+    return find_config(kind, name).implementation()(**values)
 
 
 def resolve(called: str, table: Mapping[str, str], name: str, group: str | None = None) -> Any:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from slgaussian.parts.registry import find_part
+from slgaussian.parts.registry import load_component
 
 if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Sample
 
 PREDICTORS = {
-    "planesweep": "slgaussian.predict.planesweep:PlaneSweep",
-    "mvsplat": "slgaussian.predict.mvsplat.predictor:MVSplat",
+    "planesweep": "slgaussian.predict.configs:PlaneSweepConfig",
+    "mvsplat": "slgaussian.predict.configs:MVSplatConfig",
 }
 
 
@@ -49,4 +49,4 @@ def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredict
     InputError
         If the name is unknown.
     """
-    return find_part("predictor", name)(**settings)
+    return load_component("predictor", name, settings)

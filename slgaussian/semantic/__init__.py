@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import find_part
+from slgaussian.parts.registry import load_component
 
 if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits 
 LIFTINGS = {
     "hard": "slgaussian.semantic.hard:HardIndex",
     "filled": "slgaussian.semantic.filled:Filled",
-    "branch": "slgaussian.semantic.trained:TrainedBranch",
+    "branch": "slgaussian.semantic.configs:BranchConfig",
 }
 
 
@@ -35,4 +35,4 @@ class Lifting(Protocol):
 
 def load_lifting(name: str = "hard", **settings: Any) -> Lifting:
     """Make the lifting called ``name``; raises InputError if there is none."""
-    return find_part("lifting", name)(**settings)
+    return load_component("lifting", name, settings)

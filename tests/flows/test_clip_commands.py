@@ -13,12 +13,12 @@ from roads import calls_of, keyed
 
 from flows import pipeline
 from flows.jobs import scene_job
-from flows.settings import TABLES, Settings, make_settings, read_toml
+from flows.settings import Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.language.clip import Clip
+from slgaussian.language.configs import CLIP
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
@@ -147,7 +147,7 @@ def test_from_python_too(model, tmp_path, monkeypatch):
     silent = SemanticField.load(tmp_path / "field")
     with pytest.raises(InputError, match="needs its model, which is not stored with a field; say"):
         silent.render(camera).query("red basket")
-    with pytest.raises(InputError, match="settings of 'clip'"):
+    with pytest.raises(InputError, match=r"unknown key 'clip\.weights'"):
         replace(loaded, places={**loaded.places, "weights": str(moved)}).encoder  # noqa: B018
 
 
@@ -156,13 +156,13 @@ def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
 
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    place = tmp_path / f"models--{Clip.model.replace('/', '--')}"
+    place = tmp_path / f"models--{CLIP.replace('/', '--')}"
     (place / "refs").mkdir(parents=True)
     (place / "refs" / "main").write_text("0" * 40)
     shutil.copytree(model, place / "snapshots" / ("0" * 40))
     field = build_field(room_sample(), Method(encoder="clip", replicas=1))
     assert field.settings["clip"]["model"] == model_digest(model)
-    assert field.places == {"model": Clip.model}
+    assert field.places == {"model": CLIP}
 
 
 def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, capsys):
@@ -291,9 +291,3 @@ def test_files_beside_the_configuration_are_found_and_a_name_is_left(tmp_path):
     assert read.clip.model == str(tmp_path / "clip.bin")
     assert read.clip.tokenizer == "a/b"
     assert read.named.table == tmp_path / "n.npz"
-
-
-def test_defaults_are_those_of_the_encoder():
-    for name, value in TABLES["clip"]():
-        assert value == Clip.__dataclass_fields__[name].default
-    assert TABLES["named"]().table is None

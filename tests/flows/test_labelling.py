@@ -37,7 +37,7 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
 
     # They are what a field is built from without them, and the same ids come back.
     sample = room_sample()
-    again = Precomputed(tmp_path / "ids")
+    again = Precomputed(folder=tmp_path / "ids")
     for view, ids in zip(sample.context, maps, strict=True):
         np.testing.assert_array_equal(again.propagate(SeenView(view)), ids)
     tracker = ["--tracker", "precomputed", "--set", "precomputed.folder=ids"]

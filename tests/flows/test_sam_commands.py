@@ -10,12 +10,10 @@ from roads import calls_of, keyed
 
 from flows import pipeline
 from flows.jobs import scene_job
-from flows.settings import TABLES, Settings, make_settings, read_toml
+from flows.settings import Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.masks.sam import Sam
-from slgaussian.masks.sam2 import Sam2
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
@@ -150,9 +148,3 @@ def test_a_folder_beside_the_configuration_is_found_and_a_name_is_left(tmp_path)
     read = read_toml(config, {})
     assert read.sam.model == str(tmp_path / "weights")
     assert read.sam2.model == "facebook/sam2.1-hiera-tiny"
-
-
-@pytest.mark.parametrize(("table", "part"), [(TABLES["sam"](), Sam), (TABLES["sam2"](), Sam2)])
-def test_defaults_are_those_of_the_proposer(table, part):
-    for name, value in table:
-        assert value == part.__dataclass_fields__[name].default

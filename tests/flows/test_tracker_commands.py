@@ -6,11 +6,10 @@ from command import ROOM, room_sample, run, said
 from roads import calls_of, keyed
 
 from flows.jobs import scene_job
-from flows.settings import TABLES, make_settings, read_toml
+from flows.settings import make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
-from slgaussian.masks.precomputed import Precomputed, folder_digest
-from slgaussian.masks.sam2_video import Sam2Video
+from slgaussian.masks.configs import folder_digest
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactStore
@@ -92,11 +91,3 @@ def test_a_run_that_cannot_be_does_not_begin(tmp_path, monkeypatch, capsys, word
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
     assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
     assert sentence in said(capsys)
-
-
-@pytest.mark.parametrize(
-    ("table", "part"), [(TABLES["sam2_video"](), Sam2Video), (TABLES["precomputed"](), Precomputed)]
-)
-def test_defaults_are_those_of_the_tracker(table, part):
-    for name, value in table:
-        assert value == part.__dataclass_fields__[name].default

@@ -98,5 +98,5 @@ def test_label_maps_without_an_object_are_refused(name):
 @pytest.mark.parametrize("name", ["grid", "separated"])
 @pytest.mark.parametrize("dimension", [0, 4, -1])
 def test_other_dimensions_are_refused(name, dimension):
-    with pytest.raises(InputError, match="code dimension"):
+    with pytest.raises(InputError, match="dimension: found"):
         load_codes(name, dimension=dimension)

@@ -98,10 +98,10 @@ def test_three_objects_in_a_row_lie_in_a_row():
 
 def test_auto_takes_as_few_numbers_as_it_needs():
     rows = np.repeat([[1, 2, 3]], 40, 0).repeat(40, 1)
-    assert Separated("auto")(maps_of(rows), np.random.default_rng(0)).shape == (3, 1)
+    assert Separated(dimension="auto")(maps_of(rows), np.random.default_rng(0)).shape == (3, 1)
     crowd = cells(40, 0)
-    assert Separated("auto")(crowd, np.random.default_rng(0)).shape == (40, 3)
-    assert Separated("auto", error=1.0)(crowd, np.random.default_rng(0)).shape == (40, 1)
+    assert Separated(dimension="auto")(crowd, np.random.default_rng(0)).shape == (40, 3)
+    assert Separated(dimension="auto", error=1.0)(crowd, np.random.default_rng(0)).shape == (40, 1)
 
 
 @pytest.mark.parametrize("n", [2, 5, 27, 60, 200])
@@ -169,5 +169,5 @@ def test_objects_that_nothing_touches_get_codes_too():
 
 @pytest.mark.parametrize("error", [-0.1, 1.5, np.nan])
 def test_an_error_out_of_range_is_refused(error):
-    with pytest.raises(InputError, match="share from 0 to 1"):
-        Separated("auto", error)
+    with pytest.raises(InputError, match=r"separated error: found .*, expected a number"):
+        Separated(dimension="auto", error=error)

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from slgaussian.masks.automatic import all_masks, crop_boxes, point_grid, tidy
+from slgaussian.masks.configs import PRESETS, Automatic
 from slgaussian.masks.nms import mask_nms
-from slgaussian.masks.prompted import PRESETS, Automatic
 
 SIZE = (96, 128)
 BOXES = {"group": (8, 8, 88, 80), "object": (16, 16, 64, 64), "part": (24, 24, 48, 48)}

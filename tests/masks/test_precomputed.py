@@ -6,7 +6,8 @@ from PIL import Image
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
-from slgaussian.masks.precomputed import Precomputed, folder_digest, read_ids
+from slgaussian.masks.configs import folder_digest
+from slgaussian.masks.precomputed import Precomputed, read_ids
 from slgaussian.scene import Camera, View
 
 
@@ -96,7 +97,7 @@ def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     maps = [ids_of(700, seed) for seed in (0, 1)]
     write_16_bits(tmp_path / "a.png", maps[0])
     write_npy(tmp_path / "b.npy", maps[1].astype(np.uint16))
-    found = associate(views, Never(), Precomputed(tmp_path))
+    found = associate(views, Never(), Precomputed(folder=tmp_path))
     np.testing.assert_array_equal(found.labels, maps)
     assert (found.margin == 1).all()
     both = np.intersect1d(*maps)
@@ -109,7 +110,7 @@ def test_nested_names_go_before_bare_ones(tmp_path):
     (tmp_path / "left").mkdir()
     write_grey(tmp_path / "left" / "1.png", np.full(SIZE, 7))
     write_grey(tmp_path / "1.png", np.full(SIZE, 9))
-    tracker = Precomputed(tmp_path)
+    tracker = Precomputed(folder=tmp_path)
     assert (tracker.propagate(view(canvas(), "left/1.jpg")) == 7).all()
     assert (tracker.propagate(view(canvas(), "right/1.jpg")) == 9).all()
     with pytest.raises(InputError, match=r"both 'right/1.jpg' and 'up/1.jpg'"):
@@ -153,7 +154,7 @@ def test_what_is_no_folder_is_refused(tmp_path):
     with pytest.raises(InputError, match="none given"):
         Precomputed()
     with pytest.raises(InputError, match="there is no folder"):
-        Precomputed(tmp_path / "nowhere")
+        Precomputed(folder=tmp_path / "nowhere")
 
 
 def _rgb_16_bits(file):
@@ -186,7 +187,7 @@ def test_what_is_no_id_map_is_one_sentence(tmp_path, name, write, says):
     if name:
         write(tmp_path / name)
     with pytest.raises(InputError, match=says) as error:
-        Precomputed(tmp_path).propagate(view(canvas()))
+        Precomputed(folder=tmp_path).propagate(view(canvas()))
     assert "\n" not in str(error.value)
 
 
@@ -194,4 +195,4 @@ def test_two_maps_of_one_view_are_refused(tmp_path):
     write_grey(tmp_path / "a.png", ids_of(9))
     write_npy(tmp_path / "a.npy", ids_of(9))
     with pytest.raises(InputError, match=r"a\.npy is there too"):
-        Precomputed(tmp_path).propagate(view(canvas()))
+        Precomputed(folder=tmp_path).propagate(view(canvas()))

@@ -90,14 +90,14 @@ def test_it_carries_known_ids_only_whatever_the_batches(folder):
 def test_three_hundred_objects(folder):
     many = np.arange(1, 301, dtype=np.int32).reshape(15, 20).repeat(8, 0).repeat(8, 1)
     assert many.shape == SIZE
-    tracker = Sam2Video(folder, batch=64, device="cpu")
+    tracker = Sam2Video(model=folder, batch=64, device="cpu")
     tracker.add(view(canvas()), many)
     assert len(tracker._memory._groups()[0,]) == 300
     assert tracker.propagate(view(canvas(seed=2))).max() > 255
 
 
 def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
-    tracker = Sam2Video(folder, device="cpu")
+    tracker = Sam2Video(model=folder, device="cpu")
     tracker.add(view(canvas()), labels())
     first = tracker.propagate(view(canvas(seed=2)))
     np.testing.assert_array_equal(tracker.propagate(view(canvas(seed=2))), first)
@@ -112,7 +112,7 @@ def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
 
 
 def test_memory_is_a_copy_and_nothing_in_it_gives_nothing(folder):
-    tracker = Sam2Video(folder, device="cpu")
+    tracker = Sam2Video(model=folder, device="cpu")
     assert not tracker.propagate(view(canvas())).any()
     tracker.add(view(canvas()), np.zeros(SIZE, np.int32))
     assert not tracker.propagate(view(canvas())).any()
@@ -131,7 +131,7 @@ def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lo
             high[:2], low[:2, :2] = 2.0, 1.0
             return {70_000: high, 8: low, 3: torch.zeros(4, 4), 400: high.clone()}
 
-    tracker = Sam2Video(folder, device="cpu")
+    tracker = Sam2Video(model=folder, device="cpu")
     tracker._memory = Told(tracker._memory.network, 16)
     found = tracker.propagate(view(canvas()))
     assert (found[:50] == 400).all() and not found[75:].any()
@@ -148,7 +148,7 @@ def test_the_whole_association_with_copies(folder):
             asked.append(seen.view.name)
             return super().propagate(seen)
 
-    maps = associate(views, Regions(), Counted(folder, device="cpu"), replicas=5)
+    maps = associate(views, Regions(), Counted(model=folder, device="cpu"), replicas=5)
     # Two copies of each view say that the others would be the same; the second comes carried too.
     assert asked == ["a", "a", "b", "b", "b"]
     assert maps.labels.shape == (2, *SIZE) and (maps.margin >= 0.6 - 1e-6).all()
@@ -166,4 +166,4 @@ def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
             Sam2Video(**given)
         assert "\n" not in str(error.value)
     with pytest.raises(InputError, match="expected int32"):
-        Sam2Video(folder, device="cpu").add(view(canvas()), np.zeros(SIZE))
+        Sam2Video(model=folder, device="cpu").add(view(canvas()), np.zeros(SIZE))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from slgaussian.masks.precomputed import folder_digest
+from slgaussian.masks.configs import folder_digest
 from slgaussian.parts.identity import file_digest
 from slgaussian.parts.pretrained import model_digest, tokenizer_digest
 

@@ -58,7 +58,7 @@ def test_it_is_listed_with_the_others(asked):
     assert "regions: " in listed and "ink.colours <path>" in listed
     assert "[40.0] Greatest distance from a colour." in listed
     schema = json.loads(asked(command("doctor", "--schema")))
-    assert schema["$defs"]["ink"]["properties"]["within"]["maximum"] == 442
+    assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
 
 def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp_path):
@@ -104,7 +104,7 @@ def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
         "try: Part.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
         "except InputError as error: print(error)"
     )
-    assert asked(code) == "ink least: found 0, expected at least 1\n"
+    assert asked(code) == "ink least: found 0, expected a whole number from 1\n"
 
 
 def test_a_method_to_compare_with_is_brought_too(asked, tmp_path):

@@ -2,19 +2,21 @@
 
 import json
 import pickle
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
+from pydantic import Field
 
+from flows.settings import TABLES
+from slgaussian.components.config import ComponentConfig, File, expected
 from slgaussian.errors import InputError
+from slgaussian.io import KnownFile, file_digest
 from slgaussian.language.named import Named
-from slgaussian.parts.identity import KnownFile, file_digest
 from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS, find_part, names_of
-from slgaussian.parts.settings import check_settings, setting, settings_of
+from slgaussian.parts.registry import KINDS, find_config, names_of
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
 
@@ -84,8 +86,8 @@ def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
     ("kind", "name", "values", "sentence"),
     [
         ("encoder", "lexcion", {}, "unknown encoder 'lexcion': expected one of .*did you mean"),
-        ("encoder", "clip", {"modl": "a"}, "settings of 'clip': found 'modl'; did you"),
-        ("lifting", "hard", {"x": 1}, "settings of 'hard': found 'x', expected some of: none"),
+        ("encoder", "clip", {"modl": "a"}, "unknown key 'clip.modl'; did you mean 'model'"),
+        ("lifting", "hard", {"x": 1}, "unknown key 'hard.x'; the keys are none"),
     ],
 )
 def test_what_is_unknown_is_one_sentence(kind, name, values, sentence):
@@ -93,47 +95,54 @@ def test_what_is_unknown_is_one_sentence(kind, name, values, sentence):
         Part.of(kind, name, values)
 
 
-@dataclass(frozen=True)
-class Own:
-    """Settings of every sort."""
+class Mixed(ComponentConfig):
+    """Fields of every sort."""
 
-    count: int = setting(3, "How many.", low=1, high=5)
-    share: float | None = setting(None, "How much.", low=0, high=1, expected="a share")
-    many: int | str = setting(2, "At least one.", low=1)
-    sort: str = setting("a", "Which.", choices=("a", "bee"))
-    inner: int = 7
-
-    def __post_init__(self) -> None:
-        check_settings(self, "own")
+    count: int = Field(3, ge=1, le=5)
+    share: float | None = Field(None, ge=0, le=1)
+    many: Annotated[int, Field(ge=1)] | Literal["auto"] = 2
+    sort: Literal["a", "bee"] = "a"
+    place: Annotated[str | Path | None, File(file_digest)] = None
 
 
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"count": 0}, "own count: found 0, expected 1 to 5"),
-        ({"count": 2.5}, "own count: found 2.5, expected 1 to 5"),
-        ({"count": "two"}, "own count: found 'two', expected 1 to 5"),
-        ({"share": float("nan")}, "own share: found nan, expected a share"),
-        ({"many": 0}, "own many: found 0, expected at least 1"),
-        ({"sort": "be"}, "own sort: found 'be', expected one of a, bee; did you mean 'bee'?"),
+        ({"count": 0}, "mixed count: found 0, expected a whole number from 1 to 5"),
+        ({"count": 2.5}, "mixed count: found 2.5, expected a whole number from 1 to 5"),
+        ({"count": "two"}, "mixed count: found 'two', expected a whole number from 1 to 5"),
+        ({"share": float("nan")}, "mixed share: found nan, expected a number from 0 to 1"),
+        ({"many": 0}, "mixed many: found 0, expected a whole number from 1 or 'auto'"),
+        ({"sort": "be"}, "mixed sort: found 'be', expected one of a, bee; did you mean 'bee'?"),
+        ({"place": 3}, "mixed place: found 3, expected a path or a name"),
+        ({"sort": "c", "cuont": 1}, "unknown key 'mixed.cuont'; did you mean 'count'?"),
+        ({"x": 1}, "unknown key 'mixed.x'; the keys are count, share, many, sort, place"),
     ],
 )
-def test_values_are_held_against_the_declaration(values, sentence):
+def test_a_value_that_does_not_fit_is_one_sentence(values, sentence):
     with pytest.raises(InputError) as error:
-        Own(**values)
+        Mixed(**values)
     assert str(error.value) == sentence
 
 
 def test_what_fits_passes():
-    assert Own(count=5, share=0.5, many=9, sort="bee").share == 0.5
-    assert list(settings_of(Own)) == ["count", "share", "many", "sort"]
+    made = Mixed(count="5", share=0.5, many="auto", sort="bee", place=Path("a"))
+    assert (made.count, made.share, made.many, made.sort) == (5, 0.5, "auto", "bee")
+    assert list(Mixed.files()) == ["place"] and made.load() is made
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_setting_says_what_it_is(kind):
+def test_every_field_says_what_it_is(kind):
     for name in names_of(kind):
-        part = find_part(kind, name)
-        assert part.__doc__
-        for declared in settings_of(part).values():
-            assert declared.help.endswith(".")
-            assert declared.fits(declared.default)
+        config = find_config(kind, name)
+        assert config.__doc__ and config().model_dump() is not None
+        for key, field in config.model_fields.items():
+            assert field.description.endswith(".") and expected(config, key)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_component_has_its_table_in_the_settings(kind):
+    named = {name.replace("-", "_"): find_config(kind, name) for name in names_of(kind)}
+    assert {key: config for key, config in named.items() if config.model_fields} == {
+        key: config for key, config in TABLES.items() if key in named
+    }

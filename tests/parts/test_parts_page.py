@@ -1,28 +1,28 @@
 """What the parts declare is what the documentation and the command say."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from flows.cli import components as parts
 from flows.cli.app import main
+from flows.settings import Settings
+from slgaussian.components import catalogue
 from slgaussian.parts.registry import KINDS, names_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parts.md"
 
 
 def test_the_page_is_what_its_maker_writes():
-    assert PAGE.read_text("utf-8") == parts.markdown()
+    assert PAGE.read_text("utf-8") == catalogue.as_markdown()
 
 
 def test_every_part_is_listed_with_a_sentence_under_its_kind():
-    text = parts.listed()
+    text = catalogue.as_text()
     for kind in KINDS:
         assert f"{kind}: " in text
         for name in names_of(kind):
             assert f"\n  {name}: " in text
-    for part in parts.catalogue():
+    for part in catalogue.catalogue():
         assert part["about"].endswith(".") and "``" not in part["about"]
 
 
@@ -38,7 +38,7 @@ def test_every_part_is_listed_with_a_sentence_under_its_kind():
 )
 def test_the_schema_tells_configurations_from_others(values, fits):
     jsonschema = pytest.importorskip("jsonschema")
-    known = jsonschema.Draft202012Validator(json.loads(parts.schema()))
+    known = jsonschema.Draft202012Validator(Settings.model_json_schema())
     assert known.is_valid(values) == fits
 
 

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import Field, PrivateAttr
 
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import file_digest
+from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import inside
 from slgaussian.parts.pretrained import chosen_device
-from slgaussian.parts.settings import check_settings, setting
+from slgaussian.predict.candidates import MIN_MATCHES
+from slgaussian.predict.configs import MVSplatConfig
+from slgaussian.predict.links import link_views
+from slgaussian.predict.mvsplat.adapter import gaussians_of
+from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
+from slgaussian.predict.mvsplat.cost_volume import needed_candidates
+from slgaussian.predict.mvsplat.network import Network
+from slgaussian.scene import Camera, Sample, View
 
-if TYPE_CHECKING:
-    from slgaussian.gaussians import Gaussians
-    from slgaussian.predict.mvsplat.network import Network
-    from slgaussian.scene import Sample
+MULTIPLE = 16
+"""Images are cropped to multiples of this: by all that downsampling, and two windows a side."""
+
+NEAREST_DEPTH = 1.25
+"""Depth of the 5th percentile of points in the training scenes, where the near plane is at 1 (Zhou
+et al., "Stereo Magnification", SIGGRAPH 2018, whose clips are RealEstate10K)."""
 
 
-@dataclass(frozen=True, eq=False)
-class MVSplat:
+class MVSplat(MVSplatConfig):
     """MVSplat (Chen et al., ECCV 2024) with published weights, one Gaussian a context pixel.
 
     The context is two or more views; the published weights were trained with two. Images whose
@@ -57,50 +70,37 @@ class MVSplat:
         If a setting is out of range, or the checkpoint does not fit.
     """
 
-    checkpoint: Path | None = setting(
-        None, "Weights of mvsplat, such as re10k.ckpt.", content=file_digest
-    )
-    near: float | None = None
-    far: float | None = None
-    precision: str = setting(
-        "float32", "Of mvsplat's layers: float32 or bfloat16.", choices=("float32", "bfloat16")
-    )
-    depth_candidates: int | Literal["auto"] = setting(
-        128,
-        "Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair needs.",
-        low=2,
-    )
+    near: float | None = Field(None, gt=0)
+    far: float | None = Field(None, gt=0)
     device: str = "auto"
     config: Config = PUBLISHED
-    network: Network = field(init=False, repr=False)
+    _network: Network = PrivateAttr()
 
-    def __post_init__(self) -> None:
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
         if self.checkpoint is None:
             raise InputError(
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
                 "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
             )
         most = self.config.candidates
-        if self.depth_candidates != "auto" and self.depth_candidates not in range(2, most + 1):
+        if self.depth_candidates != "auto" and self.depth_candidates > most:
             raise InputError(
                 f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to {most} "
                 'or "auto"'
             )
-        check_settings(self, "mvsplat")
-        for name, value in (("near", self.near), ("far", self.far)):
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(f"mvsplat {name}: found {value}, expected a positive number")
-        from slgaussian.predict.mvsplat.checkpoint import load_network
-
         device = chosen_device(self.device)
-        object.__setattr__(self, "device", device)
         network = load_network(self.checkpoint, self.config)
         try:
-            network.to(device)
+            self._network = network.to(device)
         except (RuntimeError, AssertionError) as problem:
             reason = str(problem).splitlines()[0]
             raise InputError(f"mvsplat device {device!r}: cannot be used ({reason})") from None
-        object.__setattr__(self, "network", network)
+
+    @property
+    def network(self) -> Network:
+        """The network, on its device."""
+        return self._network
 
     def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Gaussians in the world frame of ``sample``, one a context pixel in order of ``source``.
@@ -112,6 +112,99 @@ class MVSplat:
         InputError
             If near is not below far, or images are smaller than 16 pixels a side.
         """
-        from slgaussian.predict.mvsplat.inference import predict
+        near, far = self._range(sample)
+        views = [_cropped(sample.scene, view) for view in sample.context]
+        unit = self.config.near / near
+        cameras = [_scaled(view.camera, unit) for view in views]
+        gaussians = self._predict(views, cameras, near * unit, far * unit)
+        return replace(
+            gaussians,
+            means=gaussians.means.div_(unit),
+            scales=gaussians.scales.div_(unit),
+            source=_source(sample.context[0].camera, cameras),
+        )
 
-        return predict(self, sample)
+    def _range(self, sample: Sample) -> tuple[float, float]:
+        """Near and far in scene units."""
+        cameras = [view.camera for view in sample.context]
+        near, far = self.near, self.far
+        if near is None:
+            near = min((c.near for c in cameras if c.near is not None), default=None)
+        if near is None:
+            near = estimated_near(sample.context)
+        if far is None:
+            own = max((c.far for c in cameras if c.far is not None), default=None)
+            far = own or near * self.config.far / self.config.near
+        if near >= far:
+            raise InputError(
+                f"scene {sample.scene!r}: near {near:.3g} is not below far {far:.3g}; give both"
+            )
+        return near, far
+
+    def _predict(
+        self, views: Sequence[View], cameras: Sequence[Camera], near: float, far: float
+    ) -> Gaussians:
+        """In the units of ``cameras``; ``source`` counts the cropped pixels."""
+        stacked = np.stack([view.image for view in views])
+        device = next(self.network.parameters()).device
+        images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(device)
+        candidates = self.depth_candidates
+        if candidates == "auto":
+            candidates = needed_candidates(cameras, near, far, self.config.candidates)
+        bfloat16 = self.precision == "bfloat16"
+        with torch.no_grad(), inside(self.network):
+            with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+                found = self.network(images.float().div_(255), cameras, near, far, candidates)
+            lifted = [
+                gaussians_of(disparity, raw, camera, self.config)
+                for disparity, raw, camera in zip(found.disparity, found.raw, cameras, strict=True)
+            ]
+            fields = {name: torch.cat([part[name] for part in lifted]).cpu() for name in lifted[0]}
+            opacities = found.opacity.flatten().cpu()
+        source = torch.arange(len(opacities), dtype=torch.int32)
+        return Gaussians(**fields, opacities=opacities, source=source)
+
+
+def estimated_near(views: Sequence[View]) -> float:
+    """Where the near plane of a scene is in its own units, as the networks know it.
+
+    See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`. It scales with the scene.
+    """
+    links = link_views(views, ranged=True).links
+    found = [np.concatenate([link.sparse for link in mine]) for mine in links]
+    if min(map(len, found)) >= MIN_MATCHES:
+        # Inverse depths: their 95th percentile is the 5th of depths.
+        depths = [1 / np.percentile(inverse, 95) for inverse in found]
+        return float(np.percentile(depths, 10)) / NEAREST_DEPTH
+    centres = [view.camera.center for view in views]
+    return min(float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2))
+
+
+def _cropped(scene: str, view: View) -> View:
+    """The middle of a view, with sides that are multiples of 16."""
+    camera = view.camera
+    height, width = (length - length % MULTIPLE for length in (camera.height, camera.width))
+    if height == 0 or width == 0:
+        raise InputError(
+            f"scene {scene!r}: {view.name!r} is {camera.width}x{camera.height}, expected at least "
+            f"{MULTIPLE}x{MULTIPLE} pixels"
+        )
+    left, top = (camera.width - width) // 2, (camera.height - height) // 2
+    image = view.image[top : top + height, left : left + width]
+    return View(view.name, camera.cropped(left, top, width, height), image)
+
+
+def _scaled(camera: Camera, unit: float) -> Camera:
+    """The camera in a scene that is ``unit`` times as large."""
+    c2w = camera.c2w.copy()
+    c2w[:3, 3] *= unit
+    return replace(camera, c2w=c2w, near=None, far=None)
+
+
+def _source(original: Camera, cropped: Sequence[Camera]) -> torch.Tensor:
+    """Flat indices of the pixels of cropped views in the originals, all of one size, int32 [N]."""
+    height, width = cropped[0].height, cropped[0].width
+    index = torch.arange(len(cropped) * original.height * original.width, dtype=torch.int32)
+    index = index.view(len(cropped), original.height, original.width)
+    top, left = (original.height - height) // 2, (original.width - width) // 2
+    return index[:, top : top + height, left : left + width].flatten()

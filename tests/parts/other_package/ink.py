@@ -1,31 +1,29 @@
 """A proposer in one file: what is drawn in one of the colours that a file lists."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from slgaussian.components.config import ComponentConfig, File
 from slgaussian.errors import InputError
+from slgaussian.io import file_digest
 from slgaussian.masks import Proposals
-from slgaussian.parts.identity import file_digest
-from slgaussian.parts.settings import setting
 
 
-@dataclass(frozen=True)
-class Ink:
+class Ink(ComponentConfig):
     """A mask for each colour of a list, where the image comes near it."""
 
-    colours: Path | None = setting(
-        None, "Colours, a line each: red green blue.", content=file_digest
+    colours: Annotated[Path | None, File(file_digest)] = Field(
+        None, description="Colours, a line each: red green blue."
     )
-    within: float = setting(40.0, "Greatest distance from a colour.", low=0, high=442)
-    least: int = setting(20, "Fewest pixels of a mask.", low=1)
-
-    def __post_init__(self):
-        if self.colours is None or not Path(self.colours).is_file():
-            raise InputError(f"ink colours: found {self.colours}, expected a file of colours")
+    within: float = Field(40.0, ge=0, le=442, description="Greatest distance from a colour.")
+    least: int = Field(20, ge=1, description="Fewest pixels of a mask.")
 
     def propose(self, seen, where=None):
+        if self.colours is None:
+            raise InputError("ink colours: none given; give a file of colours")
         allowed = True if where is None else where
         masks = [
             (np.linalg.norm(seen.image - colour, axis=-1) <= self.within) & allowed

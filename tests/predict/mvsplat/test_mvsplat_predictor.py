@@ -9,7 +9,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict import load_predictor
-from slgaussian.predict.mvsplat.inference import estimated_near
+from slgaussian.predict.mvsplat.predictor import estimated_near
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
 from tests.predict.textured_planes import camera, sample

@@ -1,0 +1,151 @@
+"""Configs of the mask proposers and trackers, and the programs of those that are prompted."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, InstanceOf
+from pydantic.json_schema import SkipJsonSchema
+
+from slgaussian.components.config import ComponentConfig, File
+from slgaussian.io import file_digest
+from slgaussian.parts.pretrained import model_digest
+
+MODEL = "Pretrained model: folder, or name on the Hugging Face hub."
+
+Level = Literal["s", "m", "l"]
+"""A mask of a point."""
+
+MAPS = (".png", ".npy")
+"""Suffixes of id maps."""
+
+LEVELS: tuple[Level, ...] = ("s", "m", "l")
+"""The masks that one point gives, in the order of the model's outputs: part, object, group."""
+
+Program = Literal["sam", "sam2", "langsplat", "grouping"]
+"""The names of :data:`PRESETS`."""
+
+
+@dataclass(frozen=True)
+class Automatic:
+    """What is asked and what is kept. The defaults are those of the SAM authors' program.
+
+    Attributes
+    ----------
+    points : int
+        Prompted points along each side of the image.
+    crops : int
+        Layers of crops that are prompted as images of their own: the first has 2 x 2 crops, the
+        next 4 x 4, with as many points each.
+    predicted_iou, stability : float
+        A mask needs more than the first, by the model's own word, and at least the second: the IoU
+        of its logits cut at +1 and -1.
+    box_iou : float
+        Of two masks whose boxes overlap more, that of the lower predicted IoU goes.
+    smallest : int
+        Holes and islands of fewer pixels are filled and removed.
+    apart : bool
+        Masks of one level are only compared with each other.
+    score : float
+        A mask needs at least this predicted IoU times stability.
+    mask_iou, nested : float or None
+        Bounds of :func:`slgaussian.masks.nms.mask_nms`; without the first, it is left out.
+    visible : float or None
+        Bound of :func:`slgaussian.masks.nms.mostly_visible`.
+    """
+
+    points: int = 32
+    crops: int = 0
+    predicted_iou: float = 0.88
+    stability: float = 0.95
+    box_iou: float = 0.7
+    smallest: int = 0
+    apart: bool = False
+    score: float = 0.0
+    mask_iou: float | None = None
+    nested: float | None = None
+    visible: float | None = None
+
+
+PRESETS: dict[Program, Automatic] = {
+    "sam": Automatic(),
+    "sam2": Automatic(predicted_iou=0.8),
+    "langsplat": Automatic(
+        crops=1,
+        predicted_iou=0.7,
+        stability=0.85,
+        smallest=100,
+        apart=True,
+        score=0.7,
+        mask_iou=0.8,
+        nested=0.5,
+    ),
+    "grouping": Automatic(points=64, predicted_iou=0.7, visible=0.8),
+}
+"""By name: the programs of SAM and SAM 2; LangSplat; Gaussian Grouping, and so the paper. What a
+program is not known to change is SAM's."""
+
+
+class AutomaticConfig(ComponentConfig):
+    """What is prompted of a pretrained model that answers points, and which masks are kept."""
+
+    model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
+    preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
+        "grouping",
+        description="Which masks are asked and kept: sam, sam2, langsplat or grouping.",
+    )
+    points: int | None = Field(
+        None,
+        ge=1,
+        description="Points prompted along each side, if not as many as the preset says.",
+    )
+    level: Literal["s", "m", "l", "all"] = Field(
+        "all", description="Which masks of a point: s (parts), m (objects), l (groups) or all."
+    )
+    batch: int = Field(16, ge=1, description="Points prompted together: memory goes with it.")
+
+
+class SamConfig(AutomaticConfig, title="sam"):
+    """Masks by SAM; folders and hub names like ``facebook/sam-vit-base``, ``-large``, ``-huge``."""
+
+    target: ClassVar[str] = "slgaussian.masks.sam:Sam"
+
+
+class Sam2Config(AutomaticConfig, title="sam2"):
+    """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``."""
+
+    target: ClassVar[str] = "slgaussian.masks.sam2:Sam2"
+
+
+class Sam2VideoConfig(ComponentConfig, title="sam2-video"):
+    """Carries labels from view to view as SAM 2 carries objects through a video."""
+
+    target = "slgaussian.masks.sam2_video:Sam2Video"
+
+    model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
+    batch: int = Field(16, ge=1, description="Objects tracked together: memory goes with it.")
+
+
+def folder_digest(folder: Path | str) -> str:
+    """Compute the SHA-256, hexadecimal, of names and contents of a folder of id maps."""
+    folder = Path(folder)
+    digest = hashlib.sha256()
+    # Folders that are links are gone into, as views may be named through them.
+    names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
+    for name in sorted(name for name in names if name.endswith(MAPS)):
+        digest.update(f"{Path(name).as_posix()} {file_digest(folder / name)}\n".encode())
+    return digest.hexdigest()
+
+
+class PrecomputedConfig(ComponentConfig, title="precomputed"):
+    """Labels out of a folder that holds one id map a view, with ids that agree across views."""
+
+    target = "slgaussian.masks.precomputed:Precomputed"
+
+    folder: Annotated[Path | None, File(folder_digest)] = Field(
+        None, description="Folder of id maps made elsewhere, PNG or NPY."
+    )

@@ -1,0 +1,42 @@
+"""Configs of the predictors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from slgaussian.components.config import ComponentConfig, File
+from slgaussian.io import file_digest
+
+
+class PlaneSweepConfig(ComponentConfig, title="planesweep"):
+    """Depth by plane sweep and semi-global matching, one Gaussian a context pixel and some more."""
+
+    target = "slgaussian.predict.planesweep:PlaneSweep"
+
+    depth_candidates: int = Field(
+        144,
+        ge=8,
+        le=512,
+        description="Most depths that planesweep compares, 8 to 512; a pair gets no more than it "
+        "needs.",
+    )
+
+
+class MVSplatConfig(ComponentConfig, title="mvsplat"):
+    """MVSplat (Chen et al., ECCV 2024) with published weights, one Gaussian a context pixel."""
+
+    target = "slgaussian.predict.mvsplat.predictor:MVSplat"
+
+    checkpoint: Annotated[Path | None, File(file_digest)] = Field(
+        None, description="Weights of mvsplat, such as re10k.ckpt."
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="Of mvsplat's layers: float32 or bfloat16."
+    )
+    depth_candidates: Annotated[int, Field(ge=2)] | Literal["auto"] = Field(
+        128, description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair "
+        "needs.",
+    )  # fmt: skip
