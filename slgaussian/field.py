@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slgaussian import edits
 from slgaussian.errors import InputError, SpecError
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
@@ -34,7 +35,7 @@ from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.parts.part import Part
 from slgaussian.scene import Camera
 from slgaussian.semantic.fringe import fringe
-from slgaussian.storage import edits, field_folder
+from slgaussian.storage import field_folder
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.specs import load_spec
@@ -248,9 +249,37 @@ class SemanticField:
         InputError
             If a text cannot be used.
         """
-        from slgaussian.things import things_of
+        from slgaussian.things import list_things, small
 
-        return things_of(self, texts, Rules(**rules))
+        cameras = [small(camera) for camera in self.cameras.values()]
+        things = list_things(
+            self.bank,
+            self.best_words(texts, **rules),
+            [(look.ids, look.confidence, look.depth) for look in map(self.render, cameras)],
+            cameras,
+            list(self.cameras),
+            self.labels(),
+            self.gaussians.to_arrays()["means"],
+            self.names,
+        )
+        return [thing for thing in things if thing.id not in self.removed]
+
+    def best_words(
+        self, texts: Sequence[str] | None = None, **rules: Any
+    ) -> list[tuple[tuple[str, float], ...]]:
+        """The texts that fit each object of the bank best, with relevancies, best first.
+
+        Arguments as of :meth:`inventory`.
+        """
+        from slgaussian.things import BEST, words_for
+
+        asked = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
+        relevancies = self.reader.relevancies(asked, Rules(**rules)).T
+        best = np.argsort(-relevancies, axis=1, kind="stable")[:, :BEST]
+        return [
+            tuple((asked[k], float(own[k])) for k in places)
+            for own, places in zip(relevancies, best, strict=True)
+        ]
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
         """See the field through ``camera``: colour, ids and depth in one pass.
@@ -705,7 +734,7 @@ def _check_places(encoder: Part) -> None:
             gone = f" and is no longer at {place}" if place else ""
             raise InputError(
                 f"the field's encoder {encoder.name!r} needs its {key}, which is not stored with a "
-                f"field{gone}; say where it is, as in --{encoder.name}-{key} PLACE or "
+                f"field{gone}; say where it is, as in --set {encoder.name}.{key}=PLACE or "
                 f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
             )
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.io import short_repr
+from slgaussian.language import Encoder
+from slgaussian.language.bank import MemoryBank
 from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.query import Rules
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.scene import Camera
-
-if TYPE_CHECKING:
-    from slgaussian.field import SemanticField
 
 COMMON_THINGS = (
     "floor",
@@ -78,63 +75,65 @@ class Thing:
     __repr__ = short_repr
 
 
-def things_of(field: SemanticField, texts: Sequence[str] | None, rules: Rules) -> list[Thing]:
-    """Every thing of a field that is not removed, by id; see SemanticField.inventory."""
-    bank = field.bank
-    words = best_words(field, texts, rules)
-    looks = [field.render(small(camera)) for camera in field.cameras.values()]
+def list_things(
+    bank: MemoryBank,
+    words: Sequence[tuple[tuple[str, float], ...]],
+    looks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    cameras: Sequence[Camera],
+    views: Sequence[str],
+    labels: np.ndarray,
+    means: np.ndarray,
+    names: Mapping[int, str],
+) -> list[Thing]:
+    """Describe every object of a bank, by id.
+
+    Parameters
+    ----------
+    bank : MemoryBank
+    words : N tuples
+        The best texts of each object.
+    looks, cameras, views : V each
+        Ids int32, confidence float32 and depth float32, all [H, W], as the context cameras show
+        them, and the names of these views.
+    labels : int32 [M]
+        The object of each Gaussian.
+    means : float32 [M, 3]
+        Their centres, in scene units.
+    names : {id: str}
+        What the user calls some.
+    """
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
-    for look in looks:
-        rows = np.searchsorted(bank.ids, look.ids[look.ids > 0])
+    for ids, confidence, _ in looks:
+        rows = np.searchsorted(bank.ids, ids[ids > 0])
         areas += np.bincount(rows, minlength=len(bank))
-        sums += np.bincount(rows, look.confidence[look.ids > 0], minlength=len(bank))
-    up = find_room([small(c) for c in field.cameras.values()], [look.depth for look in looks]).up
-    labels, means = field.labels(), field.gaussians.to_arrays()["means"]
+        sums += np.bincount(rows, confidence[ids > 0], minlength=len(bank))
+    up = find_room(list(cameras), [depth for _, _, depth in looks]).up
     order = np.argsort(labels, kind="stable")
-    estimated = any(camera.estimated for camera in field.cameras.values())
-    names = list(field.cameras)
+    estimated = any(camera.estimated for camera in cameras)
     things = []
     for row, id_ in enumerate(bank.ids.tolist()):
-        if id_ in field.removed:
-            continue
         own = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
         things.append(
             Thing(
                 id=id_,
-                name=field.names.get(id_),
+                name=names.get(id_),
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(own),
                 box=upright_box(means[own], up) if len(own) else None,
                 metres=False if estimated else None,
-                views=tuple(names[view] for view in np.flatnonzero(bank.present[row])),
+                views=tuple(views[view] for view in np.flatnonzero(bank.present[row])),
             )
         )
     return things
 
 
-def best_words(
-    field: SemanticField, texts: Sequence[str] | None, rules: Rules
-) -> list[tuple[tuple[str, float], ...]]:
-    """The best :data:`BEST` of ``texts`` and the taught words, with relevancies, best first.
-
-    For each object of the bank; ``texts`` as of :meth:`SemanticField.inventory`.
-    """
-    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field))]))
-    relevancies = field.reader.relevancies(asked, rules).T
-    best = np.argsort(-relevancies, axis=1, kind="stable")[:, :BEST]
-    return [
-        tuple((asked[k], float(own[k])) for k in places)
-        for own, places in zip(relevancies, best, strict=True)
-    ]
-
-
-def words_for(field: SemanticField) -> tuple[str, ...]:
-    """The words that things are told by: colours, and the lexicon's nouns for naming.
+def words_for(encoder: Encoder) -> tuple[str, ...]:
+    """Return the words that things are told by: colours, and the lexicon's nouns for naming.
 
     For another encoder, which knows any word, some common things.
     """
-    if not isinstance(field.encoder, Lexicon):
+    if not isinstance(encoder, Lexicon):
         return COMMON_THINGS
     known = load_vocabulary()
     return tuple(sorted([*known.colours, *known.naming]))

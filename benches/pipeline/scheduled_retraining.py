@@ -82,7 +82,8 @@ def main() -> None:
 
 
 def pack(work: Path, env: dict[str, str], rooms: str) -> None:
-    arguments = ["pack", rooms, "-o", str(work / "chunks"), "--views", "6", "--size", "96x128"]
+    arguments = ["ingest", rooms, "-o", str(work), "--store", str(work / "packing")]
+    arguments += ["--set", "views=6", "--set", "size=96x128"]
     with (work / "pack.log").open("ab") as log:
         command = [sys.executable, *CLI, *arguments]
         subprocess.run(command, env=env, stdout=log, stderr=log, check=True)

@@ -10,7 +10,7 @@ from typing import Any
 from flows.cli.load_views import listed_photographs, view_of
 from flows.corpus_settings import IndexSettings, check_bounds
 from flows.settings import SceneSettings, Settings, checked, make_settings
-from slgaussian.datasets import unposed
+from slgaussian.datasets import check_format, unposed
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.things import COMMON_THINGS
@@ -67,6 +67,7 @@ def _indexed(settings: Settings, rule: dict[str, Any]) -> Path:
     from flows.indexing import build_index
     from flows.pipeline import check_folder
 
+    check_format(chosen.format)
     check_folder(settings.out)
     file = settings.out / "pairs.json"
     index = build_index(settings.data, settings.labels, chosen, file)

@@ -218,6 +218,7 @@ def query(
     between: Between = None,
     camera: CameraFile = None,
     orbit: Orbit = None,
+    preset: options.Preset = None,
     threshold: options.Threshold = None,
     words: Words = None,
     set_: options.Set = None,

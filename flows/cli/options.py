@@ -37,8 +37,7 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="<key=value>",
-        help="Any other field of the configuration, as planesweep.depth_candidates=96; may be "
-        "repeated.",
+        help="Any other field of the configuration, as clip.model=PATH; may be repeated.",
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -57,8 +56,7 @@ Size = Annotated[
     str | None,
     typer.Option(
         metavar="<size>",
-        help="Height and width to work at: 416x576, 'at most 416x576', original or auto. "
-        "[default: auto]",
+        help="Height and width to work at: 416x576, 'at most 416x576', original or auto.",
     ),
 ]
 SampleSize = Annotated[
@@ -67,14 +65,12 @@ SampleSize = Annotated[
 ]
 Predictor = Annotated[
     str | None,
-    _component("predictor", "planesweep, mvsplat or precomputed. [default: planesweep]"),
+    _component("predictor", "planesweep or mvsplat. [default: planesweep]"),
 ]
-Proposer = Annotated[
-    str | None, _component("proposer", "Finds masks: regions or sam. [default: regions]")
-]
+Proposer = Annotated[str | None, _component("proposer", "regions, sam or sam2. [default: regions]")]
 Tracker = Annotated[
     str | None,
-    _component("tracker", "geometric, sam2-video or precomputed. [default: geometric]"),
+    _component("tracker", "geometric, flow, sam2-video or precomputed. [default: geometric]"),
 ]
 Encoder = Annotated[
     str | None, _component("encoder", "lexicon, clip, named or auto. [default: lexicon]")

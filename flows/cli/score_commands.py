@@ -86,6 +86,7 @@ def benchmark(
         ),
     ] = None,
     preset: options.Preset = None,
+    size: options.Size = None,
     store: options.Store = None,
     runner: options.Runner = None,
     workers: options.Workers = None,

@@ -47,17 +47,19 @@ def doctor(
     """
     if components and schema:
         raise InputError("doctor: --components and --schema are two outputs; choose one")
-    if components or schema:
-        import json
-
-        from flows.settings import Settings
+    if components:
         from slgaussian.components.catalogue import as_text
 
-        typer.echo(json.dumps(Settings.model_json_schema(), indent=1) if schema else as_text())
+        typer.echo(as_text())
         return
-    from flows.cli.doctor import examine
-    from flows.settings import make_settings
+    import json
 
+    from flows.cli.doctor import examine
+    from flows.settings import Settings, make_settings
+
+    if schema:
+        typer.echo(json.dumps(Settings.model_json_schema(), indent=1))
+        return
     values = settings_from(ctx)
     healthy = True
     for finding in examine(make_settings(values, "doctor"), "runner" in values):

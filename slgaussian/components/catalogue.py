@@ -1,4 +1,4 @@
-"""Every component with its fields, from their configs: as text and as a page."""
+"""Every component with its fields, from their configs: as text, as the page of docs."""
 
 from __future__ import annotations
 

@@ -26,7 +26,6 @@ from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
 from slgaussian.language.query import Rules
-from slgaussian.things import best_words
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order
 
@@ -81,7 +80,7 @@ class LiveField:
         is ``unsaved`` and there is a change to ``undo``.
         """
         field = self.field
-        words = best_words(field, None, Rules())
+        words = field.best_words()
         gone = np.packbits(field.gone[self._order], bitorder="little") if field.removed else b""
         return {
             "names": [field.names.get(id_, "") for id_ in self.ids],

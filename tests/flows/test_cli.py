@@ -107,7 +107,7 @@ def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
         (["red", "--threshold", "2"], "threshold"),
         (["red", "--set", "protocol=lerf"], "expected one of slgaussian, langsplat"),
         (["red", "--set", "canonical=qwxyz"], "qwxyz"),
-        (["red", "--set", "absent=0"], "expected one of skip, zero"),
+        (["red", "--set", "absent=none"], "expected one of skip, zero"),
         (["red", "--preset", "papr"], "did you mean 'paper'?"),
         ([], "nothing is asked: give a TEXT, or a picture with --like"),
         (["--like", "nowhere.png"], "nowhere.png"),

@@ -2,10 +2,12 @@
 
 import inspect
 import os
+import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
@@ -14,8 +16,12 @@ from typer.main import get_command
 
 from flows import settings
 from flows.cli.app import app
+from flows.cli.options import settings_from
+from flows.dataset_settings import DatasetSettings
+from flows.training_settings import TrainSettings
 from slgaussian import __version__
 from slgaussian.errors import did_you_mean
+from slgaussian.parts.registry import KINDS, names_of
 
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)
@@ -29,7 +35,7 @@ COMMANDS = {
     ).items()
 }  # fmt: skip
 """Every command by its words, such as ``("store", "gc")``."""
-GROUPS = [(), *dict.fromkeys(words[:-1] for words in COMMANDS if len(words) > 1)]
+GROUPS = [(), *{words[:-1] for words in COMMANDS if len(words) > 1}]
 EACH = pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 
 
@@ -47,25 +53,61 @@ def shown(monkeypatch, capsys):
 
 
 @EACH
-def test_help_of_a_command_is_one_screen_with_examples(words, shown):
+def test_help_is_one_screen_with_examples_and_every_option(words, shown):
     text = shown(*words, "--help", columns=100)
     lines = text.splitlines()
-    assert len(lines) <= 44 and max(map(len, lines)) <= 100
-    assert f"\n  slgaussian {' '.join(words)} " in f"\n{text}"
+    assert len(lines) <= 40 and max(map(len, lines)) <= 100
     assert "Undefined" not in text and "None" not in text
     assert shown(*words, "-h", columns=100) == text
+    options = {param.opts[0] for param in COMMANDS[words].params}
+    assert not [name for name in options if name.startswith("--") and name not in text]
 
 
 @pytest.mark.parametrize("words", GROUPS, ids=lambda words: " ".join(words) or "slgaussian")
 def test_the_help_of_a_group_is_one_screen_of_whole_sentences(words, shown):
     text = shown(*words, "--help")
-    assert len(text.splitlines()) <= 52  # one line a command
+    assert len(text.splitlines()) <= 42 and max(map(len, text.splitlines())) <= 80
     assert "..." not in text.replace("[ARGS]...", "")
     assert shown(*words, "-h") == text
 
 
-def test_there_are_no_more_commands_than_a_page_shows():
+def test_there_are_few_commands():
     assert len(ROOT_COMMAND.commands) <= 24
+
+
+def test_what_options_say_of_fields_is_true():
+    """Defaults and names of components in help, which is read without importing what has them."""
+    for words, command in COMMANDS.items():
+        sampled = words in (("dataset",), ("supervise",))
+        model = {("train",): TrainSettings, ("retrain",): TrainSettings}.get(
+            words, DatasetSettings if sampled else settings.Settings
+        )
+        for param in command.params:
+            default = re.search(r"\[default: (\S+)\]", param.help or "")
+            if default and param.name in model.model_fields:
+                value = model.model_fields[param.name].default
+                shown = "x".join(map(str, value)) if isinstance(value, tuple) else str(value)
+                assert default[1] == shown or value is None, (words, param.name)
+            if param.name in KINDS:
+                names = {*names_of(param.name), *(["auto"] if param.name == "encoder" else [])}
+                listed = re.split(r", | or ", param.help.partition(".")[0])
+                assert set(listed) == names, (words, param.name)
+
+
+@pytest.mark.parametrize(
+    ("assignments", "expected"),
+    [
+        (["near=1"], {"near": 1}),
+        (["near=.5", "size=at most 96x128"], {"near": ".5", "size": "at most 96x128"}),
+        (["sam.model=a/b=c", "sam.points=8"], {"sam": {"model": "a/b=c", "points": 8}}),
+        (['queries=["red", "a, b"]', "trust_cameras=true"],
+         {"queries": ["red", "a, b"], "trust_cameras": True}),
+        (['method="1"', "method2=1\n2"], {"method": "1", "method2": "1\n2"}),
+    ],
+)  # fmt: skip
+def test_assignments_are_values_of_a_configuration(assignments, expected):
+    ctx = SimpleNamespace(params={"set_": assignments, "seed": 3, "preset": None})
+    assert settings_from(ctx, out=None) == {**expected, "seed": 3}
 
 
 @EACH
@@ -102,7 +144,8 @@ def test_choices_that_are_listed_are_those_that_are_taken():
         ("slgaussian field --predictor ", {"planesweep", "mvsplat"}),
         ("slgaussian field --predictor mv", {"mvsplat"}),
         ("slgaussian demo --preset ", set(settings.PRESETS)),
-        ("slgaussian demo --tracker s", {"sam2-video"}),
+        ("slgaussian field --tracker s", {"sam2-video"}),
+        ("slgaussian objects ", {"list", "teach", "name", "remove", "extract"}),
         ("slgaussian benchmark --format l", {"llff", "lerf_ovs"}),
         ("slgaussian benchmark --against near", {"nearest-view"}),
         ("slgaussian query fie", set()),  # left to the shell: a folder
@@ -159,10 +202,13 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["demo", "--set", "codes=seperated"], "; did you mean 'separated'?"),
         (["demo", "--runner", "proceses"], "; did you mean 'processes'?"),
         (["benchmark", "--data", ".", "--format", "lerf-ovs"], "; did you mean 'lerf_ovs'?"),
-        (["demo", "--set", "planesweep.depth_candidate=32"], "did you mean 'depth_candidates'?"),
-        (["demo", "--set", "seed"], "--set: found 'seed', expected KEY=VALUE"),
-        (["demo", "--seed", "1", "--set", "seed=2"], "--set: seed is given twice, or by an option"),
         (["benchmark", "--rooms", "0-0", "--against", "lerflike"], "; did you mean 'lerf-like'?"),
+        (["demo", "--set", "seed"], "--set: found 'seed', expected KEY=VALUE, as planesweep"),
+        (["demo", "--set", "sead=1"], "demo: unknown key 'sead'; did you mean 'seed'?"),
+        (["demo", "--seed", "1", "--set", "seed=2"], "--set: seed is given twice"),
+        (["demo", "--set", "seed=1", "--set", "seed.a=2"], "--set: seed.a is given twice"),
+        (["demo", "--set", "sam.point=4"], "unknown key 'sam.point'; did you mean 'points'?"),
+        (["demo", "--sam-points", "4"], "; rare settings are given with --set KEY=VALUE"),
         (["demo", "--set", "lifting=branch"], "no weights are given; train some"),
     ],
 )

@@ -12,12 +12,15 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from flows.cli.benchmark import benchmark_settings
+from flows.corpus_settings import IndexSettings
+from flows.indexing import build_index
 from flows.labelled import labelled_scenes
 from flows.manifest import published_as
 from flows.room_scenes import room_scene
 from flows.scene import baseline_tasks, scene_task
 from flows.settings import SceneSettings, make_settings
-from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.index import Index, read_index
 from slgaussian.datasets import lerf_ovs, re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
@@ -98,11 +101,17 @@ def label(folder: Path, name: str, *categories: str) -> None:
     file.write_text(json.dumps({"info": info, "objects": things}))
 
 
+def indexed(data: Path, **values) -> Index:
+    """The index that `benchmark` makes of data without one, in the output folder."""
+    values = {"data": data, "format": "lerf_ovs", "out": data / "out", **values}
+    settings = benchmark_settings(values, [], None)
+    assert settings.pairs == data / "out" / "pairs.json"
+    return read_index(settings.pairs)
+
+
 class TestIndex:
-    def test_every_labelled_frame_has_a_pair_or_a_reason(self, lerf, monkeypatch, capsys):
-        file = lerf / "pairs.json"
-        assert run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file) == 0
-        index = read_index(file)
+    def test_every_labelled_frame_has_a_pair_or_a_reason(self, lerf, capsys):
+        index = indexed(lerf)
         assert index.format == "lerf_ovs"
         assert index.rule["name"] == "around"
         ramen, teatime = index.pairs
@@ -118,76 +127,69 @@ class TestIndex:
         assert "its labels are missing" in index.left_out["ramen-frame_00006"]
         assert "have it between them" in index.left_out["teatime-frame_00001"]
         assert "no view 'frame_00025'" in index.left_out["teatime-frame_00025"]
-        spoken = capsys.readouterr()
-        assert "2 pairs" in spoken.out
-        assert spoken.err.count("left out: ") == len(index.left_out)
+        lines = capsys.readouterr().err
+        assert "2 pairs" in lines and lines.count("left out: ") == len(index.left_out)
 
-    def test_is_the_same_bytes_again(self, lerf, monkeypatch):
+    def test_is_the_same_bytes_again(self, lerf):
         files = [lerf / "one.json", lerf / "two.json"]
         for file in files:
-            assert run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file) == 0
+            build_index(lerf, None, IndexSettings(format="lerf_ovs"), file)
         assert files[0].read_bytes() == files[1].read_bytes()
 
-    def test_its_settings_are_in_it_and_have_an_effect(self, lerf, monkeypatch):
-        file = lerf / "pairs.json"
-        words = ("pairs", lerf, "--format", "lerf_ovs", "-o", file, "--set", "max_aside=0.4")
-        assert run(monkeypatch, *words, "--set", "min_baseline=0.2") == 0
-        index = read_index(file)
+    def test_its_settings_are_in_it_and_have_an_effect(self, lerf):
+        index = indexed(lerf, max_aside=0.4, min_baseline=0.2)
         assert (index.rule["max_aside"], index.rule["min_baseline"]) == (0.4, 0.2)
         assert all(pair.measured["baseline"] >= 0.2 for pair in index.pairs)
 
-    def test_labels_of_ones_own_lie_beside_any_format(self, lerf, monkeypatch):
-        own = lerf / "own"
+    def test_labels_of_ones_own_lie_beside_any_format(self, lerf):
+        own, data = lerf / "own", lerf / "teatime"
         label(own, FRAMES[4], "red ball")
-        file = lerf / "pairs.json"
-        words = ("pairs", lerf / "teatime", "--format", "colmap", "--labels", own, "-o", file)
-        assert run(monkeypatch, *words) == 0
-        index = read_index(file)
+        index = indexed(data, format="colmap", labels=own)
         assert index.format == "colmap"
         (pair,) = index.pairs
         assert (pair.scene, pair.labels, pair.options) == ("teatime-frame_00005", "", {})
-        settings = make_settings({"data": lerf / "teatime", "pairs": file, "labels": own}, "test")
+        file = data / "out" / "pairs.json"
+        settings = make_settings({"data": data, "pairs": file, "labels": own}, "test")
         ((scene,), _) = labelled_scenes(settings)
         assert (scene.labels, scene.categories) == (own, ["red ball"])
 
-    def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf, monkeypatch):
-        first, second = lerf / "one.json", lerf / "two.json"
-        run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", first)
-        pair = read_index(first).pairs[1]
+    def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf):
+        pair = indexed(lerf).pairs[1]
         (lerf / "teatime/images" / pair.context[0]).write_text("hello")
         (lerf / "teatime/images" / pair.context[1]).unlink()
         (lerf / "ramen/images" / FRAMES[3]).unlink()
-        run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", second)
-        index = read_index(second)
+        index = indexed(lerf)
         assert "no such photograph" in index.left_out["ramen-frame_00004"]
         assert not any(set(pair.context) & set(other.context) for other in index.pairs)
 
     def test_what_cannot_be_is_said_in_one_sentence(self, lerf, monkeypatch, capsys):
-        file = lerf / "pairs.json"
-        for words, sentence in (
-            ((lerf,), "data format 'nerfstudio' has no labels of its own; give their folder"),
-            ((lerf, "--format", "stereo", "--labels", lerf), "'stereo' reads no folder"),
-            ((lerf, "--format", "magic", "--labels", lerf), "unknown data format 'magic'"),
-            ((lerf / "label", "--format", "lerf_ovs"), "no labelled frame has a pair (no labels)"),
-            ((lerf, "--format", "lerf_ovs", "--set", "max_aside=0.7"), "max_aside"),
-            ((lerf, "--format", "lerf_ovs", "--set", "min_overlap=0.9", "--set", "max_overlap=0.8"),
+        lerf_ovs = ("--format", "lerf_ovs")
+        for data, words, sentence in (
+            (lerf, (), "data format 'nerfstudio' has no labels of its own; give their folder"),
+            (lerf, ("--format", "stereo", "--labels", lerf), "'stereo' reads no folder"),
+            (lerf, ("--format", "magic", "--labels", lerf), "unknown data format 'magic'"),
+            (lerf / "label", lerf_ovs, "no labelled frame has a pair (no labels)"),
+            (lerf, (*lerf_ovs, "--set", "max_aside=0.7"), "max_aside"),
+            (lerf, (*lerf_ovs, "--set", "min_overlap=0.9", "--set", "max_overlap=0.8"),
              "min_overlap 0.9 is above max_overlap 0.8"),
-            ((lerf, "--format", "lerf_ovs", "--set", "min_baseline=0.4"), "have it between them"),
+            (lerf, (*lerf_ovs, "--set", "min_baseline=0.4"), "have it between them"),
+            (lerf, ("--pairs", "p.json", "--set", "min_cover=0.8"), "of --data without --pairs"),
         ):  # fmt: skip
-            assert run(monkeypatch, "pairs", *words, "-o", file) == 2
+            words = ("benchmark", "--data", data, *words, "-o", lerf / "out")
+            assert run(monkeypatch, *words) == 2
             assert sentence in said(capsys)
-            assert not file.exists()
+            assert not (lerf / "out" / "pairs.json").exists()
 
 
 class TestScored:
-    def scenes(self, lerf, monkeypatch, **more):
+    def scenes(self, lerf, **more):
         file = lerf / "pairs.json"
         if not file.exists():
-            run(monkeypatch, "pairs", lerf, "--format", "lerf_ovs", "-o", file)
+            build_index(lerf, None, IndexSettings(format="lerf_ovs"), file)
         return labelled_scenes(make_settings({"data": lerf, "pairs": file, **more}, "test"))
 
     def test_the_stages_read_what_the_index_says(self, lerf, monkeypatch, tmp_path):
-        scenes, notes = self.scenes(lerf, monkeypatch)
+        scenes, notes = self.scenes(lerf)
         assert "left out by the index" in notes[0]
         scene = scenes[1]
         settings = make_settings({"size": (80, 120)}, "test")
@@ -204,7 +206,7 @@ class TestScored:
         assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
 
     def test_pairs_of_one_scene_of_the_data_are_of_one_place(self, lerf, monkeypatch):
-        scenes, _ = self.scenes(lerf, monkeypatch)
+        scenes, _ = self.scenes(lerf)
         assert [scene.options["scene"] for scene in scenes] == ["ramen", "teatime"]
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
@@ -219,19 +221,19 @@ class TestScored:
 
     def test_another_format_than_that_of_the_index_is_refused(self, lerf, monkeypatch):
         with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):
-            self.scenes(lerf, monkeypatch, format="ovs3d")
-        assert len(self.scenes(lerf, monkeypatch, format="lerf_ovs")[0]) == 2
+            self.scenes(lerf, format="ovs3d")
+        assert len(self.scenes(lerf, format="lerf_ovs")[0]) == 2
 
     def test_an_old_index_needs_labels_and_may_be_of_any_format(self, lerf, monkeypatch):
         file = lerf / "pairs.json"
         entry = {"context": FRAMES[:2], "target": [FRAMES[4]], "categories": ["sheep"]}
         file.write_text(json.dumps({"hall": entry}))
         with pytest.raises(InputError, match="does not say where its labels are"):
-            self.scenes(lerf, monkeypatch)
+            self.scenes(lerf)
         labels = lerf / "label/teatime"
-        (scene,), notes = self.scenes(lerf, monkeypatch, labels=labels, format="colmap")
+        (scene,), notes = self.scenes(lerf, labels=labels, format="colmap")
         assert (scene.format, scene.labels, notes) == ("colmap", labels, [])
-        (scene,), _ = self.scenes(lerf, monkeypatch, labels=labels)
+        (scene,), _ = self.scenes(lerf, labels=labels)
         assert scene.format == "nerfstudio"
 
     def test_published_clips_are_scored_where_they_are_there(self, tmp_path, room, monkeypatch):

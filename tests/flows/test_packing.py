@@ -9,10 +9,9 @@ from PIL import Image
 from flows.cli.app import main
 from flows.clip_sources import scenes_of
 from flows.corpus_settings import PackSettings
-from flows.packing import pack
+from flows.packing import Packed, pack
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.datasets import nerfstudio, re10k, unposed
-from slgaussian.errors import InputError
 
 SMALL = PackSettings(views=3, size=(36, 64))
 
@@ -68,13 +67,15 @@ def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypa
     assert clip.view(1).camera.center == pytest.approx([1, 0, 0])
 
 
-def test_a_clip_that_is_there_is_refused_before_any_work(tmp_path, monkeypatch):
+def test_a_clip_that_is_there_is_left_as_it_is(tmp_path, monkeypatch):
     pack(["procedural:3"], tmp_path, SMALL)
-    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    monkeypatch.setattr(re10k, "clip_of", lambda scene: pytest.fail("worked"))
-    with pytest.raises(InputError, match="has a clip 'procedural_3' already"):
-        pack(["procedural:2-4"], tmp_path, SMALL)
-    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+    before = (tmp_path / "000000.torch").read_bytes()
+    assert pack(["procedural:2-4"], tmp_path, SMALL).clips == 2
+    assert (tmp_path / "000000.torch").read_bytes() == before
+    names = [f"procedural_{seed}" for seed in (3, 2, 4)]
+    assert list(re10k.read_index(tmp_path)) == names
+    monkeypatch.setattr(re10k, "clip_of", lambda *_: pytest.fail("worked"))
+    assert pack(["procedural:2-4"], tmp_path, SMALL) == Packed()
 
 
 def test_a_source_that_cannot_be_read_costs_itself_alone(photos, tmp_path):
@@ -90,14 +91,17 @@ def test_a_source_that_cannot_be_read_costs_itself_alone(photos, tmp_path):
         (["procedural:4-3"], "procedural:4-3: found no seeds"),
         (["procedural:x"], "procedural:x: found no seeds"),
         (["procedural:1", "procedural:1-2"], "its clip would be called 'procedural_1'"),
-        (["procedural:1", "--size", "2x3"], "pack: size: found '2x3'; expected height and width"),
-        (["procedural:1", "--views", "1"], "pack: views: found 1; "),
-        (["procedural:1", "--set", "chunk_mb=0"], "pack: chunk_mb: found 0"),
+        (["procedural:1", "--set", "size=2x3"], "size: found '2x3'; expected height and width"),
+        (["procedural:1", "--set", "views=1"], "ingest: views: found 1; "),
+        (["procedural:1", "--set", "chunk_mb=0"], "ingest: chunk_mb: found 0"),
+        (["procedural:1", "--set", "predictor=mvsplat"], "ingest: unknown key 'predictor'"),
+        (["procedural:1", "s3://bucket/chunks"], "found 2 sources, chunks among them"),
+        (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, sentence):
-    out = tmp_path / "chunks"
-    monkeypatch.setattr("sys.argv", ["slgaussian", "pack", *words, "-o", str(out)])
+    out = tmp_path / "corpus"
+    monkeypatch.setattr("sys.argv", ["slgaussian", "ingest", *words, "-o", str(out)])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2

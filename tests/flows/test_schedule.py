@@ -62,7 +62,7 @@ def test_a_schedule_without_a_server_is_refused(config, monkeypatch, capsys):
         (("--cron", "0 3 * *"), "--cron: found '0 3 * *', expected five fields as in '0 3 * * *'"),
         (("--every", "0"), "--every: found 0, expected a number of seconds above 0"),
         (("--every", "5", "--cron", "0 3 * * *"), "--every and --cron are two ways; choose one"),
-        (("--every", "5", "--steps", "0"), "steps: found 0"),
+        (("--every", "5", "--set", "steps=0"), "steps: found 0"),
     ],
 )
 def test_times_that_are_none_are_refused(config, monkeypatch, capsys, arguments, expected):

@@ -33,7 +33,7 @@ from slgaussian.storage.store import ArtifactStore, encode_table
 pytestmark = pytest.mark.usefixtures("server")
 
 SIZE = (16, 20)
-FEW = ("--steps", "4", "--held-out", "0.4")
+FEW = ("--steps", "4", "--set", "held_out=0.4")
 
 
 def lesson(seed: int, holed: bool = False) -> Lesson:
@@ -164,7 +164,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
         lessons_of(tmp_path / name, range(6))
-    long = ("--steps", "44", "--held-out", "0.4")
+    long = ("--steps", "44", "--set", "held_out=0.4")
     program = "import sys; from flows.cli.app import main; main()"
     argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)]
     root = str(Path(__file__).parents[2])
@@ -210,7 +210,7 @@ def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys)
 @pytest.mark.parametrize(
     ("more", "expected"),
     [
-        (("--held-out", "0.001"), "6 clips with lessons to learn from and 0 to judge by"),
+        (("--set", "held_out=0.001"), "6 clips with lessons to learn from and 0 to judge by"),
         (("--from", "no.safetensors"), "weights no.safetensors: cannot be read"),
         (("--set", "codes=exact"), "found codes of 0 numbers, expected 3"),
         (("--store", "elsewhere"), "give the --store that `slgaussian supervise` had"),

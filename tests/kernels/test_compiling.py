@@ -93,12 +93,12 @@ def test_the_clock_stands_still_while_another_thread_compiles(at_once):
 
 @pytest.mark.whole
 def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
-    """A command with few kernels: it packs a made-up room."""
+    """A command with few kernels: it ingests a made-up room."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     said = []
     for out in ("first", "second"):
         words = ["ingest", "procedural:0", "-o", tmp_path / out, "--store", tmp_path / "store"]
-        words += ["--set", "views=2", "--set", "size=16x16"]
+        words += ["--set", "views=5", "--set", "size=32x32"]
         made = subprocess.run(
             [sys.executable, "-c", FIRST_USE, *map(str, words)],
             env=env, capture_output=True, text=True,

@@ -96,7 +96,7 @@ def answers_of(
         if len(pairs) * len(ids) > MOST:
             pairs = []
     else:
-        kinds |= dict.fromkeys(words_for(field), "text")
+        kinds |= dict.fromkeys(words_for(field.encoder), "text")
     calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
     if live:
         nothing = np.zeros((0, len(ids)), np.float32)
