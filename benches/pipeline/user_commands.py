@@ -29,10 +29,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flows.runners.journal import BEFORE
-
 from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
+from flows.runners.log_file import BEFORE
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"
@@ -161,8 +160,15 @@ def office(recorder: Recorder, data: Path | None) -> None:
     )  # fmt: skip
     fast = ["--preset", "fast", "-o", "office/fast"]
     recorder.run("office fast", "benchmark", *source, *store, *fast, out="office/fast")
-    masks = "office/out/predictions/slgaussian"
-    recorder.run("score", "score", masks, *source, "-o", "office/score", out="office/score")
+    recorder.run(
+        "score",
+        "score",
+        "office/out/predictions",
+        *source,
+        "-o",
+        "office/score",
+        out="office/score",
+    )
     compared = ["office/out", "office/fast", "-o", "office/compare"]
     recorder.run("compare", "compare", *compared, out="office/compare")
 
@@ -192,23 +198,30 @@ def runners(recorder: Recorder, _data: Path | None) -> None:
 def corpus(recorder: Recorder, _data: Path | None) -> None:
     """From chunks to lessons, a training set, weights, a promotion and a refusal."""
     store = ["--store", "corpus/store"]
-    chunks = ["-o", "corpus/chunks", "--views", "6", "--size", "96x128"]
-    recorder.run("pack", "pack", "procedural:0-3", *chunks, out="corpus/chunks")
-    size = ["--size", "96x128", *store]
-    lessons = ["corpus/chunks", *size, "-o", "corpus/lessons"]
+    clips = ["-o", "corpus/clips", "--set", "views=6", "--set", "size=96x128", *store]
+    recorder.run("ingest", "ingest", "procedural:0-3", *clips, out="corpus/clips")
+    size = ["--set", "size=96x128", *store]
+    lessons = ["corpus/clips/chunks", *size, "-o", "corpus/lessons"]
     recorder.run("supervise", "supervise", *lessons, out="corpus/lessons")
     recorder.run("supervise again", "supervise", *lessons, out="corpus/lessons")
-    sources = ["corpus/set", "corpus/chunks", *size]
+    sources = ["corpus/set", "corpus/clips/chunks", *size]
     recorder.run("dataset", "dataset", *sources, out="corpus/set")
     training = ["--lessons", "corpus/lessons", "--steps", "50", *store, "-o", "corpus/trained"]
     recorder.run("train", "train", *training, out="corpus/trained")
-    retrain = ["--chunks", "corpus/chunks", "--out", "corpus/new", "--models", "corpus/models"]
-    retrain += [*size, "--held-out", "0.4"]
+    retrain = [
+        "--chunks",
+        "corpus/clips/chunks",
+        "--out",
+        "corpus/new",
+        "--models",
+        "corpus/models",
+    ]
+    retrain += [*size, "--set", "held_out=0.4"]
     models = "corpus/models"
     recorder.run("retrain", "retrain", *retrain, "--steps", "40", out=models)
     # So few clips promote nothing by themselves: an operator does.
     recorder.run("promote", "versions", models, "--use", "1", out=models)
-    recorder.run("pack more", "pack", "procedural:4-7", *chunks, out="corpus/chunks")
+    recorder.run("ingest more", "ingest", "procedural:4-7", *clips, out="corpus/clips")
     # One step makes weights that are no better.
     recorder.run("retrain, refused", "retrain", *retrain, "--steps", "1", out=models)
     recorder.run("roll back", "versions", models, "--roll-back", out=models)
@@ -266,13 +279,13 @@ def questions(
         ask("query like", "query", folder, *like, answer=True)
     ask("segment", "segment", folder, *texts, file="labels.png")
     ask("segment json", "segment", folder, *texts, "--json", answer=True)
-    ask("objects", "objects", folder, "--json", answer=True)
-    ask("objects table", "objects", folder, file="objects.parquet")
-    ask("teach", "teach", folder, "thing", "--at", "20", "20")
+    ask("objects", "objects", "list", folder, "--json", answer=True)
+    ask("objects table", "objects", "list", folder, file="objects.parquet")
+    ask("teach", "objects", "teach", folder, "thing", "--at", "20", "20")
     ask("query taught", "query", folder, "thing", "--json", answer=True)
-    ask("forget", "teach", folder, "thing", "--forget")
-    ask("extract", "extract", folder, "1", file="one.ply")
-    ask("remove", "remove", folder, "1", file="without")
+    ask("forget", "objects", "teach", folder, "thing", "--forget")
+    ask("extract", "objects", "extract", folder, "1", file="one.ply")
+    ask("remove", "objects", "remove", folder, "1", file="without")
     ask("render", "render", folder, *between[:-1], file="middle.png")
     for suffix in ("html", "ply", "spz"):
         ask(f"export {suffix}", "export", folder, file=f"scene.{suffix}")
