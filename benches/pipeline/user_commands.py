@@ -349,6 +349,9 @@ EXPECTED = {
     "query picture": (0, 3),
     "query like": (0, 3),
     "query taught": (0, 3),
+    "query named": (0, 3),
+    "retrain": (3,),
+    "retrain, refused": (3, 4),
     "run killed": (-signal.SIGKILL,),
 }
 """Exit statuses that a command may have where it is not 0 alone."""
