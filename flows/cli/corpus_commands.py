@@ -69,6 +69,7 @@ def supervise(
     store: options.Store = None,
     runner: options.Runner = None,
     workers: options.Workers = None,
+    refresh: options.Refresh = None,
     set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -119,6 +120,7 @@ def dataset(
     store: options.Store = None,
     runner: options.Runner = None,
     workers: options.Workers = None,
+    refresh: options.Refresh = None,
     set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:

@@ -97,6 +97,12 @@ Runner = Annotated[
 Workers = Annotated[
     int | None, typer.Option(help="Scenes (or chunks) done at a time. [default: 2]")
 ]
+Refresh = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="<stage>", help="Compute a stage anew, and what follows from it; may be repeated."
+    ),
+]
 Data = Annotated[Path | None, typer.Option(help="Folder of a labelled set, as its format has it.")]
 Pairs = Annotated[
     Path | None, typer.Option(help="Its index: OUT/pairs.json of `benchmark`, or made by hand.")
@@ -124,7 +130,7 @@ Most = Annotated[
 
 FIELDS_OF_OPTIONS = (
     "preset", "size", "predictor", "proposer", "tracker", "encoder", "seed", "threshold", "store",
-    "runner", "workers", "data", "pairs", "labels", "format", "rooms", "steps", "most",
+    "runner", "workers", "refresh", "data", "pairs", "labels", "format", "rooms", "steps", "most",
 )  # fmt: skip
 """The options above that give fields of the configuration, as commands call their parameters."""
 
@@ -149,7 +155,7 @@ def settings_from(ctx: typer.Context, **values: Any) -> dict[str, Any]:
         If a text has no such form, or a key is given twice.
     """
     values |= {name: ctx.params.get(name) for name in FIELDS_OF_OPTIONS}
-    values = {name: value for name, value in values.items() if value is not None}
+    values = {name: value for name, value in values.items() if value not in (None, [], ())}
     assignments = ctx.params.get("set_")
     for assignment in assignments or ():
         key, equals, text = assignment.partition("=")

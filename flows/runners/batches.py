@@ -8,7 +8,6 @@ a scene at a time, and a scene whose worker then dies again is left out.
 
 from __future__ import annotations
 
-import logging
 import pickle
 import queue
 import threading
@@ -24,7 +23,6 @@ from prefect.cache_policies import NO_CACHE
 from prefect.futures import PrefectFuture
 from prefect.task_runners import TaskRunner
 
-from flows.runners.log_file import log
 from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers, last_line
 from slgaussian.errors import SLGaussianError, one_line
@@ -291,7 +289,6 @@ def _collect(results: Sequence[SceneResult], outcome: Outcome, progress: Progres
         else:
             outcome.failures.append(result.failure)
             outcome.partial[result.scene] = result.refs
-            log(logging.DEBUG, "left_out", result.failure.reason, scene=result.scene)
 
 
 def failures_table(failures: Sequence[Failure]) -> pa.Table:

@@ -93,6 +93,17 @@ def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
     assert runs()[1] == ["a add", "b add"]
 
 
+def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
+    log = tmp_path / "log"
+    first = run_tiny(store, {"a": tiny(6, 1, log)})
+    log.write_text("")
+    again = run_tiny(store, {"a": tiny(6, 1, log)}, refresh=("halve",))
+    assert log.read_text().splitlines() == ["a halve", "a add"] and again.refs == first.refs
+    log.write_text("")
+    run_tiny(store, {"a": tiny(6, 1, log)})
+    assert log.read_text() == ""
+
+
 def test_a_store_that_moved_still_hits(runs, store, tmp_path):
     runs()
     Path(store.path).rename(tmp_path / "elsewhere")

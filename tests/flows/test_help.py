@@ -200,6 +200,7 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["demo", "--preset", "balanecd"], "; did you mean 'balanced'?"),
         (["demo", "--set", "protocol=langsplatt"], "; did you mean 'langsplat'?"),
         (["demo", "--set", "codes=seperated"], "; did you mean 'separated'?"),
+        (["run", "none.toml", "--refresh", "mask"], "none.toml: cannot read the configuration"),
         (["demo", "--runner", "proceses"], "; did you mean 'processes'?"),
         (["benchmark", "--data", ".", "--format", "lerf-ovs"], "; did you mean 'lerf_ovs'?"),
         (["benchmark", "--rooms", "0-0", "--against", "lerflike"], "; did you mean 'lerf-like'?"),
