@@ -65,7 +65,11 @@ def _indexed(settings: Settings, rule: dict[str, Any]) -> Path:
     chosen = checked(IndexSettings, rule, "benchmark")
     check_bounds(chosen, "benchmark")
     from flows.indexing import build_index
-    from flows.pipeline import check_folder
+    from flows.runners.environment import home_of, prepare
+    from slgaussian.storage.store import ArtifactStore
+
+    prepare(home_of(ArtifactStore(settings.store)))  # before Prefect is imported
+    from flows.runners.session import check_folder
 
     check_format(chosen.format)
     check_folder(settings.out)

@@ -39,9 +39,13 @@ def ingest_sources(values: dict[str, Any], verbose: bool) -> None:
     InputError
         If a value does not fit, a source is not there, or chunks are given beside other sources.
     """
-    from flows.clip_sources import check_there, is_chunks
+    from flows.runners.environment import home_of, prepare
+    from slgaussian.storage.store import ArtifactStore
 
     settings = checked(IngestSettings, values, "ingest")
+    prepare(home_of(ArtifactStore(settings.store)))  # before Prefect is imported
+    from flows.clip_sources import check_there, is_chunks
+
     check_there(settings.sources)
     chunks, left_out = settings.sources[0], 0
     if not any(map(is_chunks, settings.sources)):
