@@ -156,7 +156,7 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     refresh = stages_to_refresh(config, stages)
     with open_workers(config.runner, config.workers, store, refresh) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
-        for text in (f"with {', '.join(part.name for part in method.parts)}", *notes):
+        for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.note(text)
         refs = _compute(config, scenes, variants, workers, progress)
     for scene, data in refs.manifest.get("data", {}).items():

@@ -23,11 +23,11 @@ from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
 from flows.runners.task_runners import open_workers
 from flows.settings import settled
+from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path, write_atomic
-from slgaussian.parts.method import Method
 from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore

@@ -25,13 +25,12 @@ from flows.runners.session import check_folder, completed, run_session, stages_t
 from flows.runners.task_runners import Workers, open_workers
 from flows.settings import settled
 from flows.shard_writing import Finished, write_shards
+from slgaussian.components.method import Method
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.datasets.places import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
-from slgaussian.io import write_atomic
-from slgaussian.parts.identity import KnownFile
-from slgaussian.parts.method import Method
+from slgaussian.io import KnownFile, write_atomic
 from slgaussian.semantic.split import held_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.all_masks import all_masks

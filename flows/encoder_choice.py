@@ -20,7 +20,7 @@ CANDIDATES = ("clip", "lexicon")
 
 def find_clip(config: ClipConfig) -> tuple[str | None, str]:
     """Find the CLIP to take; None if there is none on this machine; and the reason."""
-    from slgaussian.parts.hub_cache import cached_models
+    from slgaussian.components.hub_cache import cached_models
 
     model, tokenizer = str(config.model), config.tokenizer
     if find_spec("transformers") is None:
@@ -40,8 +40,8 @@ def find_clip(config: ClipConfig) -> tuple[str | None, str]:
 
 def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
     """Whether a CLIP and its tokenizer are here with all their files, as far as names tell."""
-    from slgaussian.parts.hub_cache import local_place
-    from slgaussian.parts.pretrained import CONFIG, find_model, find_tokenizer, read_json
+    from slgaussian.components.hub_cache import local_place
+    from slgaussian.components.pretrained import CONFIG, find_model, find_tokenizer, read_json
 
     try:
         here = Path(local_place(place))

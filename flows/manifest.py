@@ -43,7 +43,7 @@ def manifest(
     own = {name: shown[name] for name in shown if name not in TABLES} | settings.identity
     weights = {
         f"{part.name}.{key}": known.digest
-        for part in settings.built_by.parts
+        for part in settings.built_by.components
         for key, known in part.files.items()
     }
     return {

@@ -15,10 +15,10 @@ from flows.runners.batches import SceneTask
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.baselines import ROWS, Row
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
-from slgaussian.parts.method import Method
 from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.attribution import attribution

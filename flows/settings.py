@@ -22,16 +22,16 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from flows.encoder_choice import AUTO, CANDIDATES, find_clip
+from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig
+from slgaussian.components.method import BANK, KEEP, OWN
+from slgaussian.components.method import Method as BuildMethod
+from slgaussian.components.registry import KINDS, brought, find_config, names_of
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, NamedConfig, SeparatedConfig
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
-from slgaussian.parts.method import BANK, KEEP, OWN
-from slgaussian.parts.method import Method as BuildMethod
-from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS, brought, find_config, names_of
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
 from slgaussian.storage.remote import check_url
@@ -210,15 +210,15 @@ class MethodSettings(QueryRules):
     separated: SeparatedConfig = SeparatedConfig()
     branch: BranchConfig = BranchConfig()
 
-    def part_names(self) -> dict[str, str]:
+    def component_names(self) -> dict[str, str]:
         """The name of each part."""
         return self.model_dump(include=set(KINDS))
 
-    def part_settings(self) -> dict[str, dict[str, Any]]:
+    def component_values(self) -> dict[str, dict[str, Any]]:
         """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
         return {
             name: dict(getattr(self, _table_of(name)))
-            for name in self.part_names().values()
+            for name in self.component_names().values()
             if _table_of(name) in TABLES
         }
 
@@ -226,10 +226,10 @@ class MethodSettings(QueryRules):
         """How queries are answered, as :class:`slgaussian.language.query.Rules` takes it."""
         return self.model_dump(include=RULES)
 
-    def part(self, kind: str) -> Part:
+    def part(self, kind: str) -> Component:
         """The part of a kind, with its settings; InputError if its files cannot be read."""
         name = getattr(self, kind)
-        return Part.of(kind, name, self.part_settings().get(name))
+        return Component.of(kind, name, self.component_values().get(name))
 
     @cached_property
     def built_by(self) -> BuildMethod:
@@ -510,12 +510,14 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """InputError if ``given`` has the table of a part that the settings do not choose."""
-    used = set(map(_table_of, settings.part_settings()))
+    used = set(map(_table_of, settings.component_values()))
     if settings.encoder == AUTO:
         used |= set(CANDIDATES)
     for name in TABLES:
         if name in given and name not in used:
-            chosen = ", ".join(f"{part} {name!r}" for part, name in settings.part_names().items())
+            chosen = ", ".join(
+                f"{part} {name!r}" for part, name in settings.component_names().items()
+            )
             raise InputError(
                 f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
                 f"{chosen}); choose it, or leave them out"

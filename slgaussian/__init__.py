@@ -25,7 +25,7 @@ _PUBLIC = {
     "SemanticField": "slgaussian.field",
     "photographs": "slgaussian.datasets.unposed",
     "build_field": "slgaussian.build",
-    "Method": "slgaussian.parts.method",
+    "Method": "slgaussian.components.method",
     "rasterize": "slgaussian.rasterize",
     "load_ply": "slgaussian.formats.ply",
     "save_ply": "slgaussian.formats.ply",

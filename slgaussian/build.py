@@ -11,6 +11,8 @@ import numpy as np
 
 from slgaussian.cameras.check import check_pairs, refuse
 from slgaussian.cameras.quality import Quality, measure
+from slgaussian.components.component import Component
+from slgaussian.components.method import BANK, Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
@@ -21,8 +23,6 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.named import Named, true_names
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.parts.method import BANK, Method
-from slgaussian.parts.part import Part
 from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.predict.links import usable
 from slgaussian.rasterize.merging import Change, merge
@@ -73,10 +73,11 @@ def build_field(
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this, see :meth:`slgaussian.parts.method.Method.identity`, and
-        under ``quality`` how good the views were, see :class:`slgaussian.cameras.quality.Quality`;
-        under ``account`` what it is made of, see :class:`slgaussian.storage.account.Account`; and
-        where nobody gave cameras, under ``cameras`` how they were found.
+        Its own ``settings`` say all this, see
+        :meth:`slgaussian.components.method.Method.identity`, and under ``quality`` how good the
+        views were, see :class:`slgaussian.cameras.quality.Quality`; under ``account`` what it is
+        made of, see :class:`slgaussian.storage.account.Account`; and where nobody gave cameras,
+        under ``cameras`` how they were found.
 
     Raises
     ------
@@ -102,7 +103,9 @@ def build_field(
         return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
 
-def predict(sample: Sample, predictor: Part, seed: int, trust_cameras: bool = False) -> Predicted:
+def predict(
+    sample: Sample, predictor: Component, seed: int, trust_cameras: bool = False
+) -> Predicted:
     """Gaussians from the context views (paper, section 3.1), and what there is to say of them.
 
     Raises
@@ -128,7 +131,9 @@ def predict(sample: Sample, predictor: Part, seed: int, trust_cameras: bool = Fa
     return Predicted(gaussians.with_arrays(guessed=guessed), quality, depths)
 
 
-def label_views(geometry: SceneGeometry, proposer: Part, tracker: Part, replicas: int) -> LabelMaps:
+def label_views(
+    geometry: SceneGeometry, proposer: Component, tracker: Component, replicas: int
+) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
     maps = associate(geometry.seen, proposer.load(), tracker.load(), replicas)
     opaque = _opaque(geometry.views)
@@ -139,15 +144,15 @@ def remember(
     sample: Sample,
     geometry: SceneGeometry,
     label_maps: LabelMaps,
-    encoder: Part,
-    codes: Part,
+    encoder: Component,
+    codes: Component,
     seed: int,
     held: str = BANK[0],
 ) -> MemoryBank:
     """Draw an ID code for every object and encode what each view shows of it (section 3.2).
 
     Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them,
-    unless ``held`` is ``objects`` (:data:`slgaussian.parts.method.BANK`). With the encoder
+    unless ``held`` is ``objects`` (:data:`slgaussian.components.method.BANK`). With the encoder
     ``named`` objects get the vectors of their true names instead, and groups none.
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slgaussian import edits
+from slgaussian.components.component import Component
 from slgaussian.errors import InputError, SpecError
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
@@ -32,7 +33,6 @@ from slgaussian.language.query import (
     segment,
 )
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
-from slgaussian.parts.part import Part
 from slgaussian.scene import Camera
 from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import field_folder
@@ -194,7 +194,7 @@ class SemanticField:
         SpecError
             If its vectors have another width than those of the bank.
         """
-        part = Part.stored("encoder", self.settings, self.places)
+        part = Component.stored("encoder", self.settings, self.places)
         _check_places(part)
         encoder: Encoder = part.load(
             "is not what the field was built with; give that one, or build the field with it"
@@ -665,7 +665,7 @@ class SemanticField:
         taught, names, removed = edits.read(path, identity, loaded.bank.ids)
         loaded = replace(loaded, taught=taught, names=names, removed=removed)
         try:
-            if not Part.stored("encoder", about.settings).files:
+            if not Component.stored("encoder", about.settings).files:
                 loaded.encoder  # noqa: B018  (what needs no files is checked at once)
         except (InputError, SpecError) as error:
             raise SpecError(f"{path}: {error}") from error
@@ -726,7 +726,7 @@ def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
     return np.where(where[..., None], HATCHING[stripe][..., None], rgb)
 
 
-def _check_places(encoder: Part) -> None:
+def _check_places(encoder: Component) -> None:
     """InputError if a file of the encoder has no place, or is no longer there."""
     for key, known in encoder.files.items():
         place = known.place

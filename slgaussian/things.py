@@ -122,7 +122,7 @@ def list_things(
                 gaussians=len(own),
                 box=upright_box(means[own], up) if len(own) else None,
                 metres=False if estimated else None,
-                views=tuple(views[view] for view in np.flatnonzero(bank.present[row])),
+                views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
         )
     return things

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from slgaussian.components.component import Component
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks.associate import associate
-from slgaussian.parts.part import Part
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef
@@ -25,8 +25,8 @@ def all_masks(
     run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
-    proposer: Part,
-    tracker: Part,
+    proposer: Component,
+    tracker: Component,
     replicas: int,
 ) -> ArtifactRef:
     """Labels of the context views: spec ``labels``; ``meta["targets"]`` is the place of the others.

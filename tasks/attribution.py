@@ -7,8 +7,8 @@ import pyarrow as pa
 from slgaussian.benchmark.attribution import attribute_errors
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.components.method import Method
 from slgaussian.gaussians import Gaussians
-from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import get_field, labels_from_arrays, sample_from_arrays, truth_from_arrays

@@ -9,9 +9,9 @@ from slgaussian.benchmark.baselines import load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.benchmark.resident_memory import Peak
+from slgaussian.components.method import Method
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import compiling
-from slgaussian.parts.method import Method
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
     get_field,

@@ -7,9 +7,9 @@ from typing import Any
 
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.showcase import MISS
+from slgaussian.components.component import Component
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
-from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
     get_field,
@@ -30,7 +30,7 @@ def benchmark(
     gaussians: ArtifactRef,
     labels: ArtifactRef,
     field: ArtifactRef,
-    encoder: Part,
+    encoder: Component,
     settings: EvaluationSettings,
 ) -> ArtifactRef:
     """What the field of a scene answers, with scores: spec ``scene_result``.

@@ -13,7 +13,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.parts.identity import CHANGED, KnownFile, file_stamp
+from slgaussian.io import CHANGED, KnownFile, file_stamp
 from slgaussian.storage.remote import explained, troubles
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
@@ -26,7 +26,7 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     """SHA-256 of a file's content, hexadecimal, read once for each path, size and time stamp.
 
     The store remembers it under ``digests/``; a file that was changed within the last
-    :data:`slgaussian.parts.identity.SETTLED` seconds, or has no time stamp, is read every time.
+    :data:`slgaussian.io.SETTLED` seconds, or has no time stamp, is read every time.
 
     Parameters
     ----------

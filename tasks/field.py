@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from slgaussian.build import lift_field
 from slgaussian.cameras.quality import Quality
+from slgaussian.components.method import Method
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
-from slgaussian.parts.method import Method
 from slgaussian.predict import Depths
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, put_field, sample_from_arrays

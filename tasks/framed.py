@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slgaussian.datasets import licences
 from slgaussian.datasets.re10k import Clip
-from slgaussian.parts.identity import KnownFile
+from slgaussian.io import KnownFile
 from slgaussian.scene import Sample, View
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef

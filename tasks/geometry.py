@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from slgaussian.build import predict
+from slgaussian.components.component import Component
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
-from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays
 from tasks.context import RunContext
@@ -14,7 +14,11 @@ from tasks.stage import stage
 
 @stage("geometry", version=10)
 def geometry(
-    run: RunContext, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
+    run: RunContext,
+    sample: ArtifactRef,
+    predictor: Component,
+    seed: int,
+    trust_cameras: bool = False,
 ) -> ArtifactRef:
     """What the predictor makes of the context views: spec ``gaussians``.
 

@@ -17,7 +17,7 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.datasets import licences
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import CHANGED, file_digest
+from slgaussian.io import CHANGED, file_digest
 from slgaussian.predict.links import usable
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from slgaussian.components.component import Component
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import KnownFile
-from slgaussian.parts.part import Part
+from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef
 
 
@@ -52,7 +52,7 @@ def canonical(value: Any, name: str = "value") -> Any:
         return {"spec": value.spec, "digest": value.digest}
     if isinstance(value, KnownFile):
         return value.digest
-    if isinstance(value, Part):
+    if isinstance(value, Component):
         return {value.name: canonical(value.identity(), name)}
     if hasattr(value, "identity"):
         return canonical(value.identity(), name)

@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
+from slgaussian.components.component import Component
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.io import KnownFile
 from slgaussian.masks.associate import associate
-from slgaussian.parts.identity import KnownFile
-from slgaussian.parts.part import Part
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
@@ -44,8 +44,8 @@ def lessons(
     predictions: ArtifactRef,
     chunk: KnownFile,
     framing: Framing,
-    proposer: Part,
-    tracker: Part,
+    proposer: Component,
+    tracker: Component,
     replicas: int,
 ) -> ArtifactRef:
     """Lessons of the samples of a chunk: spec ``lessons``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slgaussian.build import label_views
-from slgaussian.parts.part import Part
+from slgaussian.components.component import Component
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays
 from tasks.context import RunContext
@@ -16,8 +16,8 @@ def masks(
     run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
-    proposer: Part,
-    tracker: Part,
+    proposer: Component,
+    tracker: Component,
     replicas: int,
 ) -> ArtifactRef:
     """Object ids that agree across the context views: spec ``labels``.

@@ -7,10 +7,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from slgaussian.components.component import Component
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import KnownFile
-from slgaussian.parts.part import Part
+from slgaussian.io import KnownFile
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
@@ -28,7 +28,7 @@ def predictions(
     pairs: ArtifactRef,
     chunk: KnownFile,
     framing: Framing,
-    predictor: Part,
+    predictor: Component,
     seed: int,
 ) -> ArtifactRef:
     """Gaussians of the samples of a chunk: spec ``predictions``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slgaussian.build import remember
-from slgaussian.parts.part import Part
+from slgaussian.components.component import Component
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, sample_from_arrays
 from tasks.context import RunContext
@@ -17,8 +17,8 @@ def supervision(
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     labels: ArtifactRef,
-    encoder: Part,
-    codes: Part,
+    encoder: Component,
+    codes: Component,
     seed: int,
     held: str,
 ) -> ArtifactRef:

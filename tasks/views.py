@@ -11,7 +11,7 @@ import pyarrow as pa
 from slgaussian.datasets import re10k
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import KnownFile
+from slgaussian.io import KnownFile
 from slgaussian.predict.distance import typical_depths
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef

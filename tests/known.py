@@ -2,12 +2,12 @@
 
 from slgaussian.build import lift_field, remember
 from slgaussian.cameras.quality import Quality
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
-from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 
 QUALITY = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)

@@ -6,10 +6,10 @@ Two cameras see it from the sides.
 import numpy as np
 import torch
 
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Sample, View
 from tests.known import known_field
 

@@ -10,11 +10,11 @@ import pytest
 from slgaussian import datasets
 from slgaussian.build import build_field, label_views, predict, remember
 from slgaussian.cameras.quality import Quality
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.geometry import SceneGeometry
-from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.storage.account import Account
 from slgaussian.viewer.page.scene_page import scene_page

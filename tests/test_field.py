@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Estimated, Sample, View
 from tests.known import known_field
 

@@ -21,6 +21,7 @@ from PIL import Image
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import read_labels, read_truth
 from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions
+from slgaussian.components.pretrained import OPEN_CLIP_CONFIG, find_model
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.datasets.photographs import open_rgb, stored_size
 from slgaussian.datasets.sharpness import glance
@@ -31,7 +32,6 @@ from slgaussian.formats.strict_json import parse
 from slgaussian.language.clip import _colours
 from slgaussian.language.open_clip import _read_config
 from slgaussian.masks.precomputed import read_ids
-from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, find_model
 from slgaussian.predict.mvsplat.checkpoint import read_state
 from slgaussian.scene import Camera, View
 from slgaussian.storage import tables

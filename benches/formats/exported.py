@@ -21,11 +21,11 @@ from benches.common.photograph_pairs import load_samples, photographs
 from slgaussian.benchmark.metrics import psnr
 from slgaussian.build import build_field
 from slgaussian.cameras.trajectories import between
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.formats.spz import load_spz, save_spz
 from slgaussian.gaussians import Gaussians
-from slgaussian.parts.method import Method
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.scene_page import scene_page

@@ -26,13 +26,13 @@ from benches.language.code_chart import picture as chart
 from benches.language.many_object_rooms import SIZE, Room, make_rooms
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.build import label_views
+from slgaussian.components.method import Method
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.language import load_codes
 from slgaussian.language.codes import Separated
 from slgaussian.language.nearest import nearest_code
 from slgaussian.language.separated import misread, neighbours
-from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera

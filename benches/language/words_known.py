@@ -27,11 +27,11 @@ from benches.scores.scene_sets import PLACES, labelled, read
 from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.language.query import Rules, ask
 from slgaussian.language.vocabulary import NOUNS, Vocabulary, load_vocabulary
-from slgaussian.parts.method import Method
 
 TITLES = {"coco": "COCO", "coco_stuff": "COCO-stuff", "ade20k": "ADE20K 150", "lvis": "LVIS"}
 

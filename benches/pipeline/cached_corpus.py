@@ -33,7 +33,7 @@ from flows.corpus_settings import CorpusSettings, make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
-from slgaussian.parts.identity import SETTLED
+from slgaussian.io import SETTLED
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore

@@ -10,10 +10,10 @@ from flows.corpus_settings import CorpusSettings
 from flows.runners.batches import Outcome, SceneTask, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.task_runners import open_workers
+from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
-from slgaussian.parts.identity import KnownFile
-from slgaussian.parts.method import Method
+from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk
 from tasks.context import current_run

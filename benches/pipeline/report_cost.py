@@ -18,8 +18,8 @@ from benches.common.machine import measured
 from slgaussian import build_field, datasets
 from slgaussian.benchmark.evaluate import SceneResult, evaluate, truth_from_instances
 from slgaussian.benchmark.resident_memory import held
+from slgaussian.components.method import Method
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import result_to_arrays, truth_to_arrays

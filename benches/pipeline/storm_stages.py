@@ -13,7 +13,7 @@ from flows.runners.batches import SceneTask, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.task_runners import open_workers
 from slgaussian.errors import InputError
-from slgaussian.parts.identity import KnownFile, file_digest
+from slgaussian.io import KnownFile, file_digest
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
 from tasks.stage import stage

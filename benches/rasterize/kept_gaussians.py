@@ -22,12 +22,12 @@ from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.metrics import psnr
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.errors import SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
 from slgaussian.kernels.simd import LANES
-from slgaussian.parts.method import Method
 from slgaussian.rasterize import plan
 from slgaussian.rasterize.merging import merge
 from slgaussian.scene import Camera, Sample

@@ -24,11 +24,11 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
-from slgaussian.parts.method import Method
 
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and what the table calls them."""

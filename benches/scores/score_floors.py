@@ -23,9 +23,9 @@ from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate, truth_fr
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.metrics import depth_errors
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 

@@ -19,8 +19,8 @@ from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
-from slgaussian.parts.method import Method
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 

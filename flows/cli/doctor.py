@@ -20,10 +20,10 @@ from packaging.requirements import Requirement
 from flows.runners.environment import home_of, orchestration
 from flows.settings import Settings
 from slgaussian import __version__
+from slgaussian.components.finding import Finding, Findings
 from slgaussian.errors import InputError, SLGaussianError, one_line
+from slgaussian.extras import PACKAGE, install_line, requirements
 from slgaussian.kernels import threads
-from slgaussian.parts.extras import PACKAGE, install_line, requirements
-from slgaussian.parts.finding import Finding, Findings
 from slgaussian.storage.remote import redacted
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
@@ -36,7 +36,7 @@ ROOM = 2**30
 
 def examine(settings: Settings, runner: bool = False) -> Findings:
     """Check packages, store, server, ``runner`` if wanted, and the models of the chosen parts."""
-    opened, tables = list[Any](), settings.part_settings()
+    opened, tables = list[Any](), settings.component_values()
     yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
     yield from _tried("packages", _packages)
     with suppress(PackageNotFoundError):
@@ -46,10 +46,10 @@ def examine(settings: Settings, runner: bool = False) -> Findings:
     yield from _tried("server", _server, *opened)
     if runner and opened:
         yield from _tried("runner", _runner, settings.runner, opened[0])
-    from slgaussian.parts.intact import check_part
+    from slgaussian.components.intact import check_component
 
-    for kind, part in settings.part_names().items():
-        yield from _tried(part, check_part, kind, part, tables.get(part, {}))
+    for kind, part in settings.component_names().items():
+        yield from _tried(part, check_component, kind, part, tables.get(part, {}))
 
 
 def _tried(name: str, check: Callable[..., str], *arguments: Any) -> Findings:

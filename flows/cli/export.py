@@ -16,8 +16,7 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.formats.spz import save_spz
-from slgaussian.io import write_file
-from slgaussian.parts.identity import file_digest
+from slgaussian.io import file_digest, write_file
 from slgaussian.storage.inputs import read_photographs
 from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
 

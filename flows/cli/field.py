@@ -46,7 +46,7 @@ def build(
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
     ahead.begin()
     height, width = sample.context[0].image.shape[:2]
-    components = ", ".join(part.name for part in settings.built_by.parts)
+    components = ", ".join(part.name for part in settings.built_by.components)
     print(
         f"building a field from {len(sample.context)} views of {width}x{height} with {components}",
         file=sys.stderr,

@@ -19,7 +19,7 @@ def _component(kind: str, text: str) -> Any:
     """Return the option of a kind of component; completion asks for the names that there are."""
 
     def names() -> list[str]:
-        from slgaussian.parts.registry import names_of
+        from slgaussian.components.registry import names_of
 
         return [*names_of(kind), *(["auto"] if kind == "encoder" else [])]
 

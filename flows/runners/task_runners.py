@@ -33,7 +33,7 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTa
 from flows.runners.environment import ray_variables
 from flows.runners.server import LOOPBACK
 from slgaussian.errors import InputError, SLGaussianError, one_line
-from slgaussian.parts.extras import install_line
+from slgaussian.extras import install_line
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore, DamagedError
 

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from slgaussian.components.config import expected
+from slgaussian.components.registry import KINDS, find_config, names_of
 from slgaussian.errors import InputError
-from slgaussian.parts.registry import KINDS, find_config, names_of
 
 HEAD = """# Components and their fields
 
-Made by `python docs/make_parts.py` from what the components declare. `slgaussian doctor
+Made by `python docs/make_components.py` from what the components declare. `slgaussian doctor
 --components` says the same of an installation, with the components of other packages.
 
 A field such as `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on the

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slgaussian.components.registry import resolve
 from slgaussian.errors import InputError
-from slgaussian.parts.registry import resolve
 
 if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
     from slgaussian.datasets.training_set import TrainingSet

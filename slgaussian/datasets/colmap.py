@@ -35,7 +35,7 @@ from slgaussian.datasets.sparse import (
     read_model,
 )
 from slgaussian.errors import InputError
-from slgaussian.parts.extras import install_line
+from slgaussian.extras import install_line
 from slgaussian.scene import Camera, Scene, View
 
 PLACES = ("sparse", "colmap/sparse", ".")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import load_component
+from slgaussian.components.registry import load_component
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np

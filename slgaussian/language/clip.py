@@ -18,10 +18,7 @@ import numpy as np
 import torch
 from pydantic import PrivateAttr
 
-from slgaussian.errors import InputError
-from slgaussian.kernels.threads import inside
-from slgaussian.language.configs import CLIP, ClipConfig
-from slgaussian.parts.pretrained import (
+from slgaussian.components.pretrained import (
     OPEN_CLIP_CONFIG,
     PREPROCESSOR,
     Family,
@@ -33,6 +30,9 @@ from slgaussian.parts.pretrained import (
     read_json,
     table_in,
 )
+from slgaussian.errors import InputError
+from slgaussian.kernels.threads import inside
+from slgaussian.language.configs import CLIP, ClipConfig
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -77,7 +77,7 @@ class Clip(ClipConfig):
     ------
     InputError
         If a setting is none of these, there is no tokenizer, it belongs to another model, or as
-        :func:`slgaussian.parts.pretrained.load_pretrained`.
+        :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _converted)

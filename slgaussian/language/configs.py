@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from slgaussian.components.config import ComponentConfig, File
+from slgaussian.components.pretrained import model_digest, tokenizer_digest
 from slgaussian.io import file_digest
-from slgaussian.parts.pretrained import model_digest, tokenizer_digest
 
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""

@@ -17,9 +17,15 @@ from typing import Any
 
 import torch
 
+from slgaussian.components.pretrained import (
+    OPEN_CLIP_CONFIG,
+    ModelFiles,
+    quiet,
+    read_json,
+    table_in,
+)
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.parts.pretrained import OPEN_CLIP_CONFIG, ModelFiles, quiet, read_json, table_in
 
 HEAD_WIDTHS = {1280: 80, 1408: 88, 1664: 104, 1792: 112}
 """Channels of a head in the image towers of open_clip's ViT-H, g, bigG and e, by their width; 64

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slgaussian.components.registry import load_component
 from slgaussian.io import short_repr
-from slgaussian.parts.registry import load_component
 
 if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
     import numpy as np

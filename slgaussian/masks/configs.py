@@ -12,8 +12,8 @@ from pydantic import Field, InstanceOf
 from pydantic.json_schema import SkipJsonSchema
 
 from slgaussian.components.config import ComponentConfig, File
+from slgaussian.components.pretrained import model_digest
 from slgaussian.io import file_digest
-from slgaussian.parts.pretrained import model_digest
 
 MODEL = "Pretrained model: folder, or name on the Hugging Face hub."
 

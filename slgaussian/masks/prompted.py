@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from pydantic import PrivateAttr
 
+from slgaussian.components.pretrained import Family, load_pretrained
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.masks import Proposals
 from slgaussian.masks.automatic import PromptedImage, all_masks
 from slgaussian.masks.configs import LEVELS, PRESETS, Automatic, AutomaticConfig
-from slgaussian.parts.pretrained import Family, load_pretrained
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -51,7 +51,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
     ------
     InputError
         If a setting is out of range, or the model cannot be loaded
-        (:func:`slgaussian.parts.pretrained.load_pretrained`).
+        (:func:`slgaussian.components.pretrained.load_pretrained`).
     """
 
     FAMILY: ClassVar[Family]

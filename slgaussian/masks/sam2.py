@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from slgaussian.components.pretrained import Family
 from slgaussian.masks.configs import Sam2Config
 from slgaussian.masks.prompted import AutomaticProposer
-from slgaussian.parts.pretrained import Family
 
 if TYPE_CHECKING:
     from slgaussian.masks.sam_image import Sam2Image

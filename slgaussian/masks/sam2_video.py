@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydantic import PrivateAttr
 
+from slgaussian.components.pretrained import Family, load_pretrained
 from slgaussian.masks.configs import Sam2VideoConfig
 from slgaussian.masks.video_memory import VideoMemory
-from slgaussian.parts.pretrained import Family, load_pretrained
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -39,7 +39,7 @@ class Sam2Video(Sam2VideoConfig):
     Raises
     ------
     InputError
-        If ``batch`` is below 1, or as :func:`slgaussian.parts.pretrained.load_pretrained`.
+        If ``batch`` is below 1, or as :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family(

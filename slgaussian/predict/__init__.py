@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from slgaussian.parts.registry import load_component
+from slgaussian.components.registry import load_component
 
 if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slgaussian.components.registry import resolve
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
-from slgaussian.parts.registry import resolve
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.scene import Camera
 

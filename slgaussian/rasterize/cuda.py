@@ -19,8 +19,8 @@ from collections.abc import Callable
 import torch
 
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.gaussians import Gaussians
-from slgaussian.parts.extras import install_line
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera

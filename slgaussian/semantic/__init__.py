@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.parts.registry import load_component
+from slgaussian.components.registry import load_component
 
 if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits for torch
     from slgaussian.gaussians import Gaussians

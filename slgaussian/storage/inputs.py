@@ -13,7 +13,7 @@ from pathlib import Path
 
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
-from slgaussian.parts.identity import file_digest
+from slgaussian.io import file_digest
 from slgaussian.storage.field_folder import AGAIN
 
 FILE = "photographs.json"

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slgaussian.errors import InputError
-from slgaussian.parts.extras import install_line
+from slgaussian.extras import install_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem

@@ -15,10 +15,10 @@ from slgaussian.benchmark.evaluate import (
     evaluate,
     truth_from_instances,
 )
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from slgaussian.scene import Sample
 from tests.known import known_field

@@ -12,13 +12,13 @@ from slgaussian.benchmark import metrics, oracles
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.attribution import BEYOND, STAGES, UNDECIDED, attribute_errors, verdict
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.components.method import Method
 from slgaussian.gaussians import source_depths
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
-from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.specs import load_spec
 from tests.known import known_field

@@ -21,8 +21,8 @@ from slgaussian.cameras.check import (
     refuse,
 )
 from slgaussian.cameras.matches import sift, sift_pairs
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
-from slgaussian.parts.method import Method
 from slgaussian.scene import Camera, Estimated, Sample, View
 from tests.cameras.walls import two_rows, views_of_wall
 

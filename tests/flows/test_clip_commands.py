@@ -15,12 +15,12 @@ from flows.scene import scene_task
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
+from slgaussian.components.component import Component
+from slgaussian.components.method import Method
+from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.configs import CLIP
-from slgaussian.parts.method import Method
-from slgaussian.parts.part import Part
-from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
@@ -215,7 +215,7 @@ def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     own = {"encoder": "clip", "clip": {"model": model_digest(model)}}
 
     def remembered(place):
-        encoder = Part.stored("encoder", own, {"model": str(place)})
+        encoder = Component.stored("encoder", own, {"model": str(place)})
         return supervision.compute(context, sample, base, ids, encoder, method.codes, 0, "groups")
 
     assert remembered(model).meta["objects"] >= 1

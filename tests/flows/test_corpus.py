@@ -17,10 +17,10 @@ from flows import corpus
 from flows.cli.app import main
 from flows.corpus_settings import make_corpus_settings
 from slgaussian import datasets
+from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
-from slgaussian.parts.part import Part
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
@@ -86,13 +86,13 @@ def reads(monkeypatch):
         chunks.hashlib, "file_digest", counted("hashed", chunks.hashlib.file_digest)
     )
     monkeypatch.setattr(re10k, "read_chunk", counted("opened", re10k.read_chunk))
-    load = Part.load
+    load = Component.load
 
     def loaded(part, *args):
         made = load(part, *args)
         return counted("predicted", made) if part.kind == "predictor" else made
 
-    monkeypatch.setattr(Part, "load", loaded)
+    monkeypatch.setattr(Component, "load", loaded)
 
     def take():
         taken = dict(counts)

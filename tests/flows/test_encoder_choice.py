@@ -12,10 +12,10 @@ from huggingface_hub import constants, snapshot_download
 from flows import encoder_choice
 from flows.settings import make_settings, read_toml
 from slgaussian.build import build_field
+from slgaussian.components.pretrained import WEIGHTS, model_digest
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.clip import Clip
-from slgaussian.parts.pretrained import WEIGHTS, model_digest
 from tests.language.small_clip import save_clip
 from tests.masks.small_models import save_sam
 

@@ -20,8 +20,8 @@ from flows.cli.options import settings_from
 from flows.dataset_settings import DatasetSettings
 from flows.training_settings import TrainSettings
 from slgaussian import __version__
+from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import did_you_mean
-from slgaussian.parts.registry import KINDS, names_of
 
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)

@@ -15,9 +15,9 @@ from command import room_sample
 from flows import kept
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.parts.method import Method
 from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore, DamagedError

@@ -14,10 +14,10 @@ from benches.predict.random_mvsplat_weights import recipe_weights
 from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
+from slgaussian.components.component import Component
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply
-from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
@@ -162,7 +162,7 @@ def test_a_table_has_its_paths_from_its_folder_and_options_win(tmp_path):
     given = {"checkpoint": "elsewhere.ckpt"}
     assert read_toml(path, {"mvsplat": given}).mvsplat.checkpoint == Path("elsewhere.ckpt")
     # A file may keep the table of a part that is not chosen; an option without effect is a slip.
-    assert "mvsplat" not in read_toml(path, {"predictor": "planesweep"}).part_settings()
+    assert "mvsplat" not in read_toml(path, {"predictor": "planesweep"}).component_values()
     with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
         read_toml(path, {"predictor": "planesweep", "mvsplat": given})
 
@@ -252,7 +252,7 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     context, identity = RunContext(store), {"predictor": "mvsplat", "mvsplat": own}
 
     def made(place):
-        predictor = Part.stored("predictor", identity, {"checkpoint": str(place)})
+        predictor = Component.stored("predictor", identity, {"checkpoint": str(place)})
         return geometry.compute(context, sample, predictor, 0)
 
     assert made(checkpoint).meta["gaussians"] == 2 * 64 * 64

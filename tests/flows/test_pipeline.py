@@ -16,11 +16,11 @@ from flows.scene import STAGES, scene_task
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.query import NEAR_BEST
-from slgaussian.parts.method import Method
 from slgaussian.storage.documents import read_document
 from slgaussian.storage.housekeeping import verify
 from slgaussian.storage.inspection import inspect

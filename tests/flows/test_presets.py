@@ -37,7 +37,7 @@ def test_a_preset_has_settings_of_the_method_alone_and_its_parts_take_them(name)
     assert method_of({"preset": name}) == method_of(values)
     chosen.built_by.check()
     # Nothing in it is idle.
-    assert values.keys() & TABLES.keys() <= chosen.part_settings().keys()
+    assert values.keys() & TABLES.keys() <= chosen.component_values().keys()
 
 
 def test_presets_differ_and_balanced_is_the_defaults():
@@ -61,7 +61,7 @@ def test_what_is_given_wins_key_by_key(tmp_path):
     assert read_toml(file, {"preset": "fast", "size": "auto"}).size == "auto"
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
     other = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
-    assert "planesweep" not in other.part_settings()
+    assert "planesweep" not in other.component_values()
 
 
 @pytest.mark.parametrize("found", ["quick", "accurate", 3, ["fast"]])
@@ -78,7 +78,9 @@ def test_a_field_says_what_ran(tmp_path, monkeypatch, capsys):
     field = SemanticField.load(tmp_path / "field")
     chosen = make_settings({"preset": "fast"}, "test")
     assert field.settings["planesweep"] == chosen.planesweep.model_dump()
-    assert {name: field.settings[name] for name in chosen.part_names()} == chosen.part_names()
+    assert {
+        name: field.settings[name] for name in chosen.component_names()
+    } == chosen.component_names()
     assert field.settings["replicas"] == chosen.replicas
     capsys.readouterr()
     assert run(monkeypatch, *words, "--preset", "quick", "-o", tmp_path / "other") == 2

@@ -11,11 +11,11 @@ from pipelines import calls_of, keyed
 from flows.scene import scene_task
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian.build import build_field
+from slgaussian.components.component import Component
+from slgaussian.components.method import Method
+from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.parts.method import Method
-from slgaussian.parts.part import Part
-from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
@@ -101,7 +101,7 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
 
     def labelled(place):
-        proposer = Part.stored("proposer", own, {"model": str(place)})
+        proposer = Component.stored("proposer", own, {"model": str(place)})
         return masks.compute(context, sample, base, proposer, method.tracker, 1)
 
     assert labelled(folders["sam"]).meta["objects"] >= 1

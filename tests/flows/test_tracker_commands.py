@@ -8,10 +8,10 @@ from pipelines import calls_of, keyed
 from flows.scene import scene_task
 from flows.settings import make_settings, read_toml
 from slgaussian.build import build_field
+from slgaussian.components.component import Component
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.masks.configs import folder_digest
-from slgaussian.parts.method import Method
-from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
@@ -58,7 +58,7 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
         masks.compute(context, sample, base, method.proposer, method.tracker, 5)
-    again = Part.of("tracker", "precomputed", {"folder": ids})
+    again = Component.of("tracker", "precomputed", {"folder": ids})
     made = masks.compute(context, sample, base, method.proposer, again, 5)
     assert made.meta["objects"] > 0
 
@@ -72,7 +72,7 @@ def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
     )
     read = read_toml(config, {})
     own = {"model": str(tmp_path / "model"), "batch": 4}
-    assert read.part_settings()["sam2-video"] == own
+    assert read.component_values()["sam2-video"] == own
     assert read.precomputed.folder == tmp_path / "ids"
 
 

@@ -16,11 +16,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from small_clip import SIDE, WIDTH, clip_model, save_clip, save_tokenizer
 
+from slgaussian.components.pretrained import model_digest, tokenizer_digest
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.clip import MEAN, STD
 from slgaussian.language.crops import region_crop
-from slgaussian.parts.pretrained import model_digest, tokenizer_digest
 
 # Between float32 and float64, the largest difference in any unit vector here is 4e-7.
 NOISE = 1e-6

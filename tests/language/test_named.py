@@ -7,6 +7,7 @@ import pytest
 from drawn import view_of
 
 from slgaussian.build import build_field
+from slgaussian.components.method import Method
 from slgaussian.datasets import load as load_scene
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
@@ -14,7 +15,6 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import build_bank
 from slgaussian.language.named import ANY_NAME, true_names
-from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 
 

@@ -11,10 +11,10 @@ import torch
 from safetensors.torch import save_file
 from small_clip import clip_model, save_tokenizer
 
+from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.open_clip import convert
-from slgaussian.parts.pretrained import model_digest
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

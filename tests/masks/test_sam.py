@@ -15,6 +15,8 @@ from drawn_views import canvas, paste, view
 from safetensors.torch import load_file, save_file
 from small_models import SIDE, sam2_config, save_sam, save_sam2
 
+from slgaussian.components import pretrained
+from slgaussian.components.pretrained import find_model, model_digest
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
@@ -22,8 +24,6 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.configs import Automatic
 from slgaussian.masks.flow import FlowTracker
 from slgaussian.masks.sam_image import normalised, pixel_values
-from slgaussian.parts import pretrained
-from slgaussian.parts.pretrained import find_model, model_digest
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9, mask_iou=0.9)

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import rankdata
 
 from slgaussian import datasets
+from slgaussian.components.method import Method
 from slgaussian.labels import LabelMaps
-from slgaussian.parts.method import Method
 from slgaussian.predict import load_predictor
 from tests.known import known_field
 

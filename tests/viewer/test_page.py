@@ -15,13 +15,13 @@ from PIL import Image
 
 from slgaussian import datasets
 from slgaussian.benchmark.pictures import depth_range, paint_depth, paint_relevancy
+from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules
-from slgaussian.parts.method import Method
 from slgaussian.scene import Sample
 from slgaussian.viewer.page.answers import answers_of
 from slgaussian.viewer.page.scene_page import gaussians_page, scene_page

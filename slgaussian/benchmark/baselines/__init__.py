@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slgaussian.components.registry import brought, known_by, resolve
 from slgaussian.errors import InputError
-from slgaussian.parts.registry import brought, known_by, resolve
 
 if TYPE_CHECKING:
     from slgaussian.benchmark.answering import Answering

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from pydantic import Field, PrivateAttr
 
+from slgaussian.components.pretrained import chosen_device
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
-from slgaussian.parts.pretrained import chosen_device
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.configs import MVSplatConfig
 from slgaussian.predict.links import link_views

@@ -13,12 +13,12 @@ from slgaussian.benchmark.baselines import METHODS, PAPER_ABLATION, ROWS, Method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.baselines.pooled import pooled
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
+from slgaussian.components import method as parts_method
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.query import Rules
 from slgaussian.masks import load_proposer
-from slgaussian.parts import method as parts_method
 from slgaussian.predict import load_predictor
 from tests.known import known_field
 

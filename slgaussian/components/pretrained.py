@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from slgaussian.errors import InputError
+from slgaussian.extras import install_line
 from slgaussian.formats import strict_json
-from slgaussian.parts.extras import install_line
-from slgaussian.parts.identity import file_digest
+from slgaussian.io import file_digest
 
 CONFIG, WEIGHTS, INDEX = "config.json", "model.safetensors", "model.safetensors.index.json"
 OPEN_CLIP_CONFIG = "open_clip_config.json"

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from slgaussian.components.component import Component
+from slgaussian.components.hub_cache import local_place
+from slgaussian.components.pretrained import find_model, model_digest, tokenizer_digest
+from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
-from slgaussian.parts.hub_cache import local_place
-from slgaussian.parts.part import Part
-from slgaussian.parts.pretrained import find_model, model_digest, tokenizer_digest
-from slgaussian.parts.registry import find_config
 
 SHA256 = re.compile("[0-9a-f]{64}")
 AGAIN = "get it again"
 
 
-def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
+def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     """Check the files of a part, and download nothing.
 
     A model whose files are those that the hub knows is fine. Anything else is loaded, by which its
@@ -30,7 +30,7 @@ def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
     Parameters
     ----------
     kind, name : str
-        As :func:`slgaussian.parts.registry.find_config` takes them.
+        As :func:`slgaussian.components.registry.find_config` takes them.
     values : mapping
         Settings of the part.
 
@@ -54,7 +54,7 @@ def check_part(kind: str, name: str, values: Mapping[str, Any]) -> str:
     shown = ", ".join(f"{key} {places[key]}" for key in config.files() if places.get(key))
     if shown and whole and all(whole):
         return f"{shown}: is what the hub has, by its SHA-256"
-    part = Part.of(kind, name, places).load()
+    part = Component.of(kind, name, places).load()
     check_numbers(part, shown)
     return f"{shown}: can be loaded and used" if shown else ""
 

@@ -10,13 +10,13 @@ import pytest
 from pydantic import Field
 
 from flows.settings import TABLES
+from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, File, expected
+from slgaussian.components.method import Method
+from slgaussian.components.registry import KINDS, find_config, names_of
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, file_digest
 from slgaussian.language.named import Named
-from slgaussian.parts.method import Method
-from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS, find_config, names_of
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
 
@@ -45,24 +45,24 @@ def test_the_identity_is_flat_plain_and_complete():
 def test_a_file_is_known_by_its_content_wherever_it_is(table, tmp_path):
     moved = tmp_path / "elsewhere.npz"
     moved.write_bytes(table.read_bytes())
-    here, there = (Part.of("encoder", "named", {"table": place}) for place in (table, moved))
+    here, there = (Component.of("encoder", "named", {"table": place}) for place in (table, moved))
     assert here.identity() == there.identity() == {"table": file_digest(table)}
     assert here.places() == {"table": str(table)} != there.places()
     assert str(tmp_path) not in json.dumps(here.identity())
 
 
 def test_a_part_comes_back_from_its_identity_and_its_places(table):
-    made = Part.of("encoder", "named", {"table": str(table)})
+    made = Component.of("encoder", "named", {"table": str(table)})
     identity = {"encoder": "named", "named": made.identity()}
-    again = Part.stored("encoder", json.loads(json.dumps(identity)), made.places())
+    again = Component.stored("encoder", json.loads(json.dumps(identity)), made.places())
     assert again == made == pickle.loads(pickle.dumps(made))
     assert isinstance(again.load(), Named)
     with pytest.raises(InputError, match=r"table : cannot be read"):
-        Part.stored("encoder", identity).load()
+        Component.stored("encoder", identity).load()
 
 
 def test_a_file_that_changed_is_refused(table):
-    part = Part.of("encoder", "named", {"table": table})
+    part = Component.of("encoder", "named", {"table": table})
     table.write_bytes(b"another")
     with pytest.raises(InputError, match=r"table .*names\.npz: was changed after the run"):
         part.load()
@@ -79,7 +79,7 @@ def test_a_file_of_which_no_digest_is_known_may_be_any(table):
 
 def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
     with pytest.raises(InputError, match=r"named table .*none\.npz: cannot be read"):
-        Part.of("encoder", "named", {"table": tmp_path / "none.npz"})
+        Component.of("encoder", "named", {"table": tmp_path / "none.npz"})
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
 )
 def test_what_is_unknown_is_one_sentence(kind, name, values, sentence):
     with pytest.raises(InputError, match=sentence):
-        Part.of(kind, name, values)
+        Component.of(kind, name, values)
 
 
 class Mixed(ComponentConfig):

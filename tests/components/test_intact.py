@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from slgaussian.components.intact import check_component
+from slgaussian.components.pretrained import WEIGHTS
 from slgaussian.errors import InputError
-from slgaussian.parts.intact import check_part
-from slgaussian.parts.pretrained import WEIGHTS
 
 pytest.importorskip("transformers")
 
@@ -35,7 +35,7 @@ def copy(folders, tmp_path):
 
 def refused(name, place) -> str:
     with pytest.raises(InputError) as error:
-        check_part(KINDS[name], name, {"model": place})
+        check_component(KINDS[name], name, {"model": place})
     assert "\n" not in str(error.value) and str(place) in str(error.value)
     return str(error.value)
 
@@ -43,7 +43,7 @@ def refused(name, place) -> str:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_model_that_nobody_knows_is_loaded_and_tried(name, copy):
     place = copy(name)
-    said = check_part(KINDS[name], name, {"model": place})
+    said = check_component(KINDS[name], name, {"model": place})
     assert said == f"model {place}: can be loaded and used"
     tensors = load_file(place / WEIGHTS)
     key = max(tensors, key=lambda key: tensors[key].size)
@@ -93,7 +93,7 @@ def test_a_file_of_the_hub_is_known_by_its_digest(copy):
     blob.write_bytes(content)
     (place / WEIGHTS).unlink()
     (place / WEIGHTS).symlink_to(blob)
-    said = check_part("proposer", "sam", {"model": place})
+    said = check_component("proposer", "sam", {"model": place})
     assert said == f"model {place}: is what the hub has, by its SHA-256"
     blob.write_bytes(content[:-4] + b"oops")
     message = refused("sam", place)
@@ -102,4 +102,4 @@ def test_a_file_of_the_hub_is_known_by_its_digest(copy):
 
 def test_a_name_that_is_not_here_is_not_downloaded():
     with pytest.raises(InputError, match="`hf download no-such-owner/no-such-model`"):
-        check_part("encoder", "clip", {"model": "no-such-owner/no-such-model"})
+        check_component("encoder", "clip", {"model": "no-such-owner/no-such-model"})

@@ -7,9 +7,9 @@ import pytest
 from flows.cli.app import main
 from flows.settings import Settings
 from slgaussian.components import catalogue
-from slgaussian.parts.registry import KINDS, names_of
+from slgaussian.components.registry import KINDS, names_of
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parts.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "components.md"
 
 
 def test_the_page_is_what_its_maker_writes():

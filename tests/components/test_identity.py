@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from slgaussian.components.pretrained import model_digest, tokenizer_digest
+from slgaussian.io import file_digest
 from slgaussian.masks.configs import folder_digest
-from slgaussian.parts.identity import file_digest
-from slgaussian.parts.pretrained import model_digest, tokenizer_digest
 
 MODEL = ("config.json", "model.safetensors", "preprocessor_config.json", "vocab.json", "merges.txt")
 

@@ -1,4 +1,4 @@
-"""A part of the method: which one it is, and all of its settings."""
+"""A component of the method, with the values of all its fields."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from slgaussian.components.config import ComponentConfig
+from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
 from slgaussian.io import CHANGED, KnownFile
-from slgaussian.parts.registry import find_config
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part with its settings, as what it makes depends on them; cheap to pass on and to pickle.
+class Component:
+    """A component with its values, as its results depend on them; cheap to pass on and to pickle.
 
     Attributes
     ----------
     kind : str
-        One of :data:`slgaussian.parts.registry.KINDS`.
+        One of :data:`slgaussian.components.registry.KINDS`.
     name : str
         By which the registry knows it.
     settings : mapping
@@ -33,13 +33,13 @@ class Part:
     settings: Mapping[str, Any]
 
     @staticmethod
-    def of(kind: str, name: str, values: Mapping[str, Any] | None = None) -> Part:
-        """The part with these values, files among them by place.
+    def of(kind: str, name: str, values: Mapping[str, Any] | None = None) -> Component:
+        """Return the component with these values, files among them by place.
 
         Raises
         ------
         InputError
-            If there is no such part, it has no such setting, a value does not fit, a file cannot
+            If there is no such component, it has no such field, a value does not fit, a file cannot
             be read or a value cannot be written down.
         """
         config, values = find_config(kind, name), values or {}
@@ -53,25 +53,25 @@ class Part:
                 except (OSError, InputError) as error:
                     checked.load()  # which knows better what is wrong with its file
                     raise InputError(f"{name} {key} {settings[key]}: {error}") from error
-        part = Part(kind, name, settings)
+        component = Component(kind, name, settings)
         try:
-            json.dumps(part.identity())
+            json.dumps(component.identity())
         except TypeError as error:
             raise InputError(f"settings: {error}; give plain numbers and text") from None
-        return part
+        return component
 
     @staticmethod
     def stored(
         kind: str, identity: Mapping[str, Any], places: Mapping[str, str] | None = None
-    ) -> Part:
-        """The part of a kind that an artifact or a cache key names.
+    ) -> Component:
+        """Return the component of a kind that an artifact or a cache key names.
 
         Parameters
         ----------
         kind : str
         identity : mapping
-            Of a whole method, as :meth:`slgaussian.parts.method.Method.identity` gives it, or of
-            some of its parts: ``{"encoder": "clip", "clip": {"model": digest}}``.
+            Of a whole method, as :meth:`slgaussian.components.method.Method.identity` gives it, or
+            of some of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
         places : {setting: place}, optional
             Where its files are. One of which no digest is known may be any.
 
@@ -93,7 +93,7 @@ class Part:
             place, digest = places.get(key), settings.get(key)
             if not place is digest is None:
                 settings[key] = KnownFile("" if place is None else str(place), digest)
-        return Part(kind, name, settings)
+        return Component(kind, name, settings)
 
     @property
     def implementation(self) -> Any:
@@ -121,13 +121,13 @@ class Part:
         return {**self.settings, **places}
 
     def load(self, otherwise: str = CHANGED) -> Any:
-        """The part, ready to work.
+        """Return the component, ready to work.
 
         Raises
         ------
         InputError
             If a file is no longer the one that is known, of which ``otherwise`` is said; or as the
-            part.
+            component does.
         """
         return self.implementation(**self.values(otherwise))
 

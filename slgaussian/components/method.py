@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from slgaussian.components.component import Component
+from slgaussian.components.registry import KINDS
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.parts.part import Part
-from slgaussian.parts.registry import KINDS
 
 KEEP = ("needed", "all")
 """Which Gaussians a field keeps: those that the scene needs, or all that were predicted."""
@@ -30,7 +30,7 @@ class Method:
 
     Parameters
     ----------
-    predictor, proposer, tracker, encoder, codes, lifting : str or Part
+    predictor, proposer, tracker, encoder, codes, lifting : str or Component
         The part of each kind, by its name or with its settings.
     replicas : int
         How many copies of each view vote on its labels (five in the paper, section 3.2).
@@ -53,12 +53,12 @@ class Method:
         If there is no such part or setting, or a file cannot be read.
     """
 
-    predictor: Part
-    proposer: Part
-    tracker: Part
-    encoder: Part
-    codes: Part
-    lifting: Part
+    predictor: Component
+    proposer: Component
+    tracker: Component
+    encoder: Component
+    codes: Component
+    lifting: Component
     replicas: int
     seed: int
     keep: str
@@ -66,12 +66,12 @@ class Method:
 
     def __init__(
         self,
-        predictor: str | Part = KINDS["predictor"].default,
-        proposer: str | Part = KINDS["proposer"].default,
-        tracker: str | Part = KINDS["tracker"].default,
-        encoder: str | Part = KINDS["encoder"].default,
-        codes: str | Part = KINDS["codes"].default,
-        lifting: str | Part = KINDS["lifting"].default,
+        predictor: str | Component = KINDS["predictor"].default,
+        proposer: str | Component = KINDS["proposer"].default,
+        tracker: str | Component = KINDS["tracker"].default,
+        encoder: str | Component = KINDS["encoder"].default,
+        codes: str | Component = KINDS["codes"].default,
+        lifting: str | Component = KINDS["lifting"].default,
         replicas: int = 5,
         seed: int = 0,
         keep: str = KEEP[0],
@@ -92,7 +92,7 @@ class Method:
                     f"{', '.join(map(repr, takers))}"
                 )
         for kind, part in given.items():
-            made = part if isinstance(part, Part) else Part.of(kind, part, own.get(part))
+            made = part if isinstance(part, Component) else Component.of(kind, part, own.get(part))
             object.__setattr__(self, kind, made)
         for name, value, choices in (("keep", keep, KEEP), ("bank", bank, BANK)):
             if value not in choices:
@@ -102,7 +102,7 @@ class Method:
             object.__setattr__(self, name, said)
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def components(self) -> tuple[Component, ...]:
         """The parts, in the order in which they work."""
         return tuple(getattr(self, kind) for kind in KINDS)
 
@@ -112,8 +112,8 @@ class Method:
         The name of each part, replicas, seed, what is kept and what the bank holds, and under a
         part's name its settings, files by content; of a part without settings nothing.
         """
-        named = {part.kind: part.name for part in self.parts}
-        tables = {part.name: part.identity() for part in self.parts if part.settings}
+        named = {part.kind: part.name for part in self.components}
+        tables = {part.name: part.identity() for part in self.components if part.settings}
         own = {name: getattr(self, name) for name in OWN}
         return {**named, **own, **tables}
 
@@ -125,5 +125,5 @@ class Method:
         InputError
             If a value is out of bounds, or files do not fit.
         """
-        for part in self.parts:
+        for part in self.components:
             part.load()

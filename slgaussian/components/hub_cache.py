@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from slgaussian.errors import InputError
-from slgaussian.parts.extras import install_line
+from slgaussian.extras import install_line
 
 
 def local_place(place: str | Path) -> str:

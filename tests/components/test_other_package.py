@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slgaussian.parts.identity import file_digest
+from slgaussian.io import file_digest
 from tests.flows.command import ROOM, room_sample, save_photographs
 
 ROOT = Path(__file__).parents[2]
@@ -99,9 +99,9 @@ def test_a_field_is_built_with_it(asked, tmp_path):
 def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
     (tmp_path / "c.txt").write_text(RED)
     code = (
-        "from slgaussian.parts.part import Part\n"
+        "from slgaussian.components.component import Component\n"
         "from slgaussian.errors import InputError\n"
-        "try: Part.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
+        "try: Component.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
         "except InputError as error: print(error)"
     )
     assert asked(code) == "ink least: found 0, expected a whole number from 1\n"
@@ -124,7 +124,7 @@ CLASH = "from dataclasses import dataclass\n@dataclass\nclass Regions: ...\n"
 def test_a_name_that_is_taken_is_refused(asked, tmp_path):
     own = package(tmp_path / "p", "mine", "[slgaussian.proposers]\nregions = mine:Regions\n", CLASH)
     said = asked(
-        "from slgaussian.parts.method import Method\n"
+        "from slgaussian.components.method import Method\n"
         "from slgaussian.errors import InputError\n"
         "try: Method()\nexcept InputError as error: print(error)",
         own,
