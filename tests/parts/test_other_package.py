@@ -55,7 +55,7 @@ def test_the_page_about_the_architecture_shows_it_whole():
 
 def test_it_is_listed_with_the_others(asked):
     listed = " ".join(asked(command("doctor", "--components")).split())
-    assert "regions: " in listed and "ink.colours <path>" in listed
+    assert "regions: " in listed and "ink.colours <" in listed
     assert "[40.0] Greatest distance from a colour." in listed
     schema = json.loads(asked(command("doctor", "--schema")))
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
