@@ -11,7 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.runners.worker_pool import Outcome
+from flows.runners.batches import Outcome
 from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore, encode_table
@@ -33,7 +33,7 @@ def write_artifacts(out: Path, store: ArtifactStore, outcomes: Sequence[Outcome]
 
 
 def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
-    for scene, stages in sorted((outcome.begun | outcome.refs).items()):
+    for scene, stages in sorted((outcome.partial | outcome.refs).items()):
         for stage, ref in stages.items():
             of_stage = {
                 "scene": scene,

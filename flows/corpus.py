@@ -1,7 +1,7 @@
 """A corpus of chunks made ready to learn from: its views and samples, and their lessons.
 
-One chunk goes down one road: the unit of work, of memory, of caching and of failure. Chunks are
-known by content, so a second run reads those alone that are new.
+A chunk is the unit of work, of memory, of caching and of failure. Chunks are known by content, so
+a second run reads those alone that are new.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from prefect import flow
+from prefect.states import State
 
 from flows.artifact_table import write_artifacts
 from flows.corpus_settings import CorpusSettings
-from flows.pipeline import check_folder
+from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
-from flows.runners.shard import Failure, Job
-from flows.runners.worker_pool import (
-    Outcome,
-    WorkerPool,
-    failures_file,
-    job_flow,
-    work_through_all,
-)
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.runners.task_runners import open_workers
+from flows.settings import settled
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.errors import InputError
@@ -35,10 +32,10 @@ from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk
+from tasks.context import current_run
 from tasks.lessons import lessons
 from tasks.pairs import pairs
 from tasks.predictions import predictions
-from tasks.stage import current
 from tasks.views import views
 
 INGEST = ("views", "pairs")
@@ -60,88 +57,107 @@ class Prepared:
     failures: list[Failure]
     outcome: Outcome
 
+    @property
+    def message(self) -> str:
+        """The rows of each table, as text."""
+        return ", ".join(f"{count} {stage}" for stage, count in self.rows.items())
 
-def ingest(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
-    """Views and samples of all chunks, as ``views.parquet`` and ``pairs.parquet``.
+
+@flow(name="slgaussian-ingest", persist_result=False)
+def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
+    """Choose samples of all chunks: ``views.parquet`` and ``pairs.parquet``.
 
     What could not be used is in ``failures.parquet``: chunks, clips and frames, each with a
-    sentence. Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+    sentence.
 
     Raises
     ------
     InputError
         If there is no chunk, or the store or the output folder cannot be written.
     """
-    return prepare(settings, store, INGEST, ingest_chunk, (), verbose)
+    prepared = run_session(
+        "ingest", config, verbose,
+        lambda store: _prepare(config, store, INGEST, ingest_chunk, (), verbose),
+    )  # fmt: skip
+    return completed(prepared.message, prepared, prepared.failures)
 
 
-def supervise(settings: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
-    """The same, and lessons: ``lessons.parquet`` and a contact sheet a chunk under ``sheets/``.
+@flow(name="slgaussian-supervise", persist_result=False)
+def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
+    """Make lessons of a corpus: ``lessons.parquet``, and a contact sheet a chunk under ``sheets/``.
+
+    Also what :func:`ingest_corpus` leaves.
 
     Raises
     ------
     InputError
-        As :func:`ingest`, and if a part of the method is unknown.
+        As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
-    method = settings.built_by
+    config = settled(config)
+    prepared = run_session(
+        "supervise", config, verbose, lambda store: supervise(config, store, verbose)
+    )
+    return completed(prepared.message, prepared, prepared.failures)
+
+
+def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
+    """Do the work of :func:`supervise_corpus`, within any flow."""
+    method = config.built_by
     method.check()
-    framing = Framing(settings.size, settings.near, settings.far)
-    return prepare(settings, store, SUPERVISE, supervise_chunk, (framing, method), verbose)
+    framing = Framing(config.size, config.near, config.far)
+    return _prepare(config, store, SUPERVISE, supervise_chunk, (framing, method), verbose)
 
 
 def ingest_chunk(file: str, bounds: Bounds) -> ArtifactRef:
-    """The road of a chunk that is ingested: its views, and samples of them."""
-    return pairs(views(known_chunk(current().store, file)), bounds)
+    """Take a chunk through its pipeline: its views, and samples of them."""
+    return pairs(views(known_chunk(current_run().store, file)), bounds)
 
 
 def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method) -> None:
-    """The road of a chunk that is supervised: it goes on to lessons of the samples."""
-    chunk = known_chunk(current().store, file)
+    """Take a chunk through its pipeline, which goes on to lessons of the samples."""
+    chunk = known_chunk(current_run().store, file)
     samples = pairs(views(chunk), bounds)
     predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
-    masked = method.proposer, method.tracker, method.replicas
-    lessons(samples, predicted, chunk, framing, *masked)
+    components = method.proposer, method.tracker, method.replicas
+    lessons(samples, predicted, chunk, framing, *components)
 
 
-@job_flow("slgaussian-corpus")
-def prepare_chunks(pool: WorkerPool, jobs: Sequence[Job], progress: Progress) -> Outcome:
-    """Take all chunks down their road."""
-    return work_through_all(jobs, pool, progress)
-
-
-def prepare(
-    settings: CorpusSettings,
+def _prepare(
+    config: CorpusSettings,
     store: ArtifactStore,
     stages: Sequence[str],
-    road: Callable[..., object],
+    pipeline: Callable[..., object],
     more: tuple[Any, ...],
-    verbose: bool = False,
+    verbose: bool,
 ) -> Prepared:
-    """Take all chunks down a road, which has these stages, and write their tables.
+    """Take all chunks through a pipeline, which has these stages, and write their tables.
 
-    The road is called with the place of a chunk, the bounds of its samples, and ``more``.
+    It is called with the place of a chunk, the bounds of its samples, and ``more``.
     """
-    chunks = re10k.chunk_names(settings.chunks)
+    chunks = re10k.chunk_names(config.chunks)
     if not chunks:
         raise InputError(
-            f"{settings.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some"
+            f"{config.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some of scenes"
         )
-    withdrawn = settings.withdrawn_clips()
+    withdrawn = config.withdrawn_clips()
     store.check_writable()
-    check_folder(settings.out)
-    progress = Progress(len(chunks), len(stages), verbose=verbose, unit="chunks")
-
-    folder, bounds = settings.chunks.rstrip("/"), Bounds(**settings.bounds())
-    jobs = [
-        Job(chunk, road, (f"{folder}/{chunk}", bounds, *more), first="views") for chunk in chunks
+    check_folder(config.out)
+    folder, bounds = config.chunks.rstrip("/"), Bounds(**config.bounds())
+    tasks = [
+        SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *more), first="views")
+        for chunk in chunks
     ]
-    with progress:
-        outcome = prepare_chunks(store, settings.runner, settings.workers, jobs, progress)
+    refresh = stages_to_refresh(config, stages)
+    with (
+        open_workers(config.runner, config.workers, store, refresh) as workers,
+        Progress(len(chunks), len(stages), verbose=verbose, unit="chunks") as progress,
+    ):
+        outcome = map_scenes(tasks, workers, progress)
     try:
-        prepared = _write(settings.out, store, outcome, stages, withdrawn)
+        prepared = _write(config.out, store, outcome, stages, withdrawn)
     except OSError as error:
         raise InputError(
-            f"{settings.out}: cannot write the tables ({error.strerror or error}); what they are "
+            f"{config.out}: cannot write the tables ({error.strerror or error}); what they are "
             "made of is kept in the store, so make room there, or choose another folder with -o, "
             "and run again"
         ) from error

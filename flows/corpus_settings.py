@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from flows.settings import SIDES, Engine, Method, checked, read_values, refuse_idle, sides
+from flows.settings import SIDES, Engine, Method, checked, refuse_idle, sides
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
@@ -155,17 +155,6 @@ def make_corpus_settings(values: dict[str, Any], source: str) -> CorpusSettings:
         raise InputError(
             f"{source}: {settings.chunks}: is no folder; expected one of chunks, or its fsspec URL"
         )
-    return settings
-
-
-def read_corpus(config: Path, given: dict[str, Any]) -> CorpusSettings:
-    """The settings in a TOML file, over which those ``given`` win; InputError as above.
-
-    It may hold tables of parts that are not chosen.
-    """
-    settings = checked(CorpusSettings, read_values(config, given), str(config))
-    refuse_idle(given, settings, "supervise")
-    check_bounds(settings, str(config))
     return settings
 
 

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from flows.clip_sources import Source
 from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.runners.shard import Failure
+from flows.runners.batches import Failure
 from slgaussian import __version__, datasets
 from slgaussian.benchmark.pictures import (
     contact_sheet,

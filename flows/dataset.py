@@ -1,6 +1,6 @@
 """A training set that others can train on, from scenes and corpora of any format.
 
-Chunks and scenes first go down a road to their samples, then each sample goes down its own:
+Chunks and scenes first go through a pipeline to their samples, then each sample through its own:
 the unit of work, of caching and of failure. What is done comes from the store. In the end the
 samples are written into shards (:mod:`flows.shard_writing`), with a card
 (:mod:`flows.data_card`).
@@ -12,20 +12,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from prefect import flow
+from prefect.states import State
+
 from flows.clip_sources import Source, sources_of
 from flows.corpus_settings import PackSettings
 from flows.data_card import write_card
 from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.pipeline import check_folder
+from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
-from flows.runners.shard import Failure, Job
-from flows.runners.worker_pool import (
-    Outcome,
-    WorkerPool,
-    failures_file,
-    job_flow,
-    work_through_all,
-)
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.runners.task_runners import Workers, open_workers
+from flows.settings import settled
 from flows.shard_writing import Finished, write_shards
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.datasets.places import Places
@@ -39,11 +37,11 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.all_masks import all_masks
 from tasks.choices import choices
 from tasks.chunks import Framing, known_chunk
+from tasks.context import current_run
 from tasks.example import example
 from tasks.framed import Frames, framed
 from tasks.geometry import geometry
 from tasks.packed import PosedFolder, Room, packed
-from tasks.stage import current
 from tasks.supervision import supervision
 from tasks.views import views
 
@@ -55,7 +53,7 @@ FILTER = "filter"
 
 
 @dataclass(frozen=True)
-class Made:
+class TrainingSetResult:
     """What a run leaves: how much is in the set, and what was refused."""
 
     samples: int
@@ -76,47 +74,59 @@ class Chosen:
     row: Mapping[str, Any]
 
 
-def dataset(settings: DatasetSettings, store: ArtifactStore, verbose: bool = False) -> Made:
+@flow(name="slgaussian-dataset", persist_result=False)
+def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[TrainingSetResult]:
     """Make a training set, or bring one that is there up to date with its sources.
 
     It then holds what these sources give with these settings and nothing else. Shards of which
     nothing changed stay as they are, byte for byte. What was refused is in ``failures.parquet``.
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
 
     Raises
     ------
     InputError
-        If a source is not there, a part of the method is unknown, no sample is left, or the store
-        or the folder cannot be written.
+        If a source is not there, a component is unknown, no sample is left, or the store or the
+        folder cannot be written.
     """
-    settings.built_by.check()
-    sources = sources_of(settings.sources, PackSettings())
-    withdrawn = settings.withdrawn_clips()
+    config = settled(config)
+    result = run_session("dataset", config, verbose, lambda store: build(config, store, verbose))
+    return completed(f"{result.samples} samples in {config.out}", result, result.failures)
+
+
+def build(
+    config: DatasetSettings, store: ArtifactStore, verbose: bool = False
+) -> TrainingSetResult:
+    """Do the work of :func:`make_training_set`, within any flow."""
+    config.built_by.check()
+    sources = sources_of(config.sources, PackSettings())
+    withdrawn = config.withdrawn_clips()
     store.check_writable()
-    check_folder(settings.out)
+    check_folder(config.out)
     places = Places()
     failures: list[Failure] = []
-    found = _choose(settings, store, sources, places, failures, verbose)
-    chosen = [one for one in found if one.row["clip"] not in withdrawn]
-    finished = _finish(settings, store, chosen, places, failures, verbose)
+    stages = (packed, views, choices, *SAMPLES)
+    refresh = stages_to_refresh(config, [stage.name for stage in stages])
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
+        chosen = _choose(config, workers, sources, places, failures, verbose)
+        chosen = [one for one in chosen if one.row["clip"] not in withdrawn]
+        finished = _finish(config, workers, chosen, places, failures, verbose)
     failures.sort(key=lambda failure: (failure.scene, failure.stage, failure.reason))
-    write_atomic(settings.out / "failures.parquet", failures_file(failures))
+    write_atomic(config.out / "failures.parquet", failures_file(failures))
     if not finished:
         raise InputError(
-            f"{settings.out}: no sample is left of {len(sources)} sources; the reasons are in "
-            f"{settings.out / 'failures.parquet'}"
+            f"{config.out}: no sample is left of {len(sources)} sources; the reasons are in "
+            f"{config.out / 'failures.parquet'}"
         )
-    versions = {stage.name: stage.version for stage in (packed, views, choices, *SAMPLES)}
+    versions = {stage.name: stage.version for stage in stages}
     try:
-        written = write_shards(settings.out, finished, store, int(settings.shard_mb * 1e6))
+        written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
         of_sample = {one.row["sample"]: one.source for one in chosen}
-        write_card(settings.out, settings, of_sample, failures, versions)
+        write_card(config.out, config, of_sample, failures, versions)
     except OSError as error:
         raise InputError(
-            f"{settings.out}: cannot be written ({error.strerror or error}); what it is made of is "
+            f"{config.out}: cannot be written ({error.strerror or error}); what it is made of is "
             "kept in the store, so make room there, or choose another folder, and run again"
         ) from error
-    return Made(
+    return TrainingSetResult(
         samples=len(finished),
         places=len({one.place for one in finished}),
         shards=written.shards,
@@ -127,12 +137,12 @@ def dataset(settings: DatasetSettings, store: ArtifactStore, verbose: bool = Fal
 
 
 def choose_of_chunk(file: str, bounds: Bounds, targets: int) -> ArtifactRef:
-    """The road of a chunk to its samples."""
-    return choices(views(known_chunk(current().store, file)), bounds, targets)
+    """Take a chunk through its pipeline to its samples."""
+    return choices(views(known_chunk(current_run().store, file)), bounds, targets)
 
 
 def choose_of_scene(source: PosedFolder | Room, bounds: Bounds, targets: int) -> ArtifactRef:
-    """The road of a scene to its samples: it becomes a chunk first."""
+    """Take a scene through its pipeline to its samples: it becomes a chunk first."""
     return choices(views(packed(source)), bounds, targets)
 
 
@@ -146,7 +156,7 @@ def make_example(
     images: str,
     with_gaussians: bool,
 ) -> ArtifactRef:
-    """The road of a sample: the first stages of :func:`flows.road.score_scene`, with targets."""
+    """Take a sample through the first stages of :func:`flows.scene.answer_scene`, with targets."""
     sample = framed(chunk, frames, framing)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = all_masks(sample, base, method.proposer, method.tracker, method.replicas)
@@ -154,33 +164,20 @@ def make_example(
     return example(sample, base, ids, bank, known, images, with_gaussians)
 
 
-@job_flow("slgaussian-dataset")
-def take_roads(pool: WorkerPool, jobs: Sequence[Job], progress: Progress) -> Outcome:
-    """Take chunks, scenes or samples down their road."""
-    return work_through_all(jobs, pool, progress)
-
-
-def _taken(
-    settings: DatasetSettings,
-    store: ArtifactStore,
-    jobs: Sequence[Job],
-    stages: int,
-    unit: str,
-    verbose: bool,
+def _map(
+    tasks: Sequence[SceneTask], stages: int, unit: str, workers: Workers, verbose: bool
 ) -> Outcome:
-    """What was made of the jobs, whose progress is shown."""
-    if not jobs:
+    if not tasks:
         return Outcome()
-    progress = Progress(len(jobs), stages, verbose=verbose, unit=unit)
-    with progress:
-        outcome = take_roads(store, settings.runner, settings.workers, jobs, progress)
+    with Progress(len(tasks), stages, verbose=verbose, unit=unit) as progress:
+        outcome = map_scenes(tasks, workers, progress)
     progress.summary()
     return outcome
 
 
 def _choose(
     settings: DatasetSettings,
-    store: ArtifactStore,
+    workers: Workers,
     sources: Sequence[Source],
     places: Places,
     failures: list[Failure],
@@ -190,11 +187,11 @@ def _choose(
     asked = Bounds(**settings.bounds()), settings.targets
     files = [source for source in sources if isinstance(source.holds, str)]
     scenes = [source for source in sources if not isinstance(source.holds, str)]
-    of_files = [Job(s.name, choose_of_chunk, (s.holds, *asked), views.name) for s in files]
-    of_scenes = [Job(s.name, choose_of_scene, (s.holds, *asked), packed.name) for s in scenes]
+    of_files = [SceneTask(s.name, choose_of_chunk, (s.holds, *asked), views.name) for s in files]
+    of_scenes = [SceneTask(s.name, choose_of_scene, (s.holds, *asked), packed.name) for s in scenes]
     refs: dict[str, dict[str, ArtifactRef]] = {}
-    for jobs, stages, unit in ((of_files, 2, "chunks"), (of_scenes, 3, "scenes")):
-        outcome = _taken(settings, store, jobs, stages, unit, verbose)
+    for tasks, stages, unit in ((of_files, 2, "chunks"), (of_scenes, 3, "scenes")):
+        outcome = _map(tasks, stages, unit, workers, verbose)
         refs |= outcome.refs
         failures += outcome.failures
     owners: dict[str, str] = {}
@@ -208,7 +205,7 @@ def _choose(
             for stage, ref in own.items()
             for bad in ref.meta.get("left_out", ())
         ]
-        chosen += _of_source(source, own, store, places, owners, failures)
+        chosen += _of_source(source, own, workers.store, places, owners, failures)
     return chosen
 
 
@@ -243,7 +240,7 @@ def _of_source(
 
 def _finish(
     settings: DatasetSettings,
-    store: ArtifactStore,
+    workers: Workers,
     chosen: Sequence[Chosen],
     places: Places,
     failures: list[Failure],
@@ -251,15 +248,15 @@ def _finish(
 ) -> list[Finished]:
     """The samples that went down their road and are good enough, in the order of their names."""
     framing = Framing(settings.size, settings.near, settings.far)
-    jobs = []
+    tasks = []
     for one in chosen:
         row = dict(one.row)
         frames = Frames(row["sample"], row["clip"], tuple(row["context"]), tuple(row["targets"]))
         known = {**row, "cameras": one.cameras}
         given = (one.chunk, frames, framing, settings.built_by, settings.trust_cameras, known)
         stored = settings.images, settings.gaussians
-        jobs.append(Job(row["sample"], make_example, (*given, *stored), framed.name))
-    outcome = _taken(settings, store, jobs, len(SAMPLES), "samples", verbose)
+        tasks.append(SceneTask(row["sample"], make_example, (*given, *stored), framed.name))
+    outcome = _map(tasks, len(SAMPLES), "samples", workers, verbose)
     failures += outcome.failures
     abouts = {name: own[example.name].meta["about"] for name, own in outcome.refs.items()}
     for about in abouts.values():

@@ -13,7 +13,7 @@ from flows.runners.progress import Progress
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
-from tasks.events import Failed, Finished, Started
+from tasks.context import StageEvent
 from tasks.packed import PosedFolder, Room
 
 
@@ -62,14 +62,15 @@ def _clips(
 ) -> Iterator[re10k.Clip]:
     for name, source in scenes.items():
         start = time.perf_counter()
-        progress.hear(Started(name, "pack"))
+        progress.update(StageEvent(name, "pack", "running"))
         try:
             clip = re10k.clip_of(source.scene(), source.url())
         except InputError as error:
             packed.left_out.append(str(error))
-            progress.hear(Failed(name, "pack", str(error)))
+            progress.update(StageEvent(name, "pack", "failed", str(error)))
             continue
-        progress.hear(Finished(name, "pack", time.perf_counter() - start, cached=False))
+        seconds = time.perf_counter() - start
+        progress.update(StageEvent(name, "pack", "completed", seconds=seconds))
         packed.clips += 1
         yield clip
 

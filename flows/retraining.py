@@ -1,33 +1,55 @@
-"""Learn what is new in a corpus, and change the weights in use if that made them better."""
+"""Retrain: learn what is new in a corpus, judge it, and use it if it is better.
+
+One flow, for people and schedules: ``slgaussian retrain --cron`` and ``prefect.yaml`` deploy it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from prefect import flow
+from prefect.states import State
 
-from flows import corpus
-from flows.runners.worker_pool import Outcome
+from flows import corpus, dataset
+from flows.history import History, first_names
+from flows.runners.batches import Outcome
+from flows.runners.session import check_folder, completed, run_session
+from flows.settings import settled
 from flows.training import Parted, parted, read_lessons, train_on
-from flows.training_settings import RetrainSettings, Training
+from flows.training_settings import GrowingSet, RetrainSettings, Training
 from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
-from slgaussian.datasets.arrivals import changes, clips_of
-from slgaussian.errors import InputError
+from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
+from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
-from slgaussian.storage.locks import held
+from slgaussian.storage.locks import BusyError, held
 from slgaussian.storage.store import ArtifactStore, table_digest
 from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """The settings of which another value asks for another training."""
 
+STATUS = {
+    "promoted": 0,
+    "left out": 1,
+    "failed": 2,
+    "refused": 3,
+    "regressed": 4,
+    "busy": 5,
+    "nothing new": 6,
+}
+"""Exit status of the command by the outcome."""
 
 LOCK = ".retrain.lock"
+
+BY = "slgaussian retrain"
+"""Who puts a version to use, in the history of the versions."""
 
 FEW = 3
 """Names that a sentence has at most."""
@@ -36,13 +58,32 @@ NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 """Liftings that need no weights. What is worse than one of them is of no use to anybody."""
 
 
-@dataclass(frozen=True, eq=False)
-class Learnt:
-    """What came of it.
+@dataclass(frozen=True)
+class Retraining:
+    """What came of a retraining.
 
     Attributes
     ----------
-    said : str
+    outcome : str
+        One of :data:`STATUS`.
+    messages : tuple of str
+        Sentences for people.
+    record : Path or None
+        Its JSON file; None if another one is on.
+    """
+
+    outcome: str
+    messages: tuple[str, ...]
+    record: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """What came of learning.
+
+    Attributes
+    ----------
+    message : str
         In a sentence.
     version : Version or None
         What was added; None if there was nothing new.
@@ -52,48 +93,145 @@ class Learnt:
     forgotten : tuple of str
         Clips that the version in use had learnt and that were withdrawn or changed since: then
         training began anew, and not from it.
-    judgements : table of spec ``judgements``, or None if there was nothing new
     """
 
-    said: str
+    message: str
     version: Version | None
     regressed: str = ""
     forgotten: tuple[str, ...] = ()
-    judgements: pa.Table | None = None
 
 
-def retrain(
-    settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
-) -> tuple[Learnt, corpus.Prepared]:
-    """Ingest and supervise what is new, then :func:`learn` it.
+@flow(name="slgaussian-retrain", persist_result=False)
+def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]:
+    """Ingest and supervise what is new, train, judge, and put to use what is better.
 
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+    The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
+    ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; one that fails fails the
+    run. A record and an artifact of Prefect say what arrived, changed and was withdrawn, drift,
+    scores and the decision.
 
     Raises
     ------
-    BusyError
-        If another process does this to the same folders.
     InputError
-        As :func:`flows.corpus.supervise` and :func:`learn`.
+        As :func:`flows.corpus.supervise` and :func:`learn`; record and artifact say so first.
     """
-    with alone(settings, "retrain"):
-        prepared = corpus.supervise(settings, store, verbose)
-        lessons = read_lessons(settings.out / corpus.FILES["lessons"], store)
-        known = clips_of(read_table(settings.out / corpus.FILES["views"]))
-        more = {"clips": known, "failed": failed_in(prepared), "before": [prepared.outcome]}
-        return learn(lessons, settings, store, verbose, **more), prepared
+    config = settled(config)
+    check_folder(config.out)
+    try:
+        with held(config.out / LOCK, "retrain"), held(config.models / LOCK, "retrain"):
+            result = run_session(
+                "retrain", config, verbose, lambda store: _retrain(config, store, verbose)
+            )
+    except BusyError as error:
+        result = Retraining("busy", (str(error),), None)
+    name = result.outcome.title().replace(" ", "")
+    return completed("; ".join(result.messages), result, name=name)
 
 
-@contextmanager
-def alone(settings: RetrainSettings, what: str) -> Iterator[None]:
-    """Nobody else retrains into these folders in the block; BusyError if somebody does."""
-    with held(settings.out / LOCK, what), held(settings.models / LOCK, what):
-        yield
+def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:
+    history = History(config.out)
+    record = history.begin()
+    start = time.perf_counter()
+    clips = None
+    try:
+        clips = _learn_what_is_new(config, store, verbose, history, record)
+    except Exception as error:
+        expected = isinstance(error, SLGaussianError)
+        reason = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
+        record |= {"outcome": "failed", "messages": [reason]}
+        raise
+    finally:
+        # What is stopped by a signal stays on record as being on: the next one says so.
+        if record["outcome"] != "on":
+            record["seconds"] = round(time.perf_counter() - start, 1)
+            history.end(record, clips)
+    messages = tuple(record["messages"])
+    return Retraining(record["outcome"], messages, history.file(record["number"]))
 
 
-def failed_in(prepared: corpus.Prepared) -> set[str]:
-    """The names of the chunks and clips that could not be used."""
-    return {failure.scene for failure in prepared.failures}
+def _learn_what_is_new(
+    config: RetrainSettings,
+    store: ArtifactStore,
+    verbose: bool,
+    history: History,
+    record: dict[str, Any],
+) -> pa.Table:
+    """Take the steps of a retraining, put down in its record; returns the clips that there are."""
+    prepared = corpus.supervise(config, store, verbose)
+    before = history.last_clips()
+    clips = clips_of(read_table(config.out / corpus.FILES["views"]))
+    left_out = {failure.scene: failure.reason for failure in prepared.failures}
+    found = changes(before, clips, left_out.keys())
+    record["changes"] = {kind: first_names(names) for kind, names in asdict(found).items()}
+    new = sorted(left_out.keys() - history.left_out())
+    record["left out"] = sorted(left_out)
+    record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
+    record["drift"] = [asdict(one) for one in drift(before, _arrived(clips, found))]
+
+    messages = []
+    if config.training_set is not None:
+        messages.append(_build_set(config, config.training_set, store, verbose, record))
+    lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
+    learnt = learn(
+        lessons, config, store, verbose,
+        clips=clips, failed=left_out.keys(), before=[prepared.outcome],
+    )  # fmt: skip
+    versions = Versions(config.models)
+    used = versions.current()
+    record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}
+    messages.insert(0, learnt.message)
+    if learnt.version is not None:
+        record["version"] = learnt.version.number
+        record["scores"] = learnt.version.facts["scores"]["iou"]
+    end = f"`slgaussian versions {config.models} --use none` ends it"
+    if learnt.regressed:
+        messages.append(f"{learnt.regressed}; {end}")
+    if used is not None and (gone := forgotten_by(versions, used, clips, left_out.keys())):
+        messages.append(
+            f"{called(used.number)}, in use, has learnt what was withdrawn or changed since: "
+            f"{few(gone)}; {end}"
+        )
+    if new:
+        name = new[0]
+        messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
+    drifted = [one["measure"] for one in record["drift"] if one["drifted"]]
+    if drifted:
+        messages.append(f"what arrived differs from what there was in {', '.join(drifted)}")
+    record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
+    return clips
+
+
+def _build_set(
+    config: RetrainSettings,
+    growing: GrowingSet,
+    store: ArtifactStore,
+    verbose: bool,
+    record: dict[str, Any],
+) -> str:
+    """Bring the training set up to date; returns a message. Without it, the work goes on."""
+    try:
+        made = dataset.build(config.dataset_settings(growing), store, verbose)
+    except InputError as error:
+        record["training set"] = {"failed": str(error)}
+        return f"the training set was not built: {error}"
+    counts = {name: getattr(made, name) for name in ("samples", "places", "shards", "new_shards")}
+    record["training set"] = {**counts, "left out": len(made.failures), "out": str(growing.out)}
+    message = f"training set: {made.samples} samples of {made.places} places"
+    new = f", {made.new_shards} of {made.shards} shards new" if made.new_shards else ""
+    return message + new
+
+
+def _outcome(learnt: Learnt, left_out: bool) -> str:
+    if learnt.regressed:
+        return "regressed"
+    if learnt.version is None:
+        return "left out" if left_out else "nothing new"
+    return "promoted" if learnt.version.promoted else "refused"
+
+
+def _arrived(clips: pa.Table, found: Changes) -> pa.Table:
+    names = {*found.arrived, *found.changed}
+    return clips.filter(pa.array([clip in names for clip in clips["clip"].to_pylist()], pa.bool_()))
 
 
 def learn(
@@ -101,7 +239,6 @@ def learn(
     settings: RetrainSettings,
     store: ArtifactStore,
     verbose: bool = False,
-    by: str = "slgaussian retrain",
     clips: pa.Table | None = None,
     failed: Collection[str] = (),
     before: Sequence[Outcome] = (),
@@ -111,7 +248,7 @@ def learn(
     The candidate, the version in use, ``hard`` and ``filled`` are judged on the same held-out
     lessons. The candidate is put to use if it is better than each of the others beyond noise
     (:func:`slgaussian.benchmark.verdict.gate`), and kept in any case. Without anything new, in the
-    lessons or the settings, nothing is trained. ``by`` goes to the history of the versions;
+    lessons or the settings, nothing is trained.
     ``before`` is what the same command made before, for its table of artifacts.
 
     ``clips`` are those of the corpus, spec ``clips``, and ``failed`` the names of the clips and
@@ -151,7 +288,7 @@ def learn(
         found.better,
         found.why,
         None if forgotten else incumbent,
-        by,
+        BY,
         rival=incumbent,
         clips=None if clips is None else _learnt(clips, lessons),
     )
@@ -168,7 +305,6 @@ def learn(
         added,
         "" if added.promoted else regressed,
         forgotten,
-        judgements,
     )
 
 

@@ -1,4 +1,4 @@
-"""What a Prefect server and its workers start by the clock: nights, reports, lessons."""
+"""Serve the retraining flow by the clock, from one process; ``prefect.yaml`` is for work pools."""
 
 from __future__ import annotations
 
@@ -7,106 +7,27 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
-import time
 import urllib.request
-from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
-from prefect import flow
 from prefect.client.schemas.schedules import CronSchedule
-from prefect.events import emit_event
 from prefect.flows import EntrypointType
 from prefect.runner import Runner
-from prefect.runtime import deployment
-from prefect.states import Completed, State
 from pydantic import ValidationError
 
-from flows.corpus_settings import read_corpus
-from flows.night_settings import read_night
+from flows.retraining import retrain
 from flows.runners.child import import_path
-from flows.runners.commands import perform
-from flows.runners.shard import Failure
-from flows.settings import read_toml
-from flows.training_settings import from_anywhere
-from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.storage.locks import BusyError
-
-NAME = "slgaussian-nightly"
-
-NAMED = 50
-"""Scenes that a message names at most."""
+from flows.training_settings import RetrainSettings, anchored_config
+from slgaussian.errors import InputError
 
 
-@flow(name=NAME, persist_result=False)
-def nightly(config: str, given: dict[str, Any] | None = None) -> State:
-    """What `slgaussian nightly` does, each time in a process of its own.
-
-    The message of the run's state says what came of it.
-
-    What came of it is an event of Prefect's too, ``slgaussian.night.promoted`` for example, which
-    automations can wait for. A night that fails fails the run.
+def serve(config: RetrainSettings, every: float | None, cron: str | None) -> None:
+    """Wait for the times of a schedule and retrain at each, one at a time, until stopped.
 
     Parameters
     ----------
-    config : str
-        TOML file, read anew each time.
-    given : mapping, optional
-        Settings that win over it.
-    """
-    file = Path(config)
-    try:
-        had = _performed("nightly", lambda: read_night(file, given or {}))
-    except BusyError as error:
-        return _completed(str(error))
-    resource = {"prefect.resource.id": f"slgaussian.night.{file.stem}"}
-    payload = {"said": list(had.said), "record": str(had.record)}
-    emit_event(f"slgaussian.night.{had.outcome.replace(' ', '-')}", resource, payload=payload)
-    return _completed(f"{'; '.join(had.said)}; {had.outcome}; record: {had.record}")
-
-
-@flow(name="slgaussian-report", persist_result=False)
-def report(config: str, given: dict[str, Any] | None = None) -> State:
-    """What `slgaussian run` does, likewise: a benchmark and its report."""
-    made = _performed("run", lambda: read_toml(Path(config), given or {}))
-    return _completed(f"report: {made.report}" if made.report else "no report", made.failures)
-
-
-@flow(name="slgaussian-supervise", persist_result=False)
-def supervise(config: str, given: dict[str, Any] | None = None) -> State:
-    """What `slgaussian supervise` does, likewise: what is new in a corpus is made into lessons."""
-    made = _performed("supervise", lambda: read_corpus(Path(config), given or {}))
-    return _completed(", ".join(f"{n} {stage}" for stage, n in made.rows.items()), made.failures)
-
-
-def _performed(command: str, read: Callable[[], Any]) -> Any:
-    if deployment.id is not None:
-        threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
-    try:
-        return perform(command, read())
-    except SLGaussianError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-        raise
-
-
-def _completed(message: str, failures: Sequence[Failure] = ()) -> State:
-    """The state of a run that came to an end, whose message names the scenes that it left out."""
-    names = list(dict.fromkeys(failure.scene for failure in failures))
-    if names:
-        more = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
-        message += f"; left out: {', '.join(names[:NAMED])}{more}"
-    print(message, flush=True)
-    return Completed(message=message)
-
-
-def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | None) -> None:
-    """Wait for the times of a schedule and have a night at each, one at a time, until stopped.
-
-    Parameters
-    ----------
-    config, given
-        As :func:`flows.night_settings.read_night` takes them.
+    config : RetrainSettings
+        Parameters of the deployment; Prefect's page can change them.
     every : float, optional
         Seconds between two times.
     cron : str, optional
@@ -118,7 +39,7 @@ def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | 
         If it is not one of both, the times are none, or no Prefect server answers.
     """
     if (every is None) == (cron is None):
-        raise InputError("nightly: --every and --cron are two ways; choose one")
+        raise InputError("retrain: --every and --cron are two ways; choose one")
     if every is not None and every <= 0:
         raise InputError(f"--every: found {every:g}, expected a number of seconds above 0")
     if cron is not None:
@@ -129,17 +50,14 @@ def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | 
                 f"--cron: found {cron!r}, expected five fields as in '0 3 * * *'"
             ) from error
     times = f"every {every:g} s" if cron is None else f"at {cron!r}, UTC"
-    print(f"nightly {times}, by {_server()}; stop with Ctrl-C", file=sys.stderr, flush=True)
-    runner = _Runner(name=NAME, limit=1)
+    print(f"retrain {times}, by {_server()}; stop with Ctrl-C", file=sys.stderr, flush=True)
+    runner = _Runner(name=retrain.name, limit=1)
     runner.add_flow(
-        nightly,
-        name=NAME,
+        retrain,
+        name=retrain.name,
         interval=every,
         cron=cron,
-        parameters={
-            "config": str(config.resolve()),
-            "given": from_anywhere(config, given),
-        },
+        parameters={"config": anchored_config(config).model_dump(mode="json", exclude_unset=True)},
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     # The runs it starts look for modules where we do, and not in the working folder.
@@ -154,15 +72,8 @@ def serve(config: Path, given: dict[str, Any], every: float | None, cron: str | 
 
 class _Runner(Runner):
     def handle_sigterm(self, *args: Any) -> None:
-        # Prefect's own leaves the schedule running, and waits for a run until that is done.
+        # Prefect's leaves the schedule running, and waits for a run until that is done.
         signal.raise_signal(signal.SIGINT)
-
-
-def _leave_with_parent(parent: int) -> None:
-    """End this process, whose training goes on next time, once its parent is gone."""
-    while os.getppid() == parent:
-        time.sleep(1)
-    os._exit(1)
 
 
 def _server() -> str:
@@ -171,7 +82,7 @@ def _server() -> str:
         raise InputError(
             "a schedule needs a Prefect server that keeps running: start one with `prefect server "
             "start`, set PREFECT_API_URL=http://127.0.0.1:4200/api and run this again; or let cron "
-            "run `slgaussian nightly` without --every and --cron"
+            "run `slgaussian retrain` without --every and --cron"
         )
     try:
         urllib.request.urlopen(f"{url}/health", timeout=30).close()

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from flows.benchmark import LEFT, scenes_of
 from flows.indexing import label_places
-from flows.jobs import evaluation, judged_at, labels, photographs
-from flows.pipeline import LEFT, check_folder, scenes_of
+from flows.runners.session import check_folder
+from flows.scene import evaluation, judged_at, labels, photographs
 from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth

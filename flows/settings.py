@@ -327,6 +327,9 @@ class Engine(BaseModel):
     workers: int = Field(
         min(2, threads.cores()), ge=1, description="Scenes (or chunks) done at a time."
     )
+    refresh: list[str] = Field(
+        [], description="Stages to compute anew, with what follows from them."
+    )
 
 
 class Settings(Engine, Method):

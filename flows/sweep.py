@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from flows.jobs import baseline_job_name, evaluation, labels, photographs
-from flows.road import answer_scene
-from flows.runners.shard import Failure, Job
+from flows.runners.batches import Failure, SceneTask
+from flows.scene import answer_scene, evaluation, labels, method_task_name, photographs
 from flows.settings import (
     TABLES,
     MethodSettings,
@@ -103,14 +102,14 @@ def combinations(settings: Settings) -> list[Combination]:
     return made if axes else []
 
 
-def sweep_jobs(
+def sweep_tasks(
     variants: Sequence[Combination], scenes: Sequence[SceneSettings]
-) -> tuple[dict[tuple[str, str], Job], list[Failure]]:
-    """Return a job for each scene and combination, by both names, and what cannot be tried."""
-    jobs, failures = {}, []
+) -> tuple[dict[tuple[str, str], SceneTask], list[Failure]]:
+    """Return a task for each scene and combination, by both names, and what cannot be tried."""
+    scene_tasks, failures = {}, []
     for one in variants:
         for scene in scenes:
-            called = baseline_job_name(scene.name, one.name)
+            called = method_task_name(scene.name, one.name)
             try:
                 changed = one.of(scene)
             except InputError as error:
@@ -119,8 +118,8 @@ def sweep_jobs(
             asked = replace(evaluation(one.settings, scene), method=one.name, drawn=False)
             read = photographs(one.settings, changed), labels(changed), one.settings.built_by
             arguments = *read, one.settings.trust_cameras, asked
-            jobs[scene.name, one.name] = Job(called, answer_scene, arguments)
-    return jobs, failures
+            scene_tasks[scene.name, one.name] = SceneTask(called, answer_scene, arguments)
+    return scene_tasks, failures
 
 
 def _axis(text: str) -> tuple[str, list[str]]:

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from prefect import flow
+from prefect.states import State
 
 from flows.artifact_table import write_artifacts
 from flows.data_card import CARD
-from flows.pipeline import check_folder
+from flows.runners.batches import Outcome, SceneTask, compute_scene
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
-from flows.runners.shard import Job
-from flows.runners.worker_pool import Outcome, WorkerPool, job_flow, work_through_all
+from flows.runners.session import check_folder, completed, run_session
 from flows.set_lessons import read_set
 from flows.training_settings import Training, TrainSettings
 from slgaussian import __version__
@@ -104,10 +105,9 @@ class Trained:
             ) from error
 
 
-def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) -> Trained:
-    """Train on the lessons that are in a folder, and write what came of it to ``settings.out``.
-
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+@flow(name="slgaussian-train", persist_result=False)
+def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]:
+    """Train the semantic branch on the lessons in a folder; write weights, tables and report.
 
     Raises
     ------
@@ -115,23 +115,28 @@ def train(settings: TrainSettings, store: ArtifactStore, verbose: bool = False) 
         If there are too few lessons, they are not in the store, the weights to begin from cannot
         be used, the training fails, or something cannot be written.
     """
-    lessons, card = lessons_in(settings, store)
-    start = None if settings.start is None else find_weights(settings.start)
+    trained = run_session("train", config, verbose, lambda store: _train(config, store, verbose))
+    return completed(f"weights: {config.out / FILES['weights']}", trained)
+
+
+def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:
+    lessons, card = lessons_in(config, store)
+    start = None if config.start is None else find_weights(config.start)
     store.check_writable()
-    check_folder(settings.out)
-    chosen = Architecture(others=settings.architecture != "paper")
-    if start is not None and "architecture" in settings.model_fields_set:
-        found = load_branch(start).architecture
-        if found.others != chosen.others:
+    check_folder(config.out)
+    chosen = Architecture(others=config.architecture != "paper")
+    if start is not None and "architecture" in config.model_fields_set:
+        architecture = load_branch(start).architecture
+        if architecture.others != chosen.others:
             raise InputError(
-                f"{start}: its weights are of another architecture than "
-                f"{settings.architecture!r}; leave out --architecture, or --from"
+                f"{start}: its weights are of another architecture than {config.architecture!r}; "
+                "leave out --architecture, or --from"
             )
-    made_of = settings.codes, settings.seed, start, store, verbose
+    common = config.codes, config.seed, start, store, verbose
     trained = train_on(
-        lessons, settings, *made_of, architecture=chosen, readers=settings.readers, card=card
+        lessons, config, *common, architecture=chosen, readers=config.readers, card=card
     )
-    trained.write(settings.out, store)
+    trained.write(config.out, store)
     return trained
 
 
@@ -251,14 +256,12 @@ def train_on(
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
     asked = learnt, held_out, began, before, settings, manifest, checkpoints, readers
-    job = Job("branch", train_branch, asked)
-    progress = _Course(1, len(STAGES), verbose=verbose)
-    with progress:
-        outcome = train_flow(store, "threads", 1, job, progress)
+    task = SceneTask("branch", learn_and_judge, asked)
+    with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
+        made, failure = compute_scene(task, store, 1, progress.update)
     progress.summary()
-    for failure in outcome.failures:
+    if failure is not None:
         raise InputError(failure.reason)
-    made = outcome.refs["branch"]
     course = ArtifactRef("metrics", **made["train"].meta["metrics"])
     metrics, judgements = store.get(course), store.get(made["judge"])
     about = {
@@ -271,7 +274,7 @@ def train_on(
         metrics,
         judgements,
         store.get(made["training_report"])["html"].tobytes(),
-        outcome,
+        Outcome({"branch": made}),
     )
 
 
@@ -294,7 +297,7 @@ def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
 STAGES = (train_stage, judge, training_report)
 
 
-def train_branch(
+def learn_and_judge(
     learnt: ArtifactRef,
     held_out: ArtifactRef,
     start: ArtifactRef | None,
@@ -304,23 +307,17 @@ def train_branch(
     checkpoints: Path,
     readers: int,
 ) -> None:
-    """The road of a training: learn, be judged on what was held out, and report."""
+    """Learn, be judged on what was held out, and report: the stages of a training."""
     asked = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints, readers)
     judgements = judge(held_out, branch, before, *asked)
     training_report(judgements, held_out, branch, *asked, manifest)
 
 
-@job_flow("slgaussian-train")
-def train_flow(pool: WorkerPool, job: Job, progress: Progress) -> Outcome:
-    """Take one training down its road."""
-    return work_through_all([job], pool, progress)
+class _TrainingProgress(Progress):
+    """Progress of a single scene, whose failure is raised in the end."""
 
-
-class _Course(Progress):
-    """The progress of a single job, whose failure is raised in the end."""
-
-    def say_failed(self, told: str, trace: str) -> None:
-        """Say only what the reason leaves out."""
-        if self.verbose and trace:
-            self.display.line(trace)
+    def say_failed(self, text: str, traceback: str) -> None:
+        """Print only what the reason leaves out."""
+        if self.verbose and traceback:
+            self.line(traceback)

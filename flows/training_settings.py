@@ -9,7 +9,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from flows.corpus_settings import CorpusSettings, check_bounds
-from flows.settings import Method, anchored, checked, read_values, refuse_idle
+from flows.dataset_settings import DatasetSettings, SetSettings
+from flows.settings import Method, anchored, checked, read_values, refuse_idle, settled
 
 
 def _parse_widths(value: Any) -> tuple[int, ...]:
@@ -100,12 +101,29 @@ class TrainSettings(Training, Reading):
     out: Path = Field(description="Folder for the weights and the report.")
 
 
+class GrowingSet(SetSettings):
+    """A training set that each retraining brings up to date with the corpus."""
+
+    model_config = ConfigDict(title="The training set")
+
+    out: Path = Field(description="Folder of the training set.")
+
+
 class RetrainSettings(Training, Reading, CorpusSettings):
     """A corpus that grows, and the weights that are kept of it."""
 
     model_config = ConfigDict(title="The training")
 
     models: Path = Field(description="Folder of the versions of the weights.")
+    training_set: GrowingSet | None = Field(
+        None, description="Table with `out` and settings of `dataset`: a set of the same clips."
+    )
+
+    def dataset_settings(self, growing: GrowingSet) -> DatasetSettings:
+        """Return what `dataset` is asked for: the corpus and method, into a folder of its own."""
+        shared = DatasetSettings.model_fields.keys() & self.model_fields_set
+        common = {name: getattr(self, name) for name in shared}
+        return settled(DatasetSettings(**{**common, **dict(growing), "sources": [self.chunks]}))
 
 
 def read_retraining(config: Path | None, given: dict[str, Any]) -> RetrainSettings:
@@ -124,11 +142,7 @@ def read_retraining(config: Path | None, given: dict[str, Any]) -> RetrainSettin
     return settings
 
 
-def from_anywhere(config: Path | None, given: dict[str, Any]) -> dict[str, Any]:
-    """What is given to hand, such that it means the same in any working folder.
-
-    That is, with absolute paths, and with the store that is meant if none is named.
-    """
-    known = given if config is None else read_values(config, given)
-    meant = {} if "store" in known else {"store": CorpusSettings.model_fields["store"].default}
-    return anchored({**meant, **given}, Path.cwd())
+def anchored_config(config: RetrainSettings) -> RetrainSettings:
+    """Return a config that means the same in any working folder, with the store that it names."""
+    values = config.model_dump(exclude_unset=True) | {"store": config.store}
+    return RetrainSettings(**anchored(values, Path.cwd()))

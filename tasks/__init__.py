@@ -1,5 +1,5 @@
-"""Prefect tasks, one module a stage: load refs, call the library, store, return a ref.
+"""Stages: each loads refs, calls the library, stores one artifact and returns its ref.
 
-A stage module has ``STAGE``, its name; ``VERSION``, raised by hand whenever the same settings and
-inputs would give another result; and ``run(store, call) -> ArtifactRef``.
+A stage is a function under :func:`tasks.stage.stage` with a name and a version, which is raised by
+hand whenever the same settings and inputs would give another result.
 """

@@ -14,14 +14,15 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays
+from tasks.context import RunContext
 from tasks.masks import masks
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 # Its version is raised with that of the stage that labels context views alone.
 @stage("all_masks", version=1000 * masks.version + 1)
 def all_masks(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     proposer: Part,
@@ -32,29 +33,29 @@ def all_masks(
 
     The targets have the ids of the context views and no others.
     """
-    seen = read_everywhere(site, sample, gaussians)
+    seen = read_everywhere(run, sample, gaussians)
     found = associate(seen, proposer.load(), tracker.load(), replicas)
-    count = len(site.read(sample, sample_from_arrays).context)
+    count = len(run.read(sample, sample_from_arrays).context)
     context = LabelMaps(found.labels[:count], found.margin[:count])
     targets = LabelMaps(known_alone(found.labels[count:], context.labels), found.margin[count:])
-    others = site.store.put("labels", labels_to_arrays(targets))
+    others = run.store.put("labels", labels_to_arrays(targets))
     meta = {
         "objects": len(context.ids),
         "computed": found.computed,
         "targets": {"uri": others.uri, "digest": others.digest},
         "parts": [others.uri],
     }
-    return site.store.put("labels", labels_to_arrays(context), meta)
+    return run.store.put("labels", labels_to_arrays(context), meta)
 
 
-def read_everywhere(site: Worksite, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
+def read_everywhere(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
     """:func:`seen_everywhere` of stored ones; made once for all stages that ask for it."""
 
     def make() -> list[SeenView]:
-        found = site.read(gaussians, Gaussians.from_arrays)
-        return seen_everywhere(site.read(sample, sample_from_arrays), found)
+        found = run.read(gaussians, Gaussians.from_arrays)
+        return seen_everywhere(run.read(sample, sample_from_arrays), found)
 
-    return site.once((SeenView, sample.digest, gaussians.digest), make)
+    return run.once((SeenView, sample.digest, gaussians.digest), make)
 
 
 def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:

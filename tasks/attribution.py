@@ -12,12 +12,13 @@ from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import get_field, labels_from_arrays, sample_from_arrays, truth_from_arrays
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("attribution", version=2)
 def attribution(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     truth: ArtifactRef,
     gaussians: ArtifactRef,
@@ -31,16 +32,16 @@ def attribution(
     ``gaussians`` are those that were predicted, and ``method`` is what made the field; what each
     view showed before association is proposed once more.
     """
-    known = site.read(truth, truth_from_arrays)
+    known = run.read(truth, truth_from_arrays)
     rows = []
     if any(mask.any() for masks in known.masks.values() for mask in masks.values()):
-        shown = site.read(sample, sample_from_arrays)
-        found = site.read(labels, labels_from_arrays)
-        asked = get_field(site.store, field, method.encoder.places())
-        base, pieces = site.read(gaussians, Gaussians.from_arrays), found.labels
+        shown = run.read(sample, sample_from_arrays)
+        found = run.read(labels, labels_from_arrays)
+        asked = get_field(run.store, field, method.encoder.places())
+        base, pieces = run.read(gaussians, Gaussians.from_arrays), found.labels
         if not method.tracker.implementation.final:
             pieces = Inputs(shown, asked, base, found, method.proposer.load()).own_labels.labels
         rows = attribute_errors(asked, base, shown, found, pieces, known, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
-    return site.store.put("attribution", table, {"misses": misses})
+    return run.store.put("attribution", table, {"misses": misses})

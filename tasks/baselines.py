@@ -20,12 +20,13 @@ from tasks.artifacts import (
     sample_from_arrays,
     truth_from_arrays,
 )
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("baselines", version=5)
 def baselines(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     truth: ArtifactRef,
     gaussians: ArtifactRef,
@@ -43,14 +44,14 @@ def baselines(
     the baseline's name in the registry, and ``own`` are its settings. One that another package
     brings is also known by that package's content, ``brought_by``.
     """
-    shown = site.read(sample, sample_from_arrays)
-    found = site.read(labels, labels_from_arrays)
-    known = site.read(truth, truth_from_arrays)
+    shown = run.read(sample, sample_from_arrays)
+    found = run.read(labels, labels_from_arrays)
+    known = run.read(truth, truth_from_arrays)
     asked = [text for masks in known.masks.values() for text in masks]
     inputs = Inputs(
         sample=shown,
-        field=get_field(site.store, field, method.encoder.places()),
-        gaussians=site.read(gaussians, Gaussians.from_arrays),
+        field=get_field(run.store, field, method.encoder.places()),
+        gaussians=run.read(gaussians, Gaussians.from_arrays),
         label_maps=found,
         proposer=method.proposer.load(),
         seed=method.seed,
@@ -72,4 +73,4 @@ def baselines(
     )
     costs = [{**row, "prepare_seconds": prepared} for row in result.costs]
     meta = {"times": {"prepare": prepared, **result.times}, "costs": costs}
-    return site.store.put("scene_result", result_to_arrays(result), meta)
+    return run.store.put("scene_result", result_to_arrays(result), meta)

@@ -18,12 +18,13 @@ from tasks.artifacts import (
     sample_from_arrays,
     truth_from_arrays,
 )
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("benchmark", version=10)
 def benchmark(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     truth: ArtifactRef,
     gaussians: ArtifactRef,
@@ -37,17 +38,17 @@ def benchmark(
     ``gaussians`` are those that were predicted, a depth for every pixel. ``encoder`` is that of the
     field, and says where its files are.
     """
-    asked = get_field(site.store, field, encoder.places())
+    asked = get_field(run.store, field, encoder.places())
     result = evaluate(
         asked,
-        site.read(sample, sample_from_arrays),
-        site.read(labels, labels_from_arrays),
-        site.read(truth, truth_from_arrays),
+        run.read(sample, sample_from_arrays),
+        run.read(labels, labels_from_arrays),
+        run.read(truth, truth_from_arrays),
         settings,
-        gaussians=site.read(gaussians, Gaussians.from_arrays),
+        gaussians=run.read(gaussians, Gaussians.from_arrays),
     )
     meta = {"times": result.times, "costs": result.costs, "example": example(result, asked)}
-    return site.store.put("scene_result", result_to_arrays(result), meta)
+    return run.store.put("scene_result", result_to_arrays(result), meta)
 
 
 def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:

@@ -13,12 +13,13 @@ from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
+from tasks.context import RunContext
 from tasks.pairs import known_views
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @stage("choices", version=1)
-def choices(site: Worksite, views: ArtifactRef, bounds: Bounds, targets: int) -> ArtifactRef:
+def choices(run: RunContext, views: ArtifactRef, bounds: Bounds, targets: int) -> ArtifactRef:
     """Samples with so many targets of the clips of a chunk: spec ``choices``.
 
     As :func:`tasks.pairs.pairs`, whose samples have three. A clip that has no sample is named in
@@ -26,7 +27,7 @@ def choices(site: Worksite, views: ArtifactRef, bounds: Bounds, targets: int) ->
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    for clip, group in groupby(site.store.get(views).to_pylist(), key=lambda row: row["clip"]):
+    for clip, group in groupby(run.store.get(views).to_pylist(), key=lambda row: row["clip"]):
         own = list(group)
         try:
             chosen = choose(known_views(own), bounds, targets)
@@ -51,4 +52,4 @@ def choices(site: Worksite, views: ArtifactRef, bounds: Bounds, targets: int) ->
                 }
             )
     table = pa.Table.from_pylist(rows, schema=load_spec("choices").schema)
-    return site.store.put("choices", table, {"samples": len(rows), "left_out": bad})
+    return run.store.put("choices", table, {"samples": len(rows), "left_out": bad})

@@ -16,7 +16,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.parts.identity import CHANGED, KnownFile, file_stamp
 from slgaussian.storage.remote import explained, troubles
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.stage import Worksite
+from tasks.context import RunContext
 
 STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
 """Where file systems of fsspec say which version of a file it is."""
@@ -79,7 +79,7 @@ def known_chunk(store: ArtifactStore, file: str) -> KnownFile:
     return KnownFile(file, digest_of(store, file))
 
 
-def read_chunk(site: Worksite, chunk: KnownFile | ArtifactRef) -> dict[str, re10k.Clip]:
+def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re10k.Clip]:
     """The clips of a chunk by key, read once however many stages ask for them.
 
     The chunk is a file from outside, or in the store (spec ``packed``).
@@ -91,7 +91,7 @@ def read_chunk(site: Worksite, chunk: KnownFile | ArtifactRef) -> dict[str, re10
     """
 
     if isinstance(chunk, ArtifactRef):
-        return site.once((re10k.Clip, chunk.digest), lambda: _packed(site.store, chunk))
+        return run.once((re10k.Clip, chunk.digest), lambda: _packed(run.store, chunk))
 
     def read() -> dict[str, re10k.Clip]:
         clips: dict[str, re10k.Clip] = {}
@@ -101,11 +101,11 @@ def read_chunk(site: Worksite, chunk: KnownFile | ArtifactRef) -> dict[str, re10
                     f"{chunk.place}: two clips have the key {clip.key!r}; give them their own"
                 )
             clips[clip.key] = clip
-        if digest_of(site.store, chunk.place) != chunk.digest:
+        if digest_of(run.store, chunk.place) != chunk.digest:
             raise InputError(f"{chunk.place}: {CHANGED}")
         return clips
 
-    return site.once(chunk, read)
+    return run.once(chunk, read)
 
 
 def _packed(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:

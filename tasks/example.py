@@ -19,8 +19,9 @@ from slgaussian.scene import Sample
 from slgaussian.storage.store import Arrays, ArtifactRef, packed
 from tasks.all_masks import read_everywhere
 from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
+from tasks.context import RunContext
 from tasks.geometry import read_geometry
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 SAVED: dict[str, dict[str, Any]] = {
     "jpg": {"format": "JPEG", "quality": 95, "subsampling": 0},
@@ -31,7 +32,7 @@ SAVED: dict[str, dict[str, Any]] = {
 
 @stage("example", version=1)
 def example(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     labels: ArtifactRef,
@@ -55,20 +56,20 @@ def example(
 
     ``meta["about"]`` is what is kept with it: ``known`` and measures of its quality.
     """
-    store = site.store
-    shown = site.read(sample, sample_from_arrays)
-    context = site.read(labels, labels_from_arrays)
+    store = run.store
+    shown = run.read(sample, sample_from_arrays)
+    context = run.read(labels, labels_from_arrays)
     targets = labels_from_arrays(store.get(ArtifactRef("labels", **labels.meta["targets"])))
     key = known["sample"]
     about = {**known, "url": sample.meta["url"], **_measures(context, targets, gaussians.meta)}
     members = _images(shown, images)
     arrays: dict[str, tuple[str, Arrays]] = {
-        "geometry": ("example_geometry", _geometry(site, sample, gaussians)),
+        "geometry": ("example_geometry", _geometry(run, sample, gaussians)),
         "labels": ("labels", _stacked(context, targets)),
         "bank": ("bank", store.get(bank)),
     }
     if with_gaussians:
-        arrays["gaussians"] = "gaussians", site.read(gaussians, Gaussians.from_arrays).to_arrays()
+        arrays["gaussians"] = "gaussians", run.read(gaussians, Gaussians.from_arrays).to_arrays()
     for name, (spec, content) in arrays.items():
         members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
     members["about.json"] = json.dumps(about, sort_keys=True, allow_nan=False).encode()
@@ -104,14 +105,14 @@ def _images(sample: Sample, ending: str) -> dict[str, bytes]:
     return members
 
 
-def _geometry(site: Worksite, sample: ArtifactRef, gaussians: ArtifactRef) -> Arrays:
-    shown = site.read(sample, sample_from_arrays)
+def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> Arrays:
+    shown = run.read(sample, sample_from_arrays)
     cameras = [view.camera for view in (*shown.context, *shown.targets)]
-    geometry = read_geometry(site, sample, gaussians)
+    geometry = read_geometry(run, sample, gaussians)
     confirmed = np.zeros(geometry.depths.shape, bool)
     for here, there in permutations(range(len(confirmed)), 2):
         confirmed[here] |= geometry.seen_again(here, there)[1]
-    depths = [seen.require_depth() for seen in read_everywhere(site, sample, gaussians)]
+    depths = [seen.require_depth() for seen in read_everywhere(run, sample, gaussians)]
     return {
         "K": np.stack([camera.K for camera in cameras]),
         "c2w": np.stack([camera.c2w for camera in cameras]),

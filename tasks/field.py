@@ -12,12 +12,13 @@ from slgaussian.parts.method import Method
 from slgaussian.predict import Depths
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, put_field, sample_from_arrays
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("field", version=8)
 def field(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     labels: ArtifactRef,
@@ -27,12 +28,12 @@ def field(
     """Gaussians, label maps and bank joined: spec ``field``."""
     depths = gaussians.meta["depths"]
     joined = lift_field(
-        site.read(sample, sample_from_arrays),
-        site.read(gaussians, Gaussians.from_arrays),
-        replace(site.read(labels, labels_from_arrays), computed=labels.meta["computed"]),
-        site.read(bank, MemoryBank.from_arrays),
+        run.read(sample, sample_from_arrays),
+        run.read(gaussians, Gaussians.from_arrays),
+        replace(run.read(labels, labels_from_arrays), computed=labels.meta["computed"]),
+        run.read(bank, MemoryBank.from_arrays),
         method,
         Quality(**gaussians.meta["quality"]),
         None if depths is None else Depths(*depths),
     )
-    return put_field(site.store, joined)
+    return put_field(run.store, joined)

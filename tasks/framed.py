@@ -14,7 +14,8 @@ from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_to_arrays
 from tasks.chunks import Framing, read_chunk
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,16 @@ class Frames:
 
 @stage("framed", version=2)
 def framed(
-    site: Worksite, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
+    run: RunContext, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
 ) -> ArtifactRef:
     """A sample of a chunk: spec ``sample``. ``meta["url"]`` is that of its video."""
-    clip = read_chunk(site, chunk)[frames.clip]
+    clip = read_chunk(run, chunk)[frames.clip]
     context = framed_views(clip, frames.context, framing)
     targets = framed_views(clip, frames.targets, framing)
     sample = Sample(frames.sample, context, targets)
     licence = "" if isinstance(chunk, ArtifactRef) else licences.stated(Path(chunk.place))
     with saying(clip.url, licence):
-        return site.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
+        return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 
 def framed_views(clip: Clip, frames: Sequence[int], framing: Framing) -> tuple[View, ...]:

@@ -8,33 +8,34 @@ from slgaussian.geometry import SceneGeometry
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("geometry", version=10)
 def geometry(
-    site: Worksite, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
+    run: RunContext, sample: ArtifactRef, predictor: Part, seed: int, trust_cameras: bool = False
 ) -> ArtifactRef:
     """What the predictor makes of the context views: spec ``gaussians``.
 
     ``meta["quality"]`` says how good the views were, ``meta["depths"]`` how many were compared of
     how many, or None.
     """
-    shown = site.read(sample, sample_from_arrays)
+    shown = run.read(sample, sample_from_arrays)
     gaussians, quality, depths = predict(shown, predictor, seed, trust_cameras)
     gaussians.check()
     meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
-    return site.store.put("gaussians", gaussians.to_arrays(), meta)
+    return run.store.put("gaussians", gaussians.to_arrays(), meta)
 
 
-def read_geometry(site: Worksite, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:
+def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:
     """The context views and their surfaces; made once for all stages that ask for it.
 
     Scattering Gaussians into depth takes less time than inflating a stored copy.
     """
 
     def make() -> SceneGeometry:
-        shown = site.read(sample, sample_from_arrays)
-        return SceneGeometry.of(shown.context, site.read(gaussians, Gaussians.from_arrays))
+        shown = run.read(sample, sample_from_arrays)
+        return SceneGeometry.of(shown.context, run.read(gaussians, Gaussians.from_arrays))
 
-    return site.once((SceneGeometry, sample.digest, gaussians.digest), make)
+    return run.once((SceneGeometry, sample.digest, gaussians.digest), make)

@@ -23,8 +23,9 @@ from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.keys import canonical
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 COPY = 1.0
 """Grey levels between two copies of a photograph at different sizes, at most, in the mean."""
@@ -101,7 +102,7 @@ class Photographs:
 
 
 @stage("ingest", version=9)  # to be raised too when other cameras are found in photographs
-def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
+def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
@@ -120,7 +121,7 @@ def ingest(site: Worksite, photographs: Photographs) -> ArtifactRef:
     if photographs.path is not None:
         licence = licence or licences.stated(photographs.path)
     with saying(source, licence):
-        return site.store.put("sample", sample_to_arrays(sample), meta)
+        return run.store.put("sample", sample_to_arrays(sample), meta)
 
 
 def told_of(cameras: Iterable[Camera]) -> str:

@@ -18,8 +18,9 @@ from slgaussian.semantic.judge import label_iou
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.context import RunContext
 from tasks.learning import StoredLessons, branch_from_arrays
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 LABELS = ("as found", "corrupted")
 """What liftings are shown."""
@@ -27,7 +28,7 @@ LABELS = ("as found", "corrupted")
 
 @stage("judge", version=2)
 def judge(
-    site: Worksite,
+    run: RunContext,
     lessons: ArtifactRef,
     branch: ArtifactRef,
     before: ArtifactRef | None,
@@ -35,12 +36,12 @@ def judge(
     seed: int,
 ) -> ArtifactRef:
     """Scores of the branch, of the weights ``before`` it and of controls: spec ``judgements``."""
-    store = site.store
+    store = run.store
     shown = StoredLessons(store, store.get(lessons))
     lifts = liftings(store, branch, before)
     rows: list[dict[str, Any]] = []
     for index, (clip, lesson) in enumerate(zip(shown.clips, shown, strict=True)):
-        site.tell(f"lesson {index + 1} of {len(shown)}")
+        run.report(f"lesson {index + 1} of {len(shown)}")
         for kind in LABELS:
             labels = labels_of(lesson, kind, seed)
             for name, iou in label_iou(lesson, lifts, labels, codes, seed).items():

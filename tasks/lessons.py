@@ -24,9 +24,10 @@ from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.all_masks import known_alone, seen_everywhere
 from tasks.chunks import Framing, left_out, read_chunk
+from tasks.context import RunContext
 from tasks.masks import masks
 from tasks.predictions import read_sample
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 SHEET_ROWS = 24
 """Most samples on a contact sheet."""
@@ -38,7 +39,7 @@ SHEET_SIDE = 144
 # Its version is raised with that of the stage that labels the views of a single scene.
 @stage("lessons", version=1000 * masks.version + 1)
 def lessons(
-    site: Worksite,
+    run: RunContext,
     pairs: ArtifactRef,
     predictions: ArtifactRef,
     chunk: KnownFile,
@@ -52,9 +53,9 @@ def lessons(
     ``meta`` has the contact sheet's place in the store (spec ``sheet``), seconds by part, and under
     ``left_out`` the samples that could not be done.
     """
-    watch, store = _Watch(), site.store
+    watch, store = _Watch(), run.store
     with watch("read"):
-        clips = read_chunk(site, chunk)
+        clips = read_chunk(run, chunk)
         samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
     propose = proposer.load()
     rows, bad, tiles = [], [], []

@@ -6,13 +6,14 @@ from slgaussian.build import label_views
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import read_geometry
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @stage("masks", version=6)
 def masks(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     proposer: Part,
@@ -23,6 +24,6 @@ def masks(
 
     ``meta["computed"]`` says how many copies of a view were segmented.
     """
-    label_maps = label_views(read_geometry(site, sample, gaussians), proposer, tracker, replicas)
+    label_maps = label_views(read_geometry(run, sample, gaussians), proposer, tracker, replicas)
     meta = {"objects": len(label_maps.ids), "computed": label_maps.computed}
-    return site.store.put("labels", labels_to_arrays(label_maps), meta)
+    return run.store.put("labels", labels_to_arrays(label_maps), meta)

@@ -10,16 +10,17 @@ import pyarrow as pa
 from slgaussian.benchmark.numerics import measured
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @stage("numerics", version=2)
-def numerics(site: Worksite, machine: Mapping[str, str]) -> ArtifactRef:
+def numerics(run: RunContext, machine: Mapping[str, str]) -> ArtifactRef:
     """What float32 makes of hard cases: spec ``hard_cases``.
 
     ``machine`` says what decides the last digits: processor, libraries and kernels.
     """
     rows = [asdict(case) for case in measured()]
-    return site.store.put(
+    return run.store.put(
         "hard_cases", pa.Table.from_pylist(rows, schema=load_spec("hard_cases").schema)
     )

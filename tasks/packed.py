@@ -17,8 +17,9 @@ from slgaussian.scene import Scene
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
+from tasks.context import RunContext
 from tasks.ingest import known_by, told_of
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Room:
 
 
 @stage("packed", version=2)  # to be raised too when other cameras are found in photographs
-def packed(site: Worksite, source: PosedFolder | Room) -> ArtifactRef:
+def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     """The scene of a source as a chunk of one clip: spec ``packed``.
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
@@ -99,4 +100,4 @@ def packed(site: Worksite, source: PosedFolder | Room) -> ArtifactRef:
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": told_of(scene.cameras.values()), "left_out": bad}
     with saying(*source.origin()):
-        return site.store.put("packed", {"torch": data}, meta)
+        return run.store.put("packed", {"torch": data}, meta)

@@ -15,26 +15,27 @@ from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 from tasks.views import ROW
 
 
 @stage("pairs", version=1)
-def pairs(site: Worksite, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
+def pairs(run: RunContext, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
     """Samples of the clips of a chunk: spec ``pairs``.
 
     The photographs are not read again. A clip that has no sample is named in ``meta["left_out"]``.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    known = site.store.get(views).to_pylist()
+    known = run.store.get(views).to_pylist()
     for clip, own in groupby(known, key=lambda row: row["clip"]):
         try:
             rows += _samples(clip, list(own), bounds)
         except InputError as error:
             bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
     table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
-    return site.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
+    return run.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
 
 
 def known_views(views: Sequence[Mapping[str, Any]]) -> Views:

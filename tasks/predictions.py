@@ -15,15 +15,16 @@ from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import Framing, left_out, read_chunk
+from tasks.context import RunContext
 from tasks.framed import framed_views
 from tasks.geometry import geometry
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 # Its version is raised with that of the stage that does the same for a single scene.
 @stage("predictions", version=1000 * geometry.version + 1)
 def predictions(
-    site: Worksite,
+    run: RunContext,
     pairs: ArtifactRef,
     chunk: KnownFile,
     framing: Framing,
@@ -34,7 +35,7 @@ def predictions(
 
     A sample that cannot be done is named in ``meta["left_out"]``.
     """
-    store, clips, predict = site.store, read_chunk(site, chunk), predictor.load()
+    store, clips, predict = run.store, read_chunk(run, chunk), predictor.load()
     rows, bad = [], []
     for row in store.get(pairs).to_pylist():
         try:

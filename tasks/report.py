@@ -18,7 +18,8 @@ from tasks.artifacts import (
     result_from_arrays,
     truth_from_arrays,
 )
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Scored:
 
 @stage("report", version=7)
 def report(
-    site: Worksite,
+    run: RunContext,
     scenes: Sequence[Scored],
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]],
@@ -45,13 +46,13 @@ def report(
 
     It has no times in it: it is the same whenever and wherever it is made.
     """
-    shown = [_scene(site.store, scored) for scored in scenes]
-    tables = [site.store.get(scored.attribution) for scored in scenes]
+    shown = [_scene(run.store, scored) for scored in scenes]
+    tables = [run.store.get(scored.attribution) for scored in scenes]
     lost = [row for table in tables for row in table.to_pylist()]
     made = render_report(shown, manifest, failures, lost)
     forms = {"html": made.html, "markdown": made.markdown}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
-    return site.store.put("report", arrays)
+    return run.store.put("report", arrays)
 
 
 def _scene(store: ArtifactStore, scored: Scored) -> Scene:

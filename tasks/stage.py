@@ -1,138 +1,85 @@
-"""A stage: a Prefect task whose result is looked up in the store by what it depends on.
+"""A stage: a Prefect task around a function from refs and settings to one artifact, and its cache.
 
 Results are not left to Prefect. A record of Prefect's names the code that reads it back, pickle
-among it, whatever serialiser the task has: who may write to the store could have any code run. So
-the records are ours (:mod:`slgaussian.storage.records`), and a stage that is found in them ends in
-a state that Prefect's page shows as ``Cached``.
+among it, whatever serializer the task has: who may write to the store could have any code run. So
+records are ours (:mod:`slgaussian.storage.records`), and a stage whose result is found ends in a
+state that Prefect's page shows as ``Cached``.
 """
 
 from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
 from functools import update_wrapper
-from typing import Any, TypeVar
+from typing import Any
 
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, State
+from prefect.utilities.annotations import quote
 
 from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.records import Records
-from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, DamagedError
-from tasks.events import Finished, Listener, Repeated, Said, Started
+from slgaussian.storage.store import ArtifactRef, DamagedError
+from tasks.context import RunContext, StageEvent, current_run
 from tasks.keys import cache_key, canonical
 
-Read = TypeVar("Read")
 
+class StageResult:
+    """What a stage gives to Prefect, which knows it again among the inputs of another stage.
 
-@dataclass
-class Worksite:
-    """Where the stages of one scene are worked on, and what has been made of it so far.
-
-    Attributes
-    ----------
-    store : ArtifactStore
-    scene : str
-        What the scene is called, in Prefect's page and in events.
-    workers : int
-        How many scenes are worked on at the same time on this machine.
-    listener : callable
-        Hears every :class:`Event`.
-    made : {stage: ArtifactRef}
-        What the stages of this scene made, or had made before.
-    stage, key : str
-        The stage that is being worked on, and its cache key.
+    It does so by identity, of what it finds within dataclasses too; this is none, so that it looks
+    no further.
     """
 
-    store: ArtifactStore
-    scene: str = ""
-    workers: int = 1
-    listener: Listener = lambda event: None
-    made: dict[str, ArtifactRef] = field(default_factory=dict)
-    stage: str = ""
-    key: str = ""
-    _known: dict[Hashable, Any] = field(default_factory=dict)
-
-    def read(self, ref: ArtifactRef, made_of: Callable[[Arrays], Read]) -> Read:
-        """What ``made_of`` makes of a stored artifact; see :meth:`once`."""
-        return self.once((ref.digest, made_of), lambda: made_of(self.store.get(ref)))
-
-    def once(self, what: Hashable, make: Callable[[], Read]) -> Read:
-        """What ``make`` makes: once for each ``what``, however many stages of the scene ask for it.
-
-        It is shared between them, so none may change it.
-        """
-        if what not in self._known:
-            self._known[what] = make()
-        return self._known[what]
-
-    def tell(self, text: str) -> None:
-        """Say how far the stage that is being worked on has come."""
-        self.listener(Said(self.scene, self.stage, text))
-
-
-_site: ContextVar[Worksite] = ContextVar("site")
-
-
-def current() -> Worksite:
-    """Where the road that is being taken is worked on."""
-    return _site.get()
-
-
-@contextmanager
-def at(site: Worksite) -> Iterator[None]:
-    """Have the stages that are called within the block be worked on there."""
-    token = _site.set(site)
-    try:
-        yield
-    finally:
-        _site.reset(token)
+    def __init__(self, ref: ArtifactRef) -> None:
+        self.ref = ref
 
 
 class Stage:
     """A function from small arguments to one artifact, as a Prefect task; made by :func:`stage`.
 
-    It goes to workers by its name, as a function does.
+    It is called with all parameters of the function but the first, the :class:`RunContext`.
+    Artifacts go in as :class:`ArtifactRef`, so that Prefect's page has an edge from the stage that
+    made each; files from outside and components of the method as what knows its content
+    (:func:`tasks.keys.canonical`).
 
-    It is called with all parameters of the function but the first, which is the
-    :class:`Worksite`. Artifacts go in as :class:`ArtifactRef`, files from outside and parts of the
-    method as what knows its content (:func:`tasks.keys.canonical`). Returns the ref of what was
-    made, whose ``meta`` says what settings made it of which ``inputs``, how many ``seconds`` that
-    took on which ``processor`` while how many ``workers`` shared it, and how many
-    ``processor_seconds`` of the whole process, both without those of ``compiling`` kernels, and by
-    how many bytes at most memory had ``grown``, None where that is not known. It has the
-    ``stage_version``, and is ``cached`` if it was found made. The files that the stage writes say
-    the stage, its version and the settings.
+    Returns the ref of the result. Its ``meta`` has ``settings`` and the digests of its ``inputs``,
+    the ``seconds`` of wall time and ``processor_seconds`` that the function took without those of
+    ``compiling`` kernels, on which ``processor``, with how many ``workers`` beside it, by how many
+    bytes memory had ``grown`` (None where unknown), the ``stage_version``, and ``cached`` if the
+    result was found. The files that a stage writes name the stage, its version and the settings.
     """
 
-    __qualname__: str  # that of the function, by which it is sent
+    __qualname__: str
 
     def __init__(
-        self, work: Callable[..., ArtifactRef], name: str, version: int, unkeyed: Collection[str]
+        self,
+        compute: Callable[..., ArtifactRef],
+        name: str,
+        version: int,
+        unkeyed: Collection[str],
     ) -> None:
-        update_wrapper(self, work)
-        self.work, self.name, self.version, self.unkeyed = work, name, version, unkeyed
-        self.signature = inspect.signature(work)
+        update_wrapper(self, compute)
+        self.compute, self.name, self.version, self.unkeyed = compute, name, version, unkeyed
+        self.signature = inspect.signature(compute)
         self.task = Task(
-            self._found_or_made,
+            self._find_or_compute,
             name=name,
-            task_run_name=lambda: f"{name} of {_site.get().scene}",
+            task_run_name=lambda: f"{name} of {current_run().scene}",
             cache_policy=NO_CACHE,
             persist_result=False,
         )
 
     def __reduce__(self) -> str:
-        return str(self.work.__qualname__)
+        return self.compute.__qualname__  # sent to workers by name, as a function is
 
     def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
-        """What the function makes of these arguments, now or in an earlier run.
+        """Return what the function makes of these arguments, now or in an earlier run.
 
         Raises
         ------
@@ -141,74 +88,83 @@ class Stage:
         DamagedError
             If a stored artifact that it reads is damaged or gone; what is left of it is removed.
         """
-        site = _site.get()
-        before = site.made.get(self.name)
-        site.stage = self.name
+        run = current_run()
+        run.stage = self.name
+        before = run.refs.get(self.name)
         if before is None:
-            site.listener(Started(site.scene, self.name))
-        bound = self.signature.bind(site, *args, **kwargs)
+            run.notify(StageEvent(run.scene, self.name, "running"))
+        bound = self.signature.bind(run, *args, **kwargs)
         bound.apply_defaults()
-        _, *given = bound.arguments.items()
+        _, *arguments = bound.arguments.items()
         start = time.perf_counter()
-        cached = isinstance(self.task(dict(given)), State)
+        given = dict(arguments)
+        refs = list(refs_in(given))
+        edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
+        result = self.task(edges, quote(refs), quote(given))
+        cached = isinstance(result, State)
+        made = result.result() if cached else result
+        run.refs[self.name] = ref = made.ref
+        run.results[ref.digest] = made
         if before is not None and not cached:
-            site.listener(Repeated(site.scene, self.name))
+            run.notify(StageEvent(run.scene, self.name, "repeated"))
         if before is None or not cached:
             seconds = time.perf_counter() - start
-            site.listener(Finished(site.scene, self.name, seconds, cached))
-        return site.made[self.name]
+            state = "cached" if cached else "completed"
+            run.notify(StageEvent(run.scene, self.name, state, seconds=seconds))
+        return ref
 
     def key(self, arguments: Mapping[str, Any]) -> str:
-        """The cache key of a call with these arguments; raises InputError if there is none."""
-        counted = {name: value for name, value in arguments.items() if name not in self.unkeyed}
-        return cache_key(self.name, self.version, counted)
+        """Return the cache key of a call; InputError if there is none."""
+        return cache_key(self.name, self.version, self._keyed(arguments))
 
-    def _found_or_made(self, arguments: dict[str, Any]) -> State | None:
-        site = _site.get()
-        site.key = self.key(arguments)
-        records = Records(site.store)
-        found = records.find(site.key)
-        if found is not None:
-            known = {**found.meta, "stage_version": self.version, "cached": True}
-            site.made[self.name] = replace(found, meta=known)
-            return Completed(name="Cached", message="found in the store")
-        settings, inputs = self._parted(arguments)
-        of = {name: ref.spec for name, ref in inputs.items()}
-        given = frozenset(ref.digest for ref in inputs.values())
-        made = Made(self.name, self.version, settings, of, given)
-        threads.limit(site.workers)
+    def _keyed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in arguments.items() if name not in self.unkeyed}
+
+    def _find_or_compute(
+        self, inputs: list[StageResult], refs: list[ArtifactRef], arguments: dict[str, Any]
+    ) -> State | StageResult:
+        """Run as a Prefect task: ``inputs`` are for its graph, ``refs`` those in the arguments."""
+        run = current_run()
+        run.key = self.key(arguments)
+        records = Records(run.store)
+        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
+        if not refresh and (known := records.find(run.key)) is not None:
+            meta = {**known.meta, "stage_version": self.version, "cached": True}
+            message = "found in the store"
+            result = StageResult(replace(known, meta=meta))
+            return Completed(name="Cached", message=message, data=result)
+        ref = self._computed(run, self._keyed(arguments), arguments)
+        records.keep(run.key, ref)
+        volatile = {"stage_version": self.version} | ({"refreshed": True} if refresh else {})
+        return StageResult(replace(ref, meta={**ref.meta, **volatile}))
+
+    def _computed(
+        self, run: RunContext, keyed: Mapping[str, Any], arguments: Mapping[str, Any]
+    ) -> ArtifactRef:
+        inputs = {name: value for name, value in keyed.items() if isinstance(value, ArtifactRef)}
+        settings = {n: canonical(value, n) for n, value in keyed.items() if n not in inputs}
+        specs = {name: ref.spec for name, ref in inputs.items()}
+        digests = {name: ref.digest for name, ref in inputs.items()}
+        made = Made(self.name, self.version, settings, specs, frozenset(digests.values()))
+        threads.limit(run.workers)
         compiling.watch()
         peak, compiled = Peak(), compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.told_to(site.tell), making(made), peak.watched():
-                ref = self.work(site, **arguments)
+            with compiling.told_to(run.report), making(made), peak.watched():
+                ref = self.compute(run, **arguments)
         except DamagedError as error:
-            # Then the stage that made it makes it again.
-            site.store.remove([error.uri])
+            run.store.remove([error.uri])  # then the stage that made it makes it again
             raise
-        took = {
+        cost = {
             "seconds": compiling.clock() - start,
             "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
             "compiling": compiling.spent() - compiled,
             "grown": peak.grown,
             "processor": threads.processor(),
-            "workers": site.workers,
+            "workers": run.workers,
         }
-        known = {"settings": settings, "inputs": {n: own.digest for n, own in inputs.items()}}
-        ref = replace(ref, meta={**ref.meta, **known, **took})
-        records.keep(site.key, ref)
-        site.made[self.name] = replace(ref, meta={**ref.meta, "stage_version": self.version})
-        return None
-
-    def _parted(
-        self, arguments: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, ArtifactRef]]:
-        """The arguments that are settings, as plain data, and those that are artifacts."""
-        counted = {name: value for name, value in arguments.items() if name not in self.unkeyed}
-        inputs = {name: own for name, own in counted.items() if isinstance(own, ArtifactRef)}
-        rest = {name: own for name, own in counted.items() if name not in inputs}
-        return {name: canonical(own, name) for name, own in rest.items()}, inputs
+        return replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})
 
 
 def stage(
@@ -222,6 +178,21 @@ def stage(
     version : int
         Raised by hand whenever the same arguments would give another result.
     unkeyed : collection of str
-        The parameters that say where or how, and never what.
+        The parameters that name places or numbers of workers, on which no result depends.
     """
-    return lambda work: Stage(work, name, version, unkeyed)
+    return lambda compute: Stage(compute, name, version, unkeyed)
+
+
+def refs_in(value: Any) -> Iterator[ArtifactRef]:
+    """Yield the refs in a value, within sequences, mappings and dataclasses too."""
+    if isinstance(value, ArtifactRef):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from refs_in(item)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from refs_in(item)
+    elif is_dataclass(value) and not isinstance(value, type):
+        for field in fields(value):
+            yield from refs_in(getattr(value, field.name))

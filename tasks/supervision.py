@@ -6,13 +6,14 @@ from slgaussian.build import remember
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, sample_from_arrays
+from tasks.context import RunContext
 from tasks.geometry import read_geometry
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @stage("supervision", version=5)
 def supervision(
-    site: Worksite,
+    run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     labels: ArtifactRef,
@@ -27,12 +28,12 @@ def supervision(
     stored again.
     """
     bank = remember(
-        site.read(sample, sample_from_arrays),
-        read_geometry(site, sample, gaussians),
-        site.read(labels, labels_from_arrays),
+        run.read(sample, sample_from_arrays),
+        read_geometry(run, sample, gaussians),
+        run.read(labels, labels_from_arrays),
         encoder,
         codes,
         seed,
         held,
     )
-    return site.store.put("bank", bank.to_arrays(), {"objects": len(bank)})
+    return run.store.put("bank", bank.to_arrays(), {"objects": len(bank)})

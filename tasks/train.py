@@ -9,13 +9,14 @@ from slgaussian.semantic.training import Progress
 from slgaussian.semantic.training import train as train_branch
 from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.store import ArtifactRef
+from tasks.context import RunContext
 from tasks.learning import StoredLessons, branch_from_arrays, branch_to_arrays
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @stage("train", version=2, unkeyed=("checkpoints", "readers"))
 def train(
-    site: Worksite,
+    run: RunContext,
     lessons: ArtifactRef,
     start: ArtifactRef | None,
     settings: TrainingSettings,
@@ -30,13 +31,13 @@ def train(
     """
 
     def tell(progress: Progress) -> None:
-        site.tell(
+        run.report(
             f"step {progress.step} of {progress.steps}, loss {progress.loss:.4f}, "
             f"{progress.rate:.1f} a second, about {progress.seconds_left:.0f} s left"
         )
 
-    store = site.store
-    folder = checkpoints / site.key
+    store = run.store
+    folder = checkpoints / run.key
     trained = train_branch(
         StoredLessons(store, store.get(lessons)),
         settings,

@@ -12,9 +12,10 @@ from slgaussian.benchmark.training_report import Example, render_training_report
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.judge import novel_labels
 from slgaussian.storage.store import ArtifactRef
+from tasks.context import RunContext
 from tasks.judge import labels_of, liftings
 from tasks.learning import StoredLessons
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
@@ -22,7 +23,7 @@ SHOWN = "corrupted"
 
 @stage("training_report", version=2)
 def training_report(
-    site: Worksite,
+    run: RunContext,
     judgements: ArtifactRef,
     lessons: ArtifactRef,
     branch: ArtifactRef,
@@ -34,7 +35,7 @@ def training_report(
 
     ``lessons`` are those held out, and ``codes`` and ``seed`` those of the judgements.
     """
-    store = site.store
+    store = run.store
     rows = store.get(judgements)
     held_out = StoredLessons(store, store.get(lessons))
     page = render_training_report(

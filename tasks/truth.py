@@ -13,8 +13,9 @@ from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.scene import Sample
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import sample_from_arrays, truth_to_arrays
+from tasks.context import RunContext
 from tasks.ingest import digests_of
-from tasks.stage import Worksite, stage
+from tasks.stage import stage
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Labels:
 
 
 @stage("truth", version=3)
-def truth(site: Worksite, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
+def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     """What should be found in the targets: spec ``truth``."""
-    shown = site.read(sample, sample_from_arrays)
+    shown = run.read(sample, sample_from_arrays)
     found = labels.read(shown)
-    return site.store.put("truth", truth_to_arrays(found, shown))
+    return run.store.put("truth", truth_to_arrays(found, shown))

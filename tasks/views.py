@@ -16,14 +16,15 @@ from slgaussian.predict.distance import typical_depths
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import left_out, read_chunk
-from tasks.stage import Worksite, stage
+from tasks.context import RunContext
+from tasks.stage import stage
 
 ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
 """Columns of the table that hold a camera, as a row of a chunk has it without its two zeros."""
 
 
 @stage("views", version=1)
-def views(site: Worksite, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
+def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     """What is known of all views of a chunk: spec ``views``.
 
     A frame that cannot be decoded, or whose pose is none, is left out by itself and named in
@@ -31,7 +32,7 @@ def views(site: Worksite, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    clips = read_chunk(site, chunk)
+    clips = read_chunk(run, chunk)
     for clip in clips.values():
         found, failed = _views(clip)
         if not found:
@@ -40,9 +41,7 @@ def views(site: Worksite, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
         rows += found
         bad += failed
     table = pa.Table.from_pylist(rows, schema=load_spec("views").schema)
-    return site.store.put(
-        "views", table, {"clips": len(clips), "views": len(rows), "left_out": bad}
-    )
+    return run.store.put("views", table, {"clips": len(clips), "views": len(rows), "left_out": bad})
 
 
 def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:

@@ -142,7 +142,7 @@ def made(chunks: Path, store: Path) -> None:
 
 
 def options() -> list[str]:
-    return [word for key, value in SETTINGS.items() for word in (f"--{key}", str(value))]
+    return [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
 
 
 def prepare(work: Path, chunks: int) -> None:

@@ -1,18 +1,27 @@
-"""The stages of a chunk one by one: the road that :func:`flows.corpus.supervise_chunk` takes."""
+"""The stages of a chunk one by one, as :func:`flows.corpus.supervise_chunk` calls them."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from prefect import flow
+from prefect.states import Completed, State
+
+from flows.corpus_settings import CorpusSettings
+from flows.runners.batches import Outcome, SceneTask, map_scenes
+from flows.runners.progress import Progress
+from flows.runners.task_runners import open_workers
+from slgaussian.datasets import re10k
 from slgaussian.datasets.pairs import Bounds
 from slgaussian.parts.identity import KnownFile
 from slgaussian.parts.method import Method
-from slgaussian.storage.store import ArtifactRef
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk
+from tasks.context import current_run
 from tasks.keys import canonical
 from tasks.lessons import lessons
 from tasks.pairs import pairs
 from tasks.predictions import predictions
-from tasks.stage import Stage, current
+from tasks.stage import Stage
 from tasks.views import views
 
 
@@ -42,11 +51,28 @@ def settings_of(stage: Stage, arguments: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def take_road(file: str, bounds: Bounds, framing: Framing, method: Method, last: str) -> None:
-    """Take a chunk down its road as far as stage ``last``."""
+def take_stages(file: str, bounds: Bounds, framing: Framing, method: Method, last: str) -> None:
+    """Take a chunk through its pipeline as far as stage ``last``."""
     refs: dict[str, ArtifactRef] = {}
-    chunk = known_chunk(current().store, file)
+    chunk = known_chunk(current_run().store, file)
     for stage, arguments in chunk_stages(chunk, bounds, framing, method, refs):
         refs[stage.name] = stage(**arguments)
         if stage.name == last:
             return
+
+
+@flow(name="chunks", persist_result=False)
+def take_chunks(config: CorpusSettings, last: str) -> State[Outcome]:
+    """Take all chunks of a corpus through their pipeline as far as stage ``last``."""
+    store, bounds = ArtifactStore(config.store), Bounds(**config.bounds())
+    more = Framing(config.size, config.near, config.far), config.built_by, last
+    tasks = [
+        SceneTask(chunk, take_stages, (f"{config.chunks}/{chunk}", bounds, *more), views.name)
+        for chunk in re10k.chunk_names(config.chunks)
+    ]
+    with (
+        open_workers(config.runner, config.workers, store) as workers,
+        Progress(len(tasks), 1, unit="chunks") as progress,
+    ):
+        outcome = map_scenes(tasks, workers, progress)
+    return Completed(data=outcome)

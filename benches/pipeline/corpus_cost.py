@@ -3,8 +3,8 @@
     python -m benches.pipeline.corpus_cost WALK [--rooms 200] [-o FILE]
 
 WALK is a nerfstudio folder of a walk with a camera. Every stage runs in a process of its own on one
-worker, the stages before it found in the store, so that its time and memory are its own; then the
-whole road, as `slgaussian retrain` goes it, in one process on two. Two corpora: *road*, made-up
+worker, the stages before it found in the store, so that its time and memory are its own; then all
+of `slgaussian retrain` in one process on two. Two corpora: *road*, made-up
 rooms of 12 views and the walk in chunks of 10 MB, and *large*, one chunk as large as the published
 ones, of the walk ten times over, which is not learnt from.
 """
@@ -21,8 +21,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow.parquet as pq
+
 from benches.common.pages import publish
 from slgaussian.benchmark.resident_memory import held
+from slgaussian.semantic.versions import Versions
 
 COPIES = 10
 """Of the walk, which make about 100 MB."""
@@ -41,20 +44,17 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
     from flows.runners.environment import orchestration
     from slgaussian.storage.store import ArtifactStore
 
-    settings = make_corpus_settings({"chunks": chunks, "out": out, "workers": workers}, "bench")
+    given = {"chunks": chunks, "out": out, "store": store, "workers": workers}
+    settings = make_corpus_settings(given, "bench")
     begun = time.perf_counter()
     with orchestration(ArtifactStore(store)) as ready:
-        from benches.pipeline.chunk_stages import take_road
-        from flows import corpus
-        from tasks.chunks import Framing
+        from benches.pipeline.chunk_stages import take_chunks
 
         ready()
         start_up = time.perf_counter() - begun
         wall, cpu = time.perf_counter(), time.process_time()
         before = held("VmHWM") / 2**20
-        framing = Framing(settings.size, settings.near, settings.far)
-        more = framing, settings.built_by, stages[-1]
-        made = corpus.prepare(settings, ArtifactStore(store), stages, take_road, more)
+        made = take_chunks(settings, stages[-1])
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     last = [refs[stages[-1]].meta for refs in made.refs.values()]
     times: dict[str, float] = {}
@@ -83,8 +83,8 @@ def learning(chunks: str, store: str, out: str, workers: int) -> dict:
     from flows.training_settings import read_retraining
     from slgaussian.storage.store import ArtifactStore
 
-    given = {"chunks": chunks, "out": out, "models": f"{out}/models", "workers": workers}
-    settings = read_retraining(None, given)
+    places = {"chunks": chunks, "out": out, "models": f"{out}/models", "store": store}
+    settings = read_retraining(None, {**places, "workers": workers})
     begun = time.perf_counter()
     with orchestration(ArtifactStore(store)) as ready:
         from flows.retraining import retrain
@@ -92,18 +92,18 @@ def learning(chunks: str, store: str, out: str, workers: int) -> dict:
         ready()
         start_up = time.perf_counter() - begun
         wall, cpu = time.perf_counter(), time.process_time()
-        learnt, made = retrain(settings, ArtifactStore(store))
+        done = retrain(settings)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    counts = {} if learnt.version is None else learnt.version.facts["counts"]
+    record = json.loads(done.record.read_bytes())
     return {
         "wall": wall,
         "cpu": cpu,
         "start_up": start_up,
         "peak": held("VmHWM") / 2**20,
-        "items": made.rows["lessons"],
-        "said": learnt.said,
-        "counts": counts,
-        "failures": len(made.failures),
+        "items": pq.read_metadata(f"{out}/lessons.parquet").num_rows,
+        "message": done.messages[0],
+        "counts": Versions(settings.models).all()[-1].facts["counts"],
+        "failures": len(record["left out"]),
     }
 
 
@@ -153,7 +153,7 @@ def measured(folder: Path, work: Path, clips: int) -> tuple[list[dict], float]:
     return rows, size / rows[-1]["items"]
 
 
-def whole_road(folder: Path, work: Path) -> tuple[dict, dict, dict]:
+def whole_retraining(folder: Path, work: Path) -> tuple[dict, dict, dict]:
     """Only what follows supervision; all of it from nothing, on two workers; all of it again."""
     done = str(folder), str(work / f"store-{folder.name}"), str(work / f"out-{folder.name}")
     training = apart(learning, *done, 1)
@@ -189,7 +189,7 @@ def main() -> None:
             row["flow"] = 1 - row["work"] / row["wall"]
         stages += rows
         flows[name] = 1 - sum(row["work"] for row in rows) / sum(row["wall"] for row in rows)
-    named = zip(("training", "all", "again"), whole_road(folders["road"], work), strict=True)
+    named = zip(("training", "all", "again"), whole_retraining(folders["road"], work), strict=True)
     runs = [{"run": name, **cost} for name, cost in named]
     cost = {row["stage"]: row["cpu"] / row["items"] for row in stages if row["corpus"] == "large"}
     peak = max(row["peak"] for row in stages)

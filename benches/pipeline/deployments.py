@@ -18,14 +18,22 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 import urllib.request
 from pathlib import Path
+from typing import Any
 
-from benches.pipeline.scheduled_retraining import CONFIG, answers, pack, processes, start, wait
+from benches.pipeline.scheduled_retraining import CONFIG, add_rooms, answers, processes, start, wait
 
 PREFECT = ("-m", "prefect", "--no-prompt")
-REPORT = 'out = "{0}"\nstore = "store"\nsize = "64x96"\nrooms = "{1}"\nrunner = "{2}"\n'
-RUNS = ("slgaussian-report/report", "slgaussian-supervise/lessons", "slgaussian-nightly/nightly")
+REPORT = {"out": "scores", "store": "store", "size": "64x96", "rooms": "0-0"}
+RETRAIN = tomllib.loads(CONFIG)
+LESSONS = {name: RETRAIN[name] for name in ("chunks", "out", "store", "size", "replicas")}
+RUNS = {
+    "slgaussian/report": REPORT,
+    "slgaussian-supervise/lessons": LESSONS,
+    "slgaussian-retrain/retrain": RETRAIN,
+}
 
 
 def main() -> None:
@@ -34,11 +42,6 @@ def main() -> None:
     work = parser.parse_args().work.resolve()
     work.mkdir(parents=True)
     shutil.copy(Path(__file__).parents[2] / "prefect.yaml", work)
-    own = ("models", "held_out", "steps")
-    lessons = [line for line in CONFIG.splitlines() if not line.startswith(own)]
-    (work / "night.toml").write_text(CONFIG)
-    (work / "corpus.toml").write_text("\n".join(lessons))
-    (work / "report.toml").write_text(REPORT.format("scores", "0-0", "threads"))
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     url = f"http://127.0.0.1:{port}/api"
@@ -61,7 +64,7 @@ def main() -> None:
             raise SystemExit(f"prefect {' '.join(words)}: {done.stdout}{done.stderr}")
         return done.stdout
 
-    pack(work, env, "procedural:0-3")
+    add_rooms(work, env, "procedural:0-3")
     server = ["-m", "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
     started = [start(server, env, work / "server.log")]
     try:
@@ -72,12 +75,12 @@ def main() -> None:
         say(f"a pool, and {told.count('successfully created')} deployments")
         worker = start([*PREFECT, "worker", "start", "--pool", "slgaussian"], env, work / "w.log")
         started.append(worker)
-        for name in RUNS:
-            told = prefect("deployment", "run", name, "--watch").strip().splitlines()[-1]
+        for name, config in RUNS.items():
+            told = prefect(*run(name, config), "--watch").strip().splitlines()[-1]
             say(f"{name}: {told}")
         say(f"{logged(url)} lines of our logs are in Prefect")
-        (work / "report.toml").write_text(REPORT.format("more", "1-20", "processes"))
-        prefect("deployment", "run", RUNS[0])
+        more = {"out": "more", "rooms": "1-20", "runner": "processes"}
+        prefect(*run("slgaussian/report", REPORT | more))
         log = work / "more" / "log.jsonl"
         wait(lambda: log.exists() and '"done"' in log.read_text(), started)
         say(f"a report is on, by two processes; processes: {len(processes(work))}")
@@ -90,6 +93,11 @@ def main() -> None:
             process.wait(60)
     time.sleep(2)
     say(f"stopped; processes left: {len(processes(work))}")
+
+
+def run(name: str, config: dict[str, Any]) -> tuple[str, ...]:
+    """Return the words of Prefect's command that run a deployment with this configuration."""
+    return "deployment", "run", name, "--param", f"config={json.dumps(config)}"
 
 
 def logged(url: str) -> int:

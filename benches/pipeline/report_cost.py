@@ -23,8 +23,8 @@ from slgaussian.parts.method import Method
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import result_to_arrays, truth_to_arrays
+from tasks.context import RunContext
 from tasks.report import Scored, report
-from tasks.stage import Worksite
 
 SCENES, METHODS = 28, 15
 
@@ -37,7 +37,7 @@ def main() -> None:
         given = make(store, scenes, methods)
         before = held("VmHWM")
         start = time.process_time()
-        ref = report.work(Worksite(store), given, {}, ())
+        ref = report.compute(RunContext(store), given, {}, ())
         seconds = time.process_time() - start
         sizes = {name: array.size / 1e6 for name, array in store.get(ref).items()}
     print(measured())

@@ -22,7 +22,7 @@ EVERY = 20
 CLI = ("-c", "from flows.cli.app import main; main()")
 PATIENCE = 600.0
 CONFIG = """\
-chunks = "chunks"
+chunks = "rooms/chunks"
 out = "corpus"
 models = "models"
 store = "store"
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="an empty folder for all files")
     work = parser.parse_args().work.resolve()
     work.mkdir(parents=True)
-    (work / "night.toml").write_text(CONFIG)
+    (work / "retrain.toml").write_text(CONFIG)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     url = f"http://127.0.0.1:{port}/api"
@@ -53,10 +53,10 @@ def main() -> None:
     def say(text: str) -> None:
         print(f"{time.perf_counter() - begin:6.1f} s  {text}", flush=True)
 
-    pack(work, env, "procedural:0-3")
+    add_rooms(work, env, "procedural:0-3")
     say("four rooms are there")
     server = ["-m", "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(port)]
-    serve = [*CLI, "nightly", str(work / "night.toml"), "--every", str(EVERY)]
+    serve = [*CLI, "retrain", str(work / "retrain.toml"), "--every", str(EVERY)]
     started = [start(server, env, work / "server.log")]
     try:
         wait(lambda: answers(url), started)
@@ -65,7 +65,7 @@ def main() -> None:
         started.append(start(serve, {**env, "PREFECT_API_URL": url}, log))
         first = wait(lambda: line_with(log, "version 1"), started)
         say(first)
-        pack(work, env, "procedural:4-7")
+        add_rooms(work, env, "procedural:4-7")
         say("four more rooms are there")
         said = wait(lambda: line_with(log, "version 2"), started)
         idle = log.read_text().count("nothing new")
@@ -81,10 +81,11 @@ def main() -> None:
     say(f"processes left: {len(processes(work))}")
 
 
-def pack(work: Path, env: dict[str, str], rooms: str) -> None:
-    arguments = ["ingest", rooms, "-o", str(work), "--store", str(work / "packing")]
+def add_rooms(work: Path, env: dict[str, str], rooms: str) -> None:
+    """Add chunks of made-up rooms to those there are."""
+    arguments = ["ingest", rooms, "-o", str(work / "rooms"), "--store", str(work / "store")]
     arguments += ["--set", "views=6", "--set", "size=96x128"]
-    with (work / "pack.log").open("ab") as log:
+    with (work / "ingest.log").open("ab") as log:
         command = [sys.executable, *CLI, *arguments]
         subprocess.run(command, env=env, stdout=log, stderr=log, check=True)
 

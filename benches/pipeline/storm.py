@@ -38,7 +38,6 @@ import s3fs
 from benches.common.bad_weather import BadWeather
 from benches.common.machine import measured
 from benches.pipeline.fault_injection import workers_of
-from benches.pipeline.storm_stages import SHAPE, road
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
@@ -67,7 +66,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "empty": lambda file: file.write_bytes(b""),
     "text": lambda file: file.write_text("no labels"),
     "of another shape": lambda file: np.save(file, np.zeros((3, 3))),
-    "not finite": lambda file: np.save(file, np.full(SHAPE, np.nan)),
+    "not finite": lambda file: np.save(file, np.full_like(np.load(file), np.nan, float)),
     "gone": lambda file: file.unlink(),
 }
 
@@ -85,6 +84,8 @@ class Storm:
 
 def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
     """The files of all scenes, and what ails some of them."""
+    from benches.pipeline.storm_stages import SHAPE
+
     folder = work / "scenes"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -99,24 +100,15 @@ def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
     return files, ailing
 
 
-def run(store: str, listed: Path, out: Path, workers: int) -> None:
-    """The program that is disturbed: take the scenes of a list down their road."""
+def run(root: str, listed: Path, out: Path, workers: int) -> None:
+    """The program that is disturbed: take the scenes of a list through their pipeline."""
     from flows.runners.environment import interruptible, orchestration
 
-    kept = ArtifactStore(store)
-    with interruptible(), orchestration(kept) as ready:
-        from flows.runners.progress import Progress
-        from flows.runners.shard import Job
-        from flows.runners.worker_pool import job_flow, work_through_all
+    with interruptible(), orchestration(ArtifactStore(root)) as ready:
+        from benches.pipeline.storm_stages import storm
 
         ready()
-        files = json.loads(listed.read_text())
-        jobs = [Job(Path(file).stem, road, (file,), first="storm_take") for file in files]
-        progress = Progress(len(jobs), 2)
-        flow = job_flow("storm")(lambda pool: work_through_all(jobs, pool, progress))
-        with progress:
-            outcome = flow(kept, "processes", workers)
-    failures = {failure.scene: failure.reason for failure in outcome.failures}
+        failures = storm(root, json.loads(listed.read_text()), workers)
     out.write_text(json.dumps(failures))
     raise SystemExit(bool(failures))
 

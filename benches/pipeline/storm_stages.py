@@ -1,4 +1,4 @@
-"""Stages of some milliseconds, to watch the machinery of a run and not the method."""
+"""A flow over stages of some milliseconds, to watch the machinery of a run and not the method."""
 
 from __future__ import annotations
 
@@ -6,17 +6,23 @@ import os
 from pathlib import Path
 
 import numpy as np
+from prefect import flow
+from prefect.states import Completed, State
 
+from flows.runners.batches import SceneTask, map_scenes
+from flows.runners.progress import Progress
+from flows.runners.task_runners import open_workers
 from slgaussian.errors import InputError
 from slgaussian.parts.identity import KnownFile, file_digest
-from slgaussian.storage.store import ArtifactRef
-from tasks.stage import Worksite, stage
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.context import RunContext
+from tasks.stage import stage
 
 SHAPE = (2, 24, 32)
 
 
 @stage("storm_take", version=1)
-def take(site: Worksite, file: KnownFile) -> ArtifactRef:
+def take(run: RunContext, file: KnownFile) -> ArtifactRef:
     """Labels from a file; InputError if it is damaged."""
     try:
         found = np.load(file.place, allow_pickle=False)
@@ -24,24 +30,36 @@ def take(site: Worksite, file: KnownFile) -> ArtifactRef:
         raise InputError(f"{file.place}: cannot be read ({error})") from None
     if found.shape != SHAPE or not np.isfinite(found).all() or (found < 0).any():
         raise InputError(f"{file.place}: found {found.shape}, expected whole numbers {SHAPE}")
-    return site.store.put("labels", _maps(found))
+    return run.store.put("labels", _maps(found))
 
 
 @stage("storm_smooth", version=1)
-def smooth(site: Worksite, taken: ArtifactRef, times: int) -> ArtifactRef:
+def smooth(run: RunContext, taken: ArtifactRef, times: int) -> ArtifactRef:
     """The greatest of each pixel and its neighbours, so many times."""
-    labels = site.store.get(taken)["labels"]
+    labels = run.store.get(taken)["labels"]
     for _ in range(times):
         around = [np.roll(labels, step, axis) for step in (-1, 1) for axis in (1, 2)]
         labels = np.maximum.reduce([labels, *around])
-    return site.store.put("labels", _maps(labels))
+    return run.store.put("labels", _maps(labels))
 
 
-def road(file: str) -> None:
+def pipeline(file: str) -> None:
     """A scene of the storm: two stages, the second reads what the first has stored."""
     if not os.path.exists(file):
         raise InputError(f"{file}: is not there")
     smooth(take(KnownFile(file, file_digest(Path(file)))), 3)
+
+
+@flow(name="storm", persist_result=False)
+def storm(root: str, files: list[str], workers: int) -> State[dict[str, str]]:
+    """Take scenes through their pipeline in processes; why each was left out that was."""
+    scenes = [SceneTask(Path(file).stem, pipeline, (file,), take.name) for file in files]
+    with (
+        open_workers("processes", workers, ArtifactStore(root)) as opened,
+        Progress(len(scenes), 2) as progress,
+    ):
+        outcome = map_scenes(scenes, opened, progress)
+    return Completed(data={failure.scene: failure.reason for failure in outcome.failures})
 
 
 def _maps(labels: np.ndarray) -> dict[str, np.ndarray]:

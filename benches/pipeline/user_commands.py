@@ -31,7 +31,7 @@ from pathlib import Path
 
 from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
-from flows.runners.journal import BEFORE
+from flows.runners.log_file import BEFORE
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"
@@ -160,8 +160,15 @@ def office(recorder: Recorder, data: Path | None) -> None:
     )  # fmt: skip
     fast = ["--preset", "fast", "-o", "office/fast"]
     recorder.run("office fast", "benchmark", *source, *store, *fast, out="office/fast")
-    masks = "office/out/predictions/slgaussian"
-    recorder.run("score", "score", masks, *source, "-o", "office/score", out="office/score")
+    recorder.run(
+        "score",
+        "score",
+        "office/out/predictions",
+        *source,
+        "-o",
+        "office/score",
+        out="office/score",
+    )
     compared = ["office/out", "office/fast", "-o", "office/compare"]
     recorder.run("compare", "compare", *compared, out="office/compare")
 

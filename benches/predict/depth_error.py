@@ -25,7 +25,8 @@ from slgaussian import datasets
 from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import links, sweep
+from slgaussian.predict import links
+from slgaussian.predict import planesweep as sweep
 from slgaussian.predict.links import INLIER, link_views
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View

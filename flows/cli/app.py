@@ -14,7 +14,7 @@ from flows.cli import (
     upkeep_commands,
 )
 from flows.cli.help import Group, usage_sentence
-from flows.runners.display import Waiting
+from flows.runners.progress import Waiting
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling

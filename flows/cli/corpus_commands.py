@@ -216,69 +216,34 @@ def retrain(
     models: Annotated[
         Path | None, typer.Option(help="Folder of the versions of the weights.")
     ] = None,
-    steps: options.Steps = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    set_: options.Set = None,
-    verbose: options.Verbose = False,
-) -> None:
-    """Learn what is new in a corpus; use it if it is better.
-
-    New chunks are ingested and supervised, and a candidate is trained from the weights in use. It
-    is put to use if it is better on held-out clips than those and than no network, beyond noise.
-    Every version is kept; see `versions`. A file has chunks, out, models, store and other settings;
-    options win over it. `nightly` does this by the clock.
-
-    \b
-    slgaussian retrain --chunks chunks/train --out corpus --models models
-    slgaussian retrain retrain.toml --steps 300
-    slgaussian field a.png b.png --set lifting=branch --set branch.weights=models -o field/
-    """
-    from flows.cli.run import run_flow
-    from flows.training_settings import read_retraining
-
-    values = settings_from(ctx, chunks=chunks, out=out, models=models)
-    settings = read_retraining(config, values)
-    learnt, prepared = run_flow("retrain", settings, verbose)
-    if prepared.failures:
-        file = settings.out / "failures.parquet"
-        typer.echo(f"left out: {len(prepared.failures)}; see {file}", err=True)
-    typer.echo(learnt.said)
-
-
-@commands.command(rich_help_panel=options.CORPORA)
-def nightly(
-    ctx: typer.Context,
-    config: Annotated[Path, Config],
     every: Annotated[
         float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
     ] = None,
     cron: Annotated[
         str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
     ] = None,
+    steps: options.Steps = None,
     store: options.Store = None,
     set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
-    """Do what `retrain` does, by the clock, and report it.
+    """Learn what is new in a corpus; use it if it is better.
 
-    A night leaves OUT/nights/NUMBER.json and an artifact of Prefect: what came, changed and was
-    withdrawn, drift, scores, what was decided. Prefect's automations send notices. --every and
-    --cron wait for their times, which needs `prefect server start` and PREFECT_API_URL. The exit
-    status is 0 if a version was put to use, 1 if clips were left out first now and nothing else is
-    new, 2 if the night failed, 3 if the version was refused, 4 if the one in use is worse than
-    none, 5 if another night is on, 6 if nothing is new.
+    A candidate is trained from the weights in use, and put to use if it is better on held-out clips
+    than those and than no network, beyond noise. See `versions`. A file has chunks, out, models and
+    other settings; options win over it. --every and --cron need `prefect server start` and
+    PREFECT_API_URL. Leaves OUT/history/NUMBER.json, and an artifact of Prefect. The exit status is
+    0 if a version was put to use, 1 if clips were left out first now and nothing else is new, 2 if
+    it failed, 3 if the version was refused, 4 if the one in use is worse than none, 5 if another
+    retraining is on, 6 if nothing is new.
 
     \b
-    slgaussian nightly night.toml
-    slgaussian nightly night.toml --cron "0 3 * * *"
+    slgaussian retrain --chunks chunks/train --out corpus --models models
+    slgaussian retrain retrain.toml --cron "0 3 * * *"
     """
-    from flows.night_settings import STATUS, read_night
-    from slgaussian.storage.locks import BusyError
+    from flows.training_settings import read_retraining
 
-    values = settings_from(ctx)
-    settings = read_night(config, values)
+    settings = read_retraining(config, settings_from(ctx, chunks=chunks, out=out, models=models))
     if every is not None or cron is not None:
         from flows.runners.environment import home_of, prepare
         from slgaussian.storage.store import ArtifactStore
@@ -286,18 +251,16 @@ def nightly(
         prepare(home_of(ArtifactStore(settings.store)))
         from flows.schedule import serve
 
-        serve(config, values, every, cron)
+        serve(settings, every, cron)
         return
     from flows.cli.run import run_flow
 
-    try:
-        night = run_flow("nightly", settings, verbose)
-    except BusyError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(STATUS["busy"]) from None
-    typer.echo("\n".join(night.said))
-    typer.echo(f"{night.outcome}; record: {night.record}")
-    raise typer.Exit(STATUS[night.outcome])
+    result = run_flow("retrain", settings, verbose)
+    from flows.retraining import STATUS
+
+    typer.echo("\n".join(result.messages))
+    typer.echo(f"{result.outcome}; record: {result.record}" if result.record else result.outcome)
+    raise typer.Exit(STATUS[result.outcome])
 
 
 @commands.command(rich_help_panel=options.CORPORA)

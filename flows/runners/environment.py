@@ -31,19 +31,19 @@ def prepare(home: Path) -> None:
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
         # Progress and failures are told by flows.runners.progress.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
-        # A server of ours ends with the run: nobody reads there what flows.runners.journal logs.
+        # A server of ours ends with the run: nobody reads there what is logged.
         "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
         "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
         "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
         # Never Prefect's own embedded server: it stays behind when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
     }
-    for name, value in (variables | _for_ray()).items():
+    for name, value in (variables | ray_variables()).items():
         os.environ.setdefault(name, value)
 
 
-def _for_ray() -> dict[str, str]:
-    """What Ray must know if it is the runner; Prefect may import it at any time."""
+def ray_variables() -> dict[str, str]:
+    """Return what Ray must know before it is imported, if it is the runner."""
     variables = {
         "RAY_USAGE_STATS_ENABLED": "0",
         # It would say so whenever a process begins another.
@@ -80,12 +80,16 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
     os.environ["PREFECT_API_URL"] = server.url
     try:
         server.start()
-        from flows.runners.shard import NO_EVENTS, send_no_events
+        from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+
+        from flows.runners.task_runners import NO_EVENTS, send_no_events
 
         # Nobody watches this server.
         send_no_events()
         os.environ[NO_EVENTS] = "1"
-        yield server.wait
+        # Heartbeats, which nobody would hear either, delay the end by up to a second.
+        with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
+            yield server.wait
         del os.environ[NO_EVENTS]
     finally:
         server.stop()

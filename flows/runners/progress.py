@@ -1,4 +1,4 @@
-"""What people and logs are told while a run works, and how long is left."""
+"""Progress of a run: a line a scene, and below them a bar with counts, rate and time left."""
 
 from __future__ import annotations
 
@@ -6,41 +6,41 @@ import logging
 import sys
 import threading
 import time
+from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TextIO
+from typing import TextIO
 
-from flows.runners.display import Display
-from flows.runners.journal import log
-from flows.runners.memory import memory_in_use
-from flows.runners.metrics import Metrics
-from tasks.events import Event, Failed, Finished, Repeated, Said, Started
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as RichProgress
+
+from flows.runners.log_file import log
+from slgaussian.errors import one_line
+from tasks.context import StageEvent
 
 REMIND = 30.0
-"""Seconds between lines with the metrics: in the log, and where there is no terminal to keep a
-table on."""
+"""Seconds between lines with counts: in the log, and where there is no terminal for a bar."""
 
-REDRAW = 0.1
-"""Seconds at least between two drawings of the table: there may be thousands of events a second."""
-
-TICK = 1.0
-"""Seconds at most."""
-
-
-@dataclass
-class Spent:
-    """What a stage took, of all scenes so far: how often it was done or found done, and seconds."""
-
-    computed: int = 0
-    cached: int = 0
-    seconds: float = 0.0
+PATIENCE = 15.0
+"""Seconds between lines that say what is waited for, where there is no terminal."""
 
 
 class Progress:
-    """One line a scene as it is done, a table in between, and a line a stage at the end.
+    """Counts of a run's scenes and stages, shown on a stream and logged.
 
-    With ``verbose`` every stage of every scene has its line, and unexpected errors their
-    traceback. Within ``with`` it also tells the metrics while nothing happens.
+    Within ``with`` a bar is kept up to date on a terminal; elsewhere a line comes every
+    :data:`REMIND` seconds.
+
+    Parameters
+    ----------
+    scenes, stages : int
+        How many scenes there are, and how many stages each has.
+    verbose : bool
+        Print a line for every stage, and tracebacks of defects.
+    stream : text stream, optional
+        Standard error if left out.
+    unit : str
+        What a scene is called.
     """
 
     def __init__(
@@ -51,233 +51,196 @@ class Progress:
         stream: TextIO | None = None,
         unit: str = "scenes",
     ) -> None:
-        """``stages`` are those of each scene."""
-        self.scenes, self.stages, self.unit = scenes, stages, unit
-        self.total = scenes * stages
-        self.verbose = verbose
-        self.display = Display(stream or sys.stderr)
-        self.start = self.reminded = self.drawn = time.perf_counter()
-        self.steps = 0
+        self.scenes, self.stages, self.unit, self.verbose = scenes, stages, unit, verbose
+        self.steps, self.total = 0, scenes * stages
+        self.done, self.failed = 0, 0
+        self.console = console(stream)
+        self.start = time.perf_counter()
         self.active: dict[str, str] = {}
-        self.detail = ""
-        self.under_way: dict[str, list[tuple[str, float, bool]]] = {}
-        self.whole: set[str] = set()
-        self.left_out: dict[str, int] = {}
-        self.spent: dict[str, Spent] = {}
-        self.memory = self.peak = memory_in_use()
-        self.lock = threading.RLock()
+        self.message = ""
+        self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
+        self.seconds: Counter[str] = Counter()
+        self.computed: Counter[str] = Counter()
+        self.cached: Counter[str] = Counter()
         self.over = threading.Event()
+        columns = TextColumn("{task.description}", markup=False), BarColumn(20)
+        self.bar = RichProgress(
+            *columns, console=self.console, transient=True, disable=not self.console.is_terminal
+        )
+        self.bar_task = self.bar.add_task("", total=self.total)
 
     def __enter__(self) -> Progress:
-        told = f"{self.scenes} {self.unit}, {self.total} stages"
-        log(logging.INFO, "began", told, unit=self.unit, scenes=self.scenes, stages=self.total)
-        threading.Thread(target=self._tick, daemon=True).start()
+        message = f"{self.scenes} {self.unit}, {self.total} stages"
+        log(logging.INFO, "began", message, scenes=self.scenes, stages=self.total)
+        self.bar.start()
+        threading.Thread(target=self._remind, daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        with self.lock:
-            self.over.set()
-            self.display.clear()
-        self._log_metrics()
+        self.over.set()
+        self.bar.stop()
+        self._log_counts()
 
-    def hear(self, event: Event) -> None:
-        """Tell of something that happened to a scene."""
+    def update(self, event: StageEvent) -> None:
+        """Count and show a change of state of a stage."""
         scene, stage = event.scene, event.stage
-        match event:
-            case Started():
-                self._started(scene, stage)
-            case Said(text=text):
-                self._said(scene, stage, text)
-            case Finished(seconds=seconds, cached=cached):
-                self._finished(scene, stage, seconds, cached)
-            case Repeated():
-                self._repeated(scene, stage)
-            case Failed(reason=reason, trace=trace):
-                self._failed(scene, stage, reason, trace)
+        match event.state:
+            case "running":
+                self.active[scene], self.message = stage, event.message
+            case "completed" | "cached":
+                self._finished(event)
+            case "repeated":
+                text = f"{scene}  {stage}  again: its artifact was damaged"
+                log(logging.WARNING, "repeated", text, scene=scene, stage=stage)
+                self.line(text)
+                self.steps -= 1
+                done = self.of_scene[scene]
+                done.remove(next(one for one in done if one.stage == stage))
+            case "failed":
+                self._failed(event)
+        self._show()
 
-    def _started(self, scene: str, stage: str) -> None:
-        """A stage of a scene begins."""
-        log(logging.DEBUG, "started", f"{scene}  {stage}", scene=scene, stage=stage)
-        with self.lock:
-            self.active[scene] = stage
-            self.detail = ""
-        self._status()
-
-    def _said(self, scene: str, stage: str, text: str) -> None:
-        """A stage that is being worked on is so far."""
-        log(logging.DEBUG, "said", f"{scene}  {stage}  {text}", scene=scene, stage=stage)
-        with self.lock:
-            self.detail = f", {text}" if text else ""
-        self._status()
-
-    def _finished(self, scene: str, stage: str, seconds: float, cached: bool) -> None:
-        """A stage of a scene is done, or was found done."""
-        told = f"{scene}  {stage}  {'cached' if cached else f'{seconds:.1f} s'}"
-        level, took = logging.DEBUG if cached else logging.INFO, round(seconds, 3)
-        log(level, "finished", told, scene=scene, stage=stage, seconds=took, cached=cached)
-        with self.lock:
-            self.active.pop(scene, None)
-            self.steps += 1
-            spent = self.spent.setdefault(stage, Spent())
-            spent.cached += cached
-            spent.computed += not cached
-            spent.seconds += 0.0 if cached else seconds
-            mine = self.under_way.setdefault(scene, [])
-            mine.append((stage, seconds, cached))
-            if self.verbose or self.scenes == 1:
-                self.display.line(told)
-            if len(mine) == self.stages:
-                self._went_through(scene)
-        self._status()
-
-    def _repeated(self, scene: str, stage: str) -> None:
-        """A stage of a scene that was done has been done again; it is counted once."""
-        told = f"{scene}  {stage}  again: its artifact was damaged"
-        log(logging.WARNING, "repeated", told, scene=scene, stage=stage)
-        with self.lock:
-            mine = self.under_way[scene]
-            mine.remove(next(one for one in mine if one[0] == stage))
-            self.steps -= 1
-            self.display.line(told)
-
-    def dropped(self, scene: str) -> None:
-        """A scene begins anew, whatever was done of it."""
-        log(logging.WARNING, "dropped", f"{scene}  begins anew", scene=scene)
-        with self.lock:
-            self.active.pop(scene, None)
-            self.steps -= len(self.under_way.pop(scene, []))
-            if scene in self.whole:
-                self.whole.remove(scene)
-                self.steps -= self.stages
-            if scene in self.left_out:
-                done = self.left_out.pop(scene)
-                self.steps -= done
-                self.total += self.stages - done
-
-    def _failed(self, scene: str, stage: str, reason: str, trace: str) -> None:
-        """A scene is taken out."""
-        told = f"{scene}  left out at {stage}: {reason}"
-        more: dict[str, Any] = {"traceback": trace} if trace else {}
-        log(logging.ERROR, "failed", told, scene=scene, stage=stage, reason=reason, **more)
-        with self.lock:
-            self.active.pop(scene, None)
-            self.left_out[scene] = len(self.under_way.pop(scene, []))
-            self.total -= self.stages - self.left_out[scene]
-            self.say_failed(told, trace)
-
-    def lost(self, died: bool, how: str, scenes: Sequence[str]) -> None:
-        """A worker ``died`` or raised an error, with all that it had not told of these scenes."""
-        told = f"a worker {how}; its scenes are tried again"
+    def lost(self, died: bool, what: str, scenes: Sequence[str]) -> None:
+        """Report a worker that ``died`` or raised an error, with all that it did of its scenes."""
+        text = f"a worker {what}; its scenes are tried again, one at a time"
         event = "worker_died" if died else "worker_raised"
-        log(logging.WARNING, event, told, reason=how, scenes=list(scenes))
-        with self.lock:
-            self.display.line(told)
-
-    def say_failed(self, told: str, trace: str) -> None:
-        """How people are told that a scene was left out."""
-        self.display.line(told)
-        if self.verbose and trace:
-            self.display.line(trace)
+        log(logging.WARNING, event, text, reason=what, scenes=list(scenes))
+        for scene in scenes:
+            self.active.pop(scene, None)
+            self.steps -= len(self.of_scene.pop(scene, ()))
+        self.line(text)
 
     def line(self, text: str) -> None:
-        """A line that stays, about the whole run."""
+        """Print a line that stays; what a terminal would obey is shown, not done."""
+        for part in text.split("\n"):
+            self.console.print(one_line(part))
+
+    def note(self, text: str) -> None:
+        """Print and log a line about the whole run."""
         log(logging.INFO, "note", text)
-        with self.lock:
-            self.display.line(text)
+        self.line(text)
 
     def summary(self) -> None:
-        """One line a stage with its time, then the whole."""
-        with self.lock:
-            self.display.clear()
-            if self.scenes > 1:
-                for stage, spent in self.spent.items():
-                    told = [f"{spent.computed} in {spent.seconds:.1f} s"] if spent.computed else []
-                    told += [f"{spent.cached} cached"] if spent.cached else []
-                    self.display.line(f"{stage:<12} {', '.join(told)}")
-            self.display.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
+        """Print a line a stage with its time, then that of the whole."""
+        if self.scenes > 1:
+            for stage in dict.fromkeys([*self.computed, *self.cached]):
+                computed, cached = self.computed[stage], self.cached[stage]
+                texts = [f"{computed} in {self.seconds[stage]:.1f} s"] if computed else []
+                texts += [f"{cached} cached"] if cached else []
+                self.line(f"{stage:<12} {', '.join(texts)}")
+        self.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
 
-    def metrics(self, now: float | None = None) -> Metrics:
-        """The run in numbers so far; ``now`` is by ``time.perf_counter``."""
-        elapsed = max(1e-3, (time.perf_counter() if now is None else now) - self.start)
-        spent = self.spent.values()
-        return Metrics(
-            unit=self.unit,
-            done=len(self.whole),
-            failed=len(self.left_out),
-            scenes=self.scenes,
-            steps=self.steps,
-            stages=self.total,
-            computed=sum(stage.computed for stage in spent),
-            cached=sum(stage.cached for stage in spent),
-            rate=60 * len(self.whole) / elapsed,
-            left=self._left(elapsed),
-            memory=self.memory,
-            peak=self.peak,
-        )
+    def counts(self) -> str:
+        """Return counts, rate and time left in a line."""
+        elapsed = max(1e-3, time.perf_counter() - self.start)
+        texts = [f"{self.done}/{self.scenes} {self.unit}"] if self.scenes > 1 else []
+        texts += [f"{self.failed} failed"] if self.failed else []
+        texts.append(f"{self.steps}/{self.total} stages")
+        if self.scenes > 1 and self.done:
+            texts.append(f"{60 * self.done / elapsed:.3g} {self.unit} a minute")
+        if 0 < self.steps < self.total:
+            left = elapsed * (self.total - self.steps) / self.steps
+            texts.append(f"about {duration(left)} left")
+        return ", ".join(texts)
+
+    def _finished(self, event: StageEvent) -> None:
+        scene, stage, cached = event.scene, event.stage, event.state == "cached"
+        text = f"{scene}  {stage}  {'cached' if cached else f'{event.seconds:.1f} s'}"
+        level, seconds = logging.DEBUG if cached else logging.INFO, round(event.seconds, 3)
+        log(level, "finished", text, scene=scene, stage=stage, seconds=seconds, cached=cached)
+        self.active.pop(scene, None)
+        self.steps += 1
+        (self.cached if cached else self.computed)[stage] += 1
+        self.seconds[stage] += 0.0 if cached else event.seconds
+        self.of_scene[scene].append(event)
+        if self.verbose or self.scenes == 1:
+            self.line(text)
+        if len(self.of_scene[scene]) == self.stages:
+            self._went_through(scene)
 
     def _went_through(self, scene: str) -> None:
-        mine = self.under_way.pop(scene)
-        self.whole.add(scene)
-        computed = [(stage, seconds) for stage, seconds, cached in mine if not cached]
-        rest = len(mine) - len(computed)
-        told = [" · ".join(f"{stage} {seconds:.1f} s" for stage, seconds in computed)]
-        told += [f"{rest} stages cached"] if rest else []
-        said = f"{scene}  {' · '.join(filter(None, told))}"
-        took, worked = round(sum(seconds for _, seconds, _ in mine), 3), len(computed)
-        log(logging.INFO, "done", said, scene=scene, seconds=took, computed=worked, cached=rest)
+        events = self.of_scene[scene]
+        computed = [one for one in events if one.state != "cached"]
+        rest = len(events) - len(computed)
+        texts = [" · ".join(f"{one.stage} {one.seconds:.1f} s" for one in computed)]
+        texts += [f"{rest} stages cached"] if rest else []
+        text = f"{scene}  {' · '.join(filter(None, texts))}"
+        seconds = round(sum(one.seconds for one in events), 3)
+        facts = {"scene": scene, "seconds": seconds, "computed": len(computed), "cached": rest}
+        log(logging.INFO, "done", text, **facts)
+        self.done += 1
         if not self.verbose and self.scenes > 1:
-            self.display.line(said)
+            self.line(text)
 
-    def _left(self, elapsed: float) -> float | None:
-        """Seconds to go: the stages still to come take as long as their like so far.
+    def _failed(self, event: StageEvent) -> None:
+        scene, stage = event.scene, event.stage
+        text = f"{scene}  left out at {stage}: {event.message}"
+        more = {"traceback": event.traceback} if event.traceback else {}
+        facts = {"scene": scene, "stage": stage, "reason": event.message, **more}
+        log(logging.ERROR, "failed", text, **facts)
+        self.active.pop(scene, None)
+        self.failed += 1
+        self.total -= self.stages - len(self.of_scene[scene])
+        self.say_failed(text, event.traceback)
 
-        So where those of a kind were in the store, the next are taken to be, too. Of a single scene
-        nothing is known before, as no stage of it is like another.
-        """
-        worked = sum(stage.seconds for stage in self.spent.values())
-        if self.scenes == 1 or not worked:
-            return None
-        left, unseen = 0.0, self.total - self.steps
-        for stage in self.spent.values():
-            runs = stage.computed + stage.cached
-            more = min(unseen, max(0, self.scenes - len(self.left_out) - runs))
-            left += more * stage.seconds / runs
-            unseen -= more
-        left += unseen * worked / sum(stage.computed for stage in self.spent.values())
-        # Workers side by side do more than a second of work a second.
-        return left * elapsed / worked
+    def say_failed(self, text: str, traceback: str) -> None:
+        """Print that a scene was left out."""
+        self.line(text)
+        if self.verbose and traceback:
+            self.line(traceback)
 
-    def _status(self) -> None:
-        now = time.perf_counter()
-        live = self.display.live
-        if now - (self.drawn if live else self.reminded) < (REDRAW if live else REMIND):
-            return
-        with self.lock:
-            if self.over.is_set():
-                return
-            working = ", ".join(f"{scene}: {stage}" for scene, stage in self.active.items())
-            working += self.detail
-            if live:
-                self.drawn = now
-                self.display.table(self.metrics(now).cells(), working)
-            else:
-                self.reminded = now
-                self.display.line(f"{self.metrics(now).sentence()}  {working}".rstrip())
+    def _working(self) -> str:
+        stages = ", ".join(f"{scene}: {stage}" for scene, stage in list(self.active.items()))
+        return one_line(f"{stages}, {self.message}" if self.message else stages)
 
-    def _tick(self) -> None:
-        logged = time.perf_counter()
-        while not self.over.wait(TICK):
-            self.memory = memory_in_use()
-            self.peak = max(self.memory, self.peak)
-            self._status()
-            if time.perf_counter() - logged > REMIND:
-                logged = time.perf_counter()
-                self._log_metrics()
+    def _show(self) -> None:
+        text = f"{self.counts()}  {self._working()}"
+        width = max(20, self.console.width - 22)
+        shown = text if len(text) <= width else text[: width - 1] + "…"
+        self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=shown)
 
-    def _log_metrics(self) -> None:
-        with self.lock:
-            metrics, working = self.metrics(), dict(self.active)
-        facts: dict[str, Any] = {
-            k: round(v, 1) if type(v) is float else v for k, v in vars(metrics).items()
-        }
-        log(logging.INFO, "metrics", metrics.sentence(), **facts, working=working)
+    def _remind(self) -> None:
+        while not self.over.wait(REMIND):
+            self._log_counts()
+            if not self.console.is_terminal:
+                self.line(f"{self.counts()}  {self._working()}".rstrip())
+
+    def _log_counts(self) -> None:
+        facts = {"done": self.done, "failed": self.failed, "scenes": self.scenes}
+        facts |= {"computed": self.computed.total(), "cached": self.cached.total()}
+        log(logging.INFO, "progress", self.counts(), **facts, working=dict(self.active))
+
+
+class Waiting:
+    """What a command waits for: a line that goes away on a terminal, elsewhere one now and then."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self.console, self.last = console(stream), -PATIENCE
+        self.status = self.console.status("")
+
+    def __call__(self, text: str) -> None:
+        """Show what is waited for now; an empty text when that is over."""
+        if self.console.is_terminal:
+            self.status.update(one_line(text))
+            self.status.start() if text else self.status.stop()
+        elif text and time.monotonic() - self.last >= PATIENCE:
+            self.last = time.monotonic()
+            self.console.print(one_line(text))
+
+
+def console(stream: TextIO | None = None) -> Console:
+    """Return a console that prints text as it is on a stream, standard error if left out."""
+    plain = {"markup": False, "highlight": False, "emoji": False, "soft_wrap": True}
+    return Console(file=stream or sys.stderr, **plain)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in seconds, minutes, hours or days, in two units at most."""
+    minutes = round(seconds / 60)
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    if minutes < 100:
+        return f"{minutes} min"
+    if minutes < 48 * 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes // 1440} d {minutes % 1440 // 60} h"

@@ -1,4 +1,4 @@
-"""Who does the work of a flow: threads, processes, or the workers of a Dask or Ray cluster."""
+"""Prefect task runners by name: threads, processes, or the workers of a Dask or Ray cluster."""
 
 from __future__ import annotations
 
@@ -10,28 +10,192 @@ import signal
 import socket
 import tempfile
 import threading
+import urllib.request
+import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, chdir, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
-from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
+from prefect import Task, task
+from prefect.cache_policies import NO_CACHE
+from prefect.events.clients import NullEventsClient
 from prefect.events.worker import EventsWorker
+from prefect.futures import PrefectFuture
 from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
+from flows.runners.environment import ray_variables
 from flows.runners.server import LOOPBACK
-from flows.runners.shard import NO_EVENTS, send_no_events
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.parts.extras import install_line
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.remote import redacted
+from slgaussian.storage.store import ArtifactStore, DamagedError
 
 CONNECT = 5.0
 """Seconds to wait for a cluster that is said to run."""
+
+PATIENCE = 120.0
+"""Seconds that the workers of a cluster may take to begin."""
+
+ANSWER = 10.0
+"""Seconds that the Prefect server may take to answer a worker."""
+
+NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
+"""Environment variable that is set if nobody reads the events that Prefect has of every task: they
+cost a worker and the server some 25 ms a task, and the database 25 kB."""
+
+
+def send_no_events() -> None:
+    """Have this process keep Prefect's events to itself."""
+    EventsWorker.set_client_override(NullEventsClient)
+
+
+def send_events() -> None:
+    """Have this process tell Prefect's server of its tasks itself."""
+    EventsWorker.set_client_override(None)
+
+
+if NO_EVENTS in os.environ:
+    send_no_events()  # a worker loads this module with its first task, before any event of it
+
+
+@dataclass
+class Workers:
+    """The workers of a flow; made by :func:`open_workers`.
+
+    Attributes
+    ----------
+    store : ArtifactStore
+        The one that they use.
+    count : int
+        How many tasks run at the same time.
+    refresh : frozenset of str
+        Stages to compute anew.
+    runner : TaskRunner
+    """
+
+    store: ArtifactStore
+    count: int
+    refresh: frozenset[str]
+    runner: TaskRunner[Any]
+    stack: ExitStack
+
+    def submit(self, prefect_task: Task[..., Any], parameters: dict[str, Any]) -> PrefectFuture:
+        """Have a worker run a task; SLGaussianError if the task runner takes on no more."""
+        try:
+            with without_interrupts():
+                return self.runner.submit(prefect_task, parameters)
+        except Exception as error:  # each task runner has its own
+            reason = one_line(f"{type(error).__name__}: {error}")
+            raise SLGaussianError(
+                f"runner: takes on no more work ({reason}); what was made is in the store: if the "
+                "cluster has gone, start it, and the same command goes on"
+            ) from error
+
+    def restart(self, broken: TaskRunner[Any]) -> None:
+        """Replace a pool of processes, which is of no use once one of them has died."""
+        if broken is self.runner and isinstance(broken, ProcessPoolTaskRunner):
+            self.runner = self.stack.enter_context(broken.duplicate())
+
+
+@contextmanager
+def open_workers(
+    name: str, count: int, store: ArtifactStore, refresh: frozenset[str] = frozenset()
+) -> Iterator[Workers]:
+    """Open the task runner of a name, within a Prefect flow.
+
+    When the block is left by a signal nobody waits for the workers: the program is to end now.
+
+    Raises
+    ------
+    InputError
+        As :func:`check_runner`, if the cluster refuses us, or no worker of it can do the work.
+    """
+    check_runner(name, store)
+    stack = ExitStack()
+    try:
+        workers = Workers(
+            store, count, refresh, stack.enter_context(_task_runner(name, count)), stack
+        )
+        if "://" in name:
+            _check_workers(name, workers)
+        yield workers
+    except Exception:
+        stack.close()
+        raise
+    except BaseException:
+        stack.pop_all()
+        for process in multiprocessing.active_children():
+            process.kill()
+        raise
+    else:
+        stack.close()
+
+
+def _task_runner(name: str, count: int) -> Any:
+    kind, _, address = name.partition("://")
+    if kind == "threads":
+        return ThreadPoolTaskRunner(max_workers=count)
+    if kind == "processes":
+        return ProcessPoolTaskRunner(max_workers=count, initializer=become_worker)
+    return {"dask": _dask, "ray": _ray}[kind](address)
+
+
+@task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
+def roll_call(root: str, probe: str, server: str) -> None:
+    """Run :func:`check_worker` where a worker is."""
+    check_worker(root, probe, server)
+
+
+def check_worker(root: str, probe: str, server: str) -> None:
+    """Raise InputError where a worker cannot do its work.
+
+    Parameters
+    ----------
+    root : str
+        The store.
+    probe : str
+        A file that is in it.
+    server : str
+        URL of the Prefect server's API.
+    """
+    store = ArtifactStore(root)
+    try:
+        store.check_there(probe)
+    except DamagedError as error:
+        raise InputError(f"it has another store at {store.root}") from error
+    store.check_writable()
+    try:
+        urllib.request.urlopen(f"{server}/health", timeout=ANSWER).close()
+    except OSError as error:
+        raise InputError(f"it does not reach the server at {redacted(server)}: {error}") from error
+
+
+def _check_workers(name: str, workers: Workers) -> None:
+    """Wait for a worker that can do the work; InputError if one cannot, or there is none."""
+    store, probe = workers.store, f".probe-{uuid.uuid4().hex}"
+    store.write(probe, b"")
+    parameters = {"root": store.root, "probe": probe, "server": os.environ["PREFECT_API_URL"]}
+    try:
+        workers.submit(roll_call, parameters).result(timeout=PATIENCE)
+    except TimeoutError as error:
+        raise InputError(
+            f"runner: no worker of {name} took on any work within {PATIENCE:.0f} s; start one, or "
+            "wait until one is free"
+        ) from error
+    except Exception as error:  # each task runner has its own
+        raise InputError(
+            f"runner: a worker of {name} cannot do the work ({last_line(str(error))}); it needs "
+            "the packages that are installed here, and the same store and server within its reach"
+        ) from error
+    finally:
+        store.remove([probe])
 
 
 def check_runner(runner: str, store: ArtifactStore) -> None:
@@ -58,7 +222,7 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
             "runner threads"
         )
     if kind in ("dask", "ray"):
-        _imported(f"prefect_{kind}", kind)
+        _check_installed(f"prefect_{kind}", kind)
     if address:
         _check_server(runner)
         place = urlsplit(runner)
@@ -66,41 +230,6 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
             socket.create_connection((place.hostname, place.port), CONNECT).close()
         except OSError as error:
             raise InputError(_nobody(runner, error)) from error
-
-
-@contextmanager
-def started(runner: str, workers: int, store: ArtifactStore) -> Iterator[TaskRunner[Any]]:
-    """Make the task runner of a name, for a flow.
-
-    Parameters
-    ----------
-    runner, store
-        As for :func:`check_runner`.
-    workers : int
-        How many tasks are run at the same time.
-
-    Raises
-    ------
-    InputError
-        As :func:`check_runner`, or if the cluster refuses us.
-    """
-    check_runner(runner, store)
-    kind, _, address = runner.partition("://")
-    if kind == "threads":
-        yield _Threads(max_workers=workers)
-    elif kind == "processes":
-        yield _Processes(max_workers=workers, initializer=become_worker)
-    else:
-        with {"dask": _dask, "ray": _ray}[kind](address) as task_runner:
-            yield task_runner
-
-
-def abandon(runner: TaskRunner) -> None:
-    """Have nobody wait for what its workers are at: the run is to end now."""
-    if isinstance(runner, _Threads):
-        runner.abandon()
-    for process in multiprocessing.active_children():
-        process.kill()
 
 
 @contextmanager
@@ -123,7 +252,7 @@ def become_worker() -> None:
     queue: a worker that is killed may hold its lock, and then the parent never ends.
     """
     if NO_EVENTS not in os.environ:
-        EventsWorker.set_client_override(None)
+        send_events()
     else:
         send_no_events()
     set_api_log_sink(None)
@@ -135,20 +264,6 @@ def become_worker() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-class _Threads(ThreadPoolTaskRunner):
-    def abandon(self) -> None:
-        """Have its end not wait for the threads, which end with what they are at."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
-            self._executor = None
-
-
-class _Processes(ProcessPoolTaskRunner):
-    def __reduce__(self) -> tuple[type[TaskRunner], tuple[int]]:
-        # Each worker would begin a pool of its own, for tasks of tasks, as Prefect does it.
-        return ThreadPoolTaskRunner, (1,)
 
 
 @contextmanager
@@ -168,11 +283,14 @@ def _dask(address: str) -> Iterator[TaskRunner[Any]]:
         asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
     except (OSError, ValueError) as error:
         raise InputError(_nobody(f"dask://{address}", error)) from error
-    yield DaskTaskRunner(address=url)
+    with DaskTaskRunner(address=url) as task_runner:
+        yield task_runner
 
 
 @contextmanager
 def _ray(address: str) -> Iterator[TaskRunner[Any]]:
+    for name, value in ray_variables().items():
+        os.environ.setdefault(name, value)
     import ray
     from prefect_ray import RayTaskRunner
     from prefect_ray.context import remote_options
@@ -204,7 +322,7 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
         stack.callback(ray.shutdown)
         # Whose worker died is tried again by us, chain by chain.
         stack.enter_context(remote_options(max_retries=0))
-        yield RayTaskRunner()
+        yield stack.enter_context(RayTaskRunner())
 
 
 @contextmanager
@@ -224,9 +342,9 @@ def _elsewhere() -> Iterator[None]:
         yield
 
 
-def _imported(module: str, extra: str) -> ModuleType:
+def _check_installed(module: str, extra: str) -> None:
     try:
-        return import_module(module)
+        import_module(module)
     except ImportError as error:
         raise InputError(
             f"runner: {extra} is not installed ({error}); install it with {install_line(extra)}"

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from data_folders import ASKED, WRITERS, save, write_folder
 from PIL import Image
+from prefect.states import State
 from test_unposed import made_up
 
 from slgaussian import datasets
 from slgaussian.datasets import unposed
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
+from tasks.context import RunContext, run_context
 from tasks.ingest import Photographs, ingest
 from tasks.packed import PosedFolder, packed
-from tasks.stage import Worksite, at
 from tasks.truth import Labels, truth
 
 
@@ -36,13 +37,14 @@ def quick():
 
 def answer(stage, arguments, store):
     """What a stage makes in a store, or why it refuses; and whether it was there."""
-    site = Worksite(ArtifactStore(str(store)))
+    context = RunContext(ArtifactStore(str(store)))
     try:
-        with at(site):
-            cached = stage.task.fn(arguments) is not None
+        with run_context(context):
+            made = stage.task.fn([], [], arguments)
     except InputError as error:
         return str(error), False
-    ref = site.made[stage.name]
+    cached = isinstance(made, State)
+    ref = (made.result() if cached else made).ref
     return (ref.digest, ref.meta.get("cameras"), ref.meta.get("left_out")), cached
 
 
@@ -161,10 +163,10 @@ def test_truth_is_read_anew_when_labels_change(tmp_path, masks):
     def ask(data, store):
         folder = data.scene
         asked = Photographs("s", folder.format, folder.path, {}, ("view_10", "view_30"), ASKED)
-        site = Worksite(ArtifactStore(str(store)))
-        with at(site):
-            ingest.task.fn({"photographs": asked})
-        sample = site.made["ingest"]
+        context = RunContext(ArtifactStore(str(store)))
+        with run_context(context):
+            made = ingest.task.fn([], [], {"photographs": asked})
+        sample = (made.result() if isinstance(made, State) else made).ref
         labels = Labels(data.folder, ASKED, ("ball", "box")).of_views(sample.meta["targets"])
         return answer(truth, {"sample": sample, "labels": labels}, store)
 

@@ -34,6 +34,13 @@ def run(monkeypatch, *words) -> int:
     return left.value.code or 0
 
 
+def score(settings, store, verbose: bool = False):
+    """What the flow of ``slgaussian run`` returns for settings, in a store."""
+    from flows.benchmark import score_scenes
+
+    return score_scenes(settings.model_copy(update={"store": store.root}), verbose)
+
+
 def said(capsys) -> str:
     """The one sentence of an error."""
     error = capsys.readouterr().err

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command import score
 from PIL import Image
 
-from flows import pipeline
 from flows.cli import app
 from flows.settings import make_settings
 from slgaussian import datasets
@@ -175,7 +175,7 @@ def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
     scenes.append({**scenes[0], "name": "strange", "format": "stereo"})
     values = {"scenes": scenes, "out": tmp_path / "out", "size": "96x144"}
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(make_settings(values, "test"), store)
+    finished = score(make_settings(values, "test"), store)
     assert [result.scene for result in finished.results] == ["good"]
     rows = pq.read_table(tmp_path / "out" / "failures.parquet").to_pylist()
     found = {row["scene"]: row for row in rows}
@@ -189,7 +189,7 @@ def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
 
     # Once no scene is good any more, the page of the good one does not stay behind.
     values["scenes"] = scenes[-1:]
-    assert pipeline.run(make_settings(values, "test"), store).report is None
+    assert score(make_settings(values, "test"), store).report is None
     assert not (tmp_path / "out" / "report.html").exists()
 
 

@@ -8,11 +8,10 @@ from pathlib import Path
 import command
 import numpy as np
 import pytest
-from command import room_sample, run, said, save_photographs
-from roads import calls_of, keyed
+from command import room_sample, run, said, save_photographs, score
+from pipelines import calls_of, keyed
 
-from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -24,9 +23,9 @@ from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
 from tasks.supervision import supervision
 from tests.language.small_clip import save_clip
 
@@ -167,7 +166,7 @@ def test_the_model_by_default_is_written_down_too(model, tmp_path, monkeypatch):
 
 def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, capsys):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(model, tmp_path / "out"), store)
+    finished = score(settings_for(model, tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     rows = finished.results[0].rows
     assert all(row["score"] is not None for row in rows) and len(rows) >= 2
@@ -177,14 +176,14 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
 
     # The same model in another place: nothing is computed. Other crops: the bank is.
     moved = shutil.copytree(model, tmp_path / "moved")
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  benchmark  cached" in capsys.readouterr().err
     # The field is asked with the model where each run had it.
     for out, place in (("out", model), ("again", moved)):
         field = SemanticField.load(tmp_path / out / "fields" / "room")
         assert field.places == {"model": str(place.resolve())}
         assert field.describe(["red ball"])
-    pipeline.run(settings_for(moved, tmp_path / "third", crops="context"), store)
+    score(settings_for(moved, tmp_path / "third", crops="context"), store)
     progress = capsys.readouterr().err
     assert "room  masks  cached" in progress and "room  supervision  cached" not in progress
     for file in Path(store.path).rglob("*"):
@@ -194,14 +193,14 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
 def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, monkeypatch):
     settings = settings_for(model, tmp_path)
     scene = settings.scenes[0]
-    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
     own["precision"] = "float32"
     assert keyed(steps["supervision"])["encoder"] == {"clip": own}
     assert keyed(steps["field"])["method"]["clip"] == own
     for stage in ("supervision", "benchmark"):
         assert steps[stage]["encoder"].places() == {"model": str(model.resolve())}
-    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
     assert keyed(plain["geometry"])["predictor"] == keyed(steps["geometry"])["predictor"]
     assert plain["supervision"]["encoder"].places() == {}
     assert "clip" not in keyed(plain["field"])["method"]
@@ -209,15 +208,15 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, 
 
 def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    site, method = Worksite(store), Method(tracker="flow", codes="grid")
+    context, method = RunContext(store), Method(tracker="flow", codes="grid")
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
-    ids = masks.work(site, sample, base, method.proposer, method.tracker, 1)
+    base = geometry.compute(context, sample, method.predictor, 0)
+    ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1)
     own = {"encoder": "clip", "clip": {"model": model_digest(model)}}
 
     def remembered(place):
         encoder = Part.stored("encoder", own, {"model": str(place)})
-        return supervision.work(site, sample, base, ids, encoder, method.codes, 0, "groups")
+        return supervision.compute(context, sample, base, ids, encoder, method.codes, 0, "groups")
 
     assert remembered(model).meta["objects"] >= 1
     other = shutil.copytree(model, tmp_path / "other")
@@ -241,7 +240,7 @@ def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
         + "\n".join(f"{key} = {_toml(value)}" for key, value in room.items())
     )
     settings = read_toml(config, {})
-    finished = pipeline.run(settings, ArtifactStore(settings.store))
+    finished = score(settings, ArtifactStore(settings.store))
     rows = [r for r in finished.results[0].rows if r["protocol"].startswith("slgaussian@")]
     assert len(rows) >= 4 and all(row["note"] == "" for row in rows)
     assert np.mean([row["iou"] for row in rows]) > 0.4
@@ -256,7 +255,10 @@ def _toml(value) -> str:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--set", "encoder=clip", "--set", "clip.model=no/such/folder"], "there is no such folder"),
+        (
+            ["--set", "encoder=clip", "--set", "clip.model=no/such/folder"],
+            "there is no such folder",
+        ),
         (
             ["--set", "encoder=clip", "--set", "clip.model=CLIP", "--set", "clip.crops=x"],
             "crops: found 'x'",

@@ -49,6 +49,11 @@ def settings_for(folder: Path, **more):
     return make_corpus_settings(values, "test")
 
 
+def run_flow(command: str, settings, store: ArtifactStore) -> corpus.Prepared:
+    flow = {"ingest": corpus.ingest_corpus, "supervise": corpus.supervise_corpus}[command]
+    return flow(settings.model_copy(update={"store": store.root}))
+
+
 def table(folder: Path, name: str) -> list[dict]:
     return pq.read_table(folder / "out" / f"{name}.parquet").to_pylist()
 
@@ -108,7 +113,7 @@ def supervised(tmp_path_factory, clips, server):
         re10k.write(folder / "chunks", [clip])
     aged(folder / "chunks")
     store = ArtifactStore(folder / "store")
-    return folder, store, corpus.supervise(settings_for(folder), store)
+    return folder, store, run_flow("supervise", settings_for(folder), store)
 
 
 def test_every_view_and_sample_is_in_a_table(supervised, clips):
@@ -155,13 +160,13 @@ def test_what_is_unchanged_is_not_read_again_and_what_is_new_alone_is(
 ):
     folder, store, _ = supervised
     before = files_below(folder / "out")
-    corpus.supervise(settings_for(folder), store)
+    run_flow("supervise", settings_for(folder), store)
     assert reads() == NOTHING
     assert files_below(folder / "out") == before
     for file in (folder / "chunks").glob("*.torch"):
         os.utime(file)
     aged(folder / "chunks")
-    corpus.ingest(settings_for(folder, out=tmp_path), store)
+    run_flow("ingest", settings_for(folder, out=tmp_path), store)
     assert reads() == {"hashed": 2, "opened": 0, "predicted": 0}
     more = tmp_path / "corpus"
     for file in (folder / "chunks").iterdir():
@@ -169,14 +174,14 @@ def test_what_is_unchanged_is_not_read_again_and_what_is_new_alone_is(
         (more / "chunks" / file.name).write_bytes(file.read_bytes())
     re10k.write(more / "chunks", [clips[2]])
     aged(more / "chunks")
-    corpus.ingest(settings_for(more), store)
+    run_flow("ingest", settings_for(more), store)
     assert reads() == {"hashed": 3, "opened": 1, "predicted": 0}
     assert len(table(more, "views")) == 18
 
 
 def test_other_masks_do_not_predict_again(supervised, reads, tmp_path):
     folder, store, _ = supervised
-    corpus.supervise(settings_for(folder, tracker="flow", out=tmp_path / "out"), store)
+    run_flow("supervise", settings_for(folder, tracker="flow", out=tmp_path / "out"), store)
     assert reads() == {"hashed": 0, "opened": 2, "predicted": 0}
     assert table(tmp_path, "lessons") != table(folder, "lessons")
 
@@ -187,7 +192,7 @@ def test_a_lost_lesson_is_made_again(supervised, reads):
     file = Path(store.path) / row["uri"]
     whole = file.read_bytes()
     file.unlink()
-    corpus.supervise(settings_for(folder), store)
+    run_flow("supervise", settings_for(folder), store)
     assert file.read_bytes() == whole
     assert reads() == {"hashed": 0, "opened": 1, "predicted": 0}
 
@@ -196,7 +201,7 @@ def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path
     folder, _, _ = supervised
     store = ArtifactStore(tmp_path / "store")
     chunks = str(folder / "chunks")
-    corpus.supervise(settings_for(tmp_path, chunks=chunks, workers=1), store)
+    run_flow("supervise", settings_for(tmp_path, chunks=chunks, workers=1), store)
     assert files_below(tmp_path / "out") == files_below(folder / "out")
     lessons = files_below(tmp_path / "store" / "lesson")
     assert lessons.items() <= files_below(folder / "store" / "lesson").items()
@@ -217,7 +222,7 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     twice.write_bytes((tmp_path / "chunks" / "000002.torch").read_bytes())
     cut = tmp_path / "chunks" / "000001.torch"
     cut.write_bytes(cut.read_bytes()[:5000])
-    made = corpus.ingest(settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+    made = run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
     said = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
     reasons = " ".join(row["reason"] for row in table(tmp_path, "failures"))
     assert "000001.torch: cannot be read as a chunk" in said["000001.torch", "views"]
@@ -244,7 +249,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
     with monkeypatch.context() as patched:
         patched.setattr(corpus.pq.ParquetWriter, "write_table", full)
         with pytest.raises(InputError, match=r"cannot write the tables \(No space left on device"):
-            corpus.ingest(settings_for(tmp_path, chunks=chunks), store)
+            run_flow("ingest", settings_for(tmp_path, chunks=chunks), store)
     assert files_below(tmp_path / "out") == {}
 
     class Full:
@@ -268,13 +273,13 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
     fresh = ArtifactStore(tmp_path / "store")
     with monkeypatch.context() as patched:
         patched.setattr("slgaussian.io.open", opened, raising=False)
-        made = corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh)
+        made = run_flow("supervise", settings_for(tmp_path, chunks=chunks), fresh)
     assert [(f.scene, f.stage) for f in made.failures] == [
         (f"00000{n}.torch", "lessons") for n in range(2)
     ]
     assert "cannot write there (No space left on device)" in made.failures[0].reason
     assert not files_below(tmp_path / "store" / "lesson")
-    assert corpus.supervise(settings_for(tmp_path, chunks=chunks), fresh).failures == []
+    assert run_flow("supervise", settings_for(tmp_path, chunks=chunks), fresh).failures == []
     assert files_below(tmp_path / "out") == files_below(folder / "out")
 
 
@@ -284,9 +289,9 @@ def test_a_url_of_chunks_is_as_good_as_a_folder(supervised, reads, tmp_path):
     for file in (folder / "chunks").iterdir():
         fs.pipe_file(f"/corpus/{file.name}", file.read_bytes())
     settings = settings_for(tmp_path, chunks="memory://corpus/")
-    corpus.ingest(settings, store)
+    run_flow("ingest", settings, store)
     assert reads() == {**NOTHING, "hashed": 2}  # their content is in the store
-    corpus.ingest(settings, store)
+    run_flow("ingest", settings, store)
     assert reads() == NOTHING
     assert files_below(tmp_path / "out").items() <= files_below(folder / "out").items()
 
@@ -325,7 +330,7 @@ def test_what_cannot_be_asked_is_one_sentence(tmp_path):
         settings_for(tmp_path)
     (tmp_path / "chunks").mkdir()
     with pytest.raises(InputError, match="chunks: holds no chunk"):
-        corpus.ingest(settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+        run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
     with pytest.raises(InputError, match=r"min_overlap 0\.9 is above max_overlap 0\.5"):
         settings_for(tmp_path, min_overlap=0.9, max_overlap=0.5)
     with pytest.raises(InputError, match="size: found 'auto'; expected height and width"):

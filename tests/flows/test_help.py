@@ -72,7 +72,7 @@ def test_the_help_of_a_group_is_one_screen_of_whole_sentences(words, shown):
 
 
 def test_there_are_few_commands():
-    assert len(ROOT_COMMAND.commands) <= 25  # nightly goes into retrain
+    assert len(ROOT_COMMAND.commands) <= 24
 
 
 def test_what_options_say_of_fields_is_true():

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from flows.cli.benchmark import benchmark_settings
 from flows.corpus_settings import IndexSettings
 from flows.indexing import build_index
-from flows.jobs import baseline_jobs, scene_job
 from flows.labelled import labelled_scenes
 from flows.manifest import published_as
 from flows.room_scenes import room_scene
+from flows.scene import baseline_tasks, scene_task
 from flows.settings import SceneSettings, make_settings
 from slgaussian.benchmark.index import Index, read_index
 from slgaussian.datasets import lerf_ovs, re10k
@@ -26,8 +26,8 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
+from tasks.context import RunContext
 from tasks.ingest import Photographs, digests_of, ingest
-from tasks.stage import Worksite
 from tasks.truth import truth
 
 SIZE = (240, 160)
@@ -193,14 +193,14 @@ class TestScored:
         assert "left out by the index" in notes[0]
         scene = scenes[1]
         settings = make_settings({"size": (80, 120)}, "test")
-        photographs, labels, *_ = scene_job(settings, settings.built_by, scene).arguments
+        photographs, labels, *_ = scene_task(settings, settings.built_by, scene).arguments
         store = ArtifactStore(str(tmp_path / "store"))
-        site = Worksite(store)
-        made = ingest.work(site, photographs)
+        context = RunContext(store)
+        made = ingest.compute(context, photographs)
         sample = sample_from_arrays(store.get(made))
         assert [view.name for view in sample.targets] == [FRAMES[4]]
         assert sample.context[0].image.shape == (80, 120, 3)
-        found = truth_from_arrays(store.get(truth.work(site, made, labels)))
+        found = truth_from_arrays(store.get(truth.compute(context, made, labels)))
         mask = found.masks[FRAMES[4]]["sheep"]
         assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
         assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
@@ -211,8 +211,8 @@ class TestScored:
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
             method = settings.built_by
-            others = baseline_jobs(settings, method, [scene], {scene.name: {}})
-            _, *_, own = scene_job(settings, method, scene).arguments
+            others = baseline_tasks(settings, method, [scene], {scene.name: {}})
+            _, *_, own = scene_task(settings, method, scene).arguments
             asked = [own, *(job.arguments[2] for job in others)]
             place = scene.options.get("scene")
             assert [scoring.place for scoring in asked] == [place] * 3
@@ -314,8 +314,8 @@ class TestHeldOut:
             name="hall", format="colmap", path=folder, context=context, targets=targets, size=size
         )
         settings = make_settings({}, "test")
-        photographs, *_ = scene_job(settings, settings.built_by, scene).arguments
-        return ingest.work(Worksite(ArtifactStore(str(tmp_path / "store"))), photographs)
+        photographs, *_ = scene_task(settings, settings.built_by, scene).arguments
+        return ingest.compute(RunContext(ArtifactStore(str(tmp_path / "store"))), photographs)
 
     def test_a_target_that_is_a_context_view_is_refused_however_it_is_called(self, lerf, tmp_path):
         folder = lerf / "ramen"

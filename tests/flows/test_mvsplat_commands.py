@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from command import ROOM, run, save_photographs
-from roads import calls_of, keyed
+from command import ROOM, run, save_photographs, score
+from pipelines import calls_of, keyed
 
 from benches.predict.random_mvsplat_weights import recipe_weights
-from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.errors import InputError
@@ -22,8 +21,8 @@ from slgaussian.parts.part import Part
 from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
-from tasks.stage import Worksite
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -198,7 +197,7 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     checkpoint, digest, tmp_path, server, capsys
 ):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(checkpoint, tmp_path / "out"), store)
+    finished = score(settings_for(checkpoint, tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
@@ -209,13 +208,13 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     # The same weights in another place: nothing is computed. Another setting: the geometry is.
     moved = tmp_path / "moved.ckpt"
     shutil.copy(checkpoint, moved)
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  geometry  cached" in capsys.readouterr().err
     assert (
         page.split("<h2>")[:-1]
         == ((tmp_path / "again" / "report.html").read_text("utf-8").split("<h2>")[:-1])
     )
-    pipeline.run(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
+    score(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
     said = capsys.readouterr().err
     assert "room  ingest  cached" in said
     assert "room  geometry  cached" not in said
@@ -231,7 +230,7 @@ def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(
     kept = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
 
     def calls(settings):
-        return calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+        return calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
 
     plain, waiting = (calls(settings) for settings in (Settings(), read_toml(kept, {})))
     assert plain == waiting
@@ -250,11 +249,11 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
     sample = store.put("sample", sample_to_arrays(room.sample(["view_00", "view_02"], near=0.8)))
     own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
-    site, identity = Worksite(store), {"predictor": "mvsplat", "mvsplat": own}
+    context, identity = RunContext(store), {"predictor": "mvsplat", "mvsplat": own}
 
     def made(place):
         predictor = Part.stored("predictor", identity, {"checkpoint": str(place)})
-        return geometry.work(site, sample, predictor, 0)
+        return geometry.compute(context, sample, predictor, 0)
 
     assert made(checkpoint).meta["gaussians"] == 2 * 64 * 64
     other = tmp_path / "other.ckpt"

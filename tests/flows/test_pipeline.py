@@ -1,6 +1,5 @@
 """The real pipeline on one small made-up room, beside a scene that cannot be read."""
 
-import io
 import json
 import os
 import re
@@ -11,12 +10,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command import run, said
+from command import run, said, score
 
-from flows import pipeline
-from flows.jobs import scene_job
-from flows.road import STAGES
-from flows.runners.commands import perform
+from flows.scene import STAGES, scene_task
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -32,7 +28,6 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore, stated
 from tasks.benchmark import benchmark
-from tasks.events import Failed, Finished, Started
 from tasks.ingest import ingest
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -65,7 +60,7 @@ def first(tmp_path_factory, server):
     folder = tmp_path_factory.mktemp("first")
     store = ArtifactStore(folder / "store")
     missing = folder.parent / "nowhere"
-    finished = pipeline.run(settings_for(folder, missing), store)
+    finished = score(settings_for(folder, missing), store)
     return folder, missing, finished
 
 
@@ -96,7 +91,7 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
 def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     folder, missing, _ = first
     before = files_below(folder / "out")
-    pipeline.run(settings_for(folder, missing), ArtifactStore(folder / "store"))
+    score(settings_for(folder, missing), ArtifactStore(folder / "store"))
     table = pq.read_table(folder / "out" / "artifacts.parquet")
     assert set(table["cached"].to_pylist()) == {True}
     del before["artifacts.parquet"]  # which says just that
@@ -178,7 +173,7 @@ def test_documents_are_what_their_specs_say(first):
 def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     folder, missing, _ = first
     store = ArtifactStore(tmp_path / "store")
-    pipeline.run(settings_for(tmp_path, missing, workers=1), store)
+    score(settings_for(tmp_path, missing, workers=1), store)
     hidden = ("keys/", ".prefect/")
     assert files_below(tmp_path / "store", hidden) == files_below(folder / "store", hidden)
     # Times differ, in a section of the report, in marked numbers, and in their own file.
@@ -259,8 +254,8 @@ def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
 
     settings = settings_for(tmp_path, missing, against=[], share=0.5)
     with monkeypatch.context() as broken:
-        broken.setattr(benchmark, "work", break_down)
-        finished = pipeline.run(settings, store)
+        broken.setattr(benchmark, "compute", break_down)
+        finished = score(settings, store)
     assert [(f.scene, f.stage) for f in finished.failures] == [
         ("lost", "ingest"),
         ("room", "benchmark"),
@@ -272,7 +267,7 @@ def test_a_scene_that_fails_later_leaves_its_field_and_one_that_is_gone_none(
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, *words[1:]) == 0
     only_lost = [scene for scene in settings.scenes if scene.name == "lost"]
-    finished = pipeline.run(settings.model_copy(update={"scenes": only_lost}), store)
+    finished = score(settings.model_copy(update={"scenes": only_lost}), store)
     assert finished.ready == "" and not left.exists()
     assert pq.read_table(tmp_path / "out" / "fields.parquet").num_rows == 0
 
@@ -282,7 +277,7 @@ def test_another_seed_is_not_served_what_the_first_drew(first, capsys, tmp_path)
     settings = settings_for(folder, missing, seed=1, against=[]).model_copy(
         update={"out": tmp_path}
     )
-    pipeline.run(settings, ArtifactStore(folder / "store"), verbose=True)
+    score(settings, ArtifactStore(folder / "store"), verbose=True)
     said = capsys.readouterr().err
     assert "room  ingest  cached" in said and "room  truth  cached" in said
     # Nothing about depth is random, so its masks are the same bytes.
@@ -311,7 +306,7 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
 def test_two_reports_are_compared_by_command(first, tmp_path, monkeypatch, capsys):
     folder, missing, _ = first
     changed = settings_for(tmp_path, missing, share=0.3)
-    pipeline.run(changed, ArtifactStore(folder / "store"))
+    score(changed, ArtifactStore(folder / "store"))
     capsys.readouterr()
     out = tmp_path / "changes"
     assert run(monkeypatch, "compare", folder / "out", tmp_path / "out", "-o", out) == 0
@@ -326,7 +321,7 @@ def test_two_reports_are_compared_by_command(first, tmp_path, monkeypatch, capsy
 
 def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
     folder, missing, _ = first
-    pipeline.run(settings_for(folder, missing, temperature=5.0), ArtifactStore(folder / "store"))
+    score(settings_for(folder, missing, temperature=5.0), ArtifactStore(folder / "store"))
     line = next(n for n in capsys.readouterr().err.splitlines() if n.startswith("room"))
     assert line.startswith("room  benchmark ")
     assert line.endswith("6 stages cached")
@@ -352,7 +347,7 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
     def key_of(folder: Path) -> str:
         scene = {"name": "s", "path": folder, "context": ["a.png", "b.png"]}
         settings = make_settings({"scenes": [scene]}, "test")
-        photographs, *_ = scene_job(settings, Method(), settings.scenes[0]).arguments
+        photographs, *_ = scene_task(settings, Method(), settings.scenes[0]).arguments
         return ingest.key({"photographs": photographs})
 
     key = key_of(data)
@@ -365,56 +360,6 @@ def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
     assert key_of(moved) != key
     (data / "images" / "a.png").write_bytes(b"another photograph")
     assert key_of(data) != key
-
-
-def test_progress_tells_rate_and_time_left(monkeypatch):
-    from flows.runners import progress
-
-    monkeypatch.setattr(progress, "REMIND", 0.0)
-    seen = io.StringIO()
-    told = progress.Progress(2, 2, stream=seen)
-    for scene in ("a", "b"):
-        for stage in ("ingest", "masks"):
-            told.hear(Started(scene, stage))
-            told.hear(Finished(scene, stage, 0.5, cached=scene == "b"))
-    told.summary()
-    text = seen.getvalue()
-    assert "2/4 stages" in text
-    assert "a minute, about" in text
-    assert "a  ingest 0.5 s · masks 0.5 s\n" in text
-    assert "b  2 stages cached\n" in text
-    assert "masks        1 in 0.5 s, 1 cached\n" in text
-
-
-def test_time_left_is_that_of_stages_like_those_still_to_come():
-    from flows.runners import progress
-
-    told = progress.Progress(10, 2, stream=io.StringIO())
-    for scene in "abcde":
-        for stage in ("ingest", "masks"):
-            told.hear(Started(scene, stage))
-            told.hear(Finished(scene, stage, 4.0, cached=stage == "ingest"))
-    told.hear(Failed("f", "ingest", "too dark"))
-    told.hear(Started("g", "ingest"))
-    found = told.metrics(now=told.start + 100)
-    # 4 more scenes, of which only the masks are work, at the pace of the 5 so far.
-    assert found.left == pytest.approx(100 * 4 / 5)
-    assert (found.done, found.failed, found.computed, found.cached) == (5, 1, 5, 5)
-    assert found.rate == pytest.approx(5 * 60 / 100)
-
-
-def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
-    from flows.runners.progress import Progress
-
-    seen = io.StringIO()
-    told = Progress(2, 1, verbose=True, stream=seen)
-    for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
-        told.hear(Started(scene, "ingest"))
-        told.hear(Finished(scene, "ingest", 0.5, cached=False))
-        told.hear(Failed(scene, "masks", reason, trace))
-    lines = seen.getvalue().splitlines()
-    assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
-    assert lines[4:] == ["ZeroDivisionError: a"]
 
 
 def _flipped(data: bytes) -> bytes:
@@ -433,7 +378,7 @@ def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
     hidden = ("log", "artifacts", "times", "report.")  # they say when, or how fast
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, missing, store=store.root)
-    perform("run", settings)  # its tables name the command
+    score(settings, store)
     before = files_below(folder / "out", hidden)
     # Other tests leave artifacts of other configurations in this store: no run makes those again.
     table = pq.read_table(folder / "out" / "artifacts.parquet", columns=["uri"])
@@ -444,7 +389,7 @@ def test_what_is_damaged_is_made_again_and_never_handed_out(first, harm):
         file.write_bytes(harm(data))
         os.utime(file, ns=(stamp, stamp))  # a disk that forgets leaves the time as it is
     assert files_below(folder / "out", hidden) != before
-    perform("run", settings)
+    score(settings, store)
     assert files_below(folder / "out", hidden) == before
     harmed = {name for name in artifacts if name.split("/")[0] in HANDED_OUT}
     assert {name.split("/")[0] for name in harmed} == HANDED_OUT

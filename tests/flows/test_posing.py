@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import ROOM, room, run, said, save_photographs
+from command import ROOM, room, run, said, save_photographs, score
 from PIL import ExifTags, Image
 
 import slgaussian as slg
-from flows.pipeline import run as run_all
 from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
@@ -169,7 +168,7 @@ def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos, capsys)
     ]
     asked = [{**scene, "queries": ["red ball"]} for scene in scenes]
     settings = make_settings({"size": "auto", "out": photos / "out", "scenes": asked}, "test")
-    assert not run_all(settings, ArtifactStore(photos / "store")).failures
+    assert not score(settings, ArtifactStore(photos / "store")).failures
     said = "estimated, focal length from matches, confidence 42%"
     data = json.loads((photos / "out/manifest.json").read_text())["data"]
     assert {name: of["cameras"] for name, of in data.items()} == {"alone": said, "given": "given"}

@@ -14,10 +14,10 @@ from command import ROOM, run, save_photographs
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
-from flows.runners import task_runners, worker_pool
+from flows.runners import task_runners
+from flows.runners.batches import failures_table
 from flows.runners.progress import Progress
-from flows.runners.shard import NO_EVENTS, answer_roll_call
-from flows.runners.worker_pool import failures_table
+from flows.runners.task_runners import NO_EVENTS, check_worker
 from flows.settings import make_settings
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
@@ -93,7 +93,7 @@ def expected(server, tmp_path_factory):
 def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
     kind, clusters, expected, tmp_path, monkeypatch
 ):
-    """One scene kills its worker the first time; its neighbours are in the same shard."""
+    """One scene kills its worker the first time; its neighbours are in the same batch."""
     # Workers tell the server of all that they do, as if it were the user's.
     monkeypatch.delenv(NO_EVENTS)
     store = ArtifactStore(tmp_path / "store")
@@ -109,10 +109,9 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
     assert refs_of(store) == refs_of(first)
 
     # Nothing is counted twice, by those who are told of it either.
-    metrics = told.metrics()
-    assert (metrics.done, metrics.failed, metrics.scenes) == (3, 2, 5)
-    assert metrics.steps == metrics.stages == 9
-    assert "a worker died" in told.display.stream.getvalue() or kind == "dask"
+    assert (told.done, told.failed, told.scenes) == (3, 2, 5)
+    assert told.steps == told.total == 9
+    assert "a worker died" in told.console.file.getvalue() or kind == "dask"
 
     # And once more: all is there, whoever made it.
     (tmp_path / "log").write_text("")
@@ -123,8 +122,7 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
 
 
 @pytest.mark.parametrize("kind", ANY)
-def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_path, monkeypatch):
-    monkeypatch.setattr(worker_pool, "DEATHS", 2)  # a new worker takes seconds to begin
+def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_path):
     store, log = ArtifactStore(tmp_path / "store"), tmp_path / "log"
     plans = {"killer": tiny(6, 1, log, deadly="halve"), "good": tiny(8, 1, log)}
     told = Progress(2, 3, stream=io.StringIO())
@@ -132,9 +130,9 @@ def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_pa
     assert sorted(outcome.refs) == ["good"]
     (failure,) = outcome.failures
     assert (failure.scene, failure.stage, failure.kind) == ("killer", "make", "WorkerDied")
-    assert failure.reason.startswith("its worker died 2 times")
+    assert failure.reason.startswith("its worker died (")
     assert failure.reason.isprintable() and len(failure.reason) < 500
-    assert (told.metrics().done, told.metrics().failed) == (1, 1)
+    assert (told.done, told.failed) == (1, 1)
     # What it had made before it died is kept.
     assert log.read_text().count("killer make") == 1
 
@@ -203,7 +201,6 @@ class Unreadable:
 
 @pytest.mark.parametrize("kind", ["threads", *ANY])
 def test_an_error_of_a_worker_is_told_and_is_no_death(kind, clusters, tmp_path, monkeypatch):
-    monkeypatch.setattr(worker_pool, "DEATHS", 2)
     log = tmp_path / "log"
     plans = {
         "defect": tiny(666, 1, log),
@@ -221,8 +218,8 @@ def test_an_error_of_a_worker_is_told_and_is_no_death(kind, clusters, tmp_path, 
     assert reasons["exit"] == "unexpected SystemExit: 3"
     assert re.fullmatch("cannot be sent to a worker: .*cannot pickle.*lock.*", reasons["lock"])
     assert reasons["unreadable"].startswith("its worker raised ValueError: invalid literal for int")
-    assert "a worker raised ValueError" in told.display.stream.getvalue()
-    assert "died" not in told.display.stream.getvalue() + str(reasons)
+    assert "a worker raised ValueError" in told.console.file.getvalue()
+    assert "died" not in told.console.file.getvalue() + str(reasons)
 
 
 @pytest.mark.parametrize("kind", ["dask", "ray"])
@@ -272,7 +269,7 @@ def test_a_store_in_memory_is_for_threads_only(runner, tmp_path):
 
 @needs["dask"]
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
-    monkeypatch.setattr(worker_pool, "PATIENCE", 0.5)
+    monkeypatch.setattr(task_runners, "PATIENCE", 0.5)
     said = "no worker of dask://.* took on any work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=said):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
@@ -283,8 +280,8 @@ def test_a_worker_that_cannot_work_says_why(server, tmp_path):
     """What it is asked before it is given work."""
     store = ArtifactStore(tmp_path)
     store.write("probe", b"")
-    answer_roll_call(store.root, "probe", server.url)
+    check_worker(store.root, "probe", server.url)
     with pytest.raises(InputError, match="another store at"):
-        answer_roll_call(store.root, "another", server.url)
+        check_worker(store.root, "another", server.url)
     with pytest.raises(InputError, match=r"does not reach the server at http://127.*refused"):
-        answer_roll_call(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")
+        check_worker(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")

@@ -5,11 +5,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command import ROOM, room_sample, run
-from roads import calls_of, keyed
+from command import ROOM, room_sample, run, score
+from pipelines import calls_of, keyed
 
-from flows import pipeline
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -19,9 +18,9 @@ from slgaussian.parts.part import Part
 from slgaussian.parts.pretrained import model_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
 from tests.masks.small_models import save_sam, save_sam2
 
 OWN = {"preset": "langsplat", "points": 3}
@@ -56,7 +55,7 @@ def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
 
 def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, capsys):
     store = ArtifactStore(tmp_path / "store")
-    finished = pipeline.run(settings_for(folders["sam"], tmp_path / "out"), store)
+    finished = score(settings_for(folders["sam"], tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     digest = model_digest(folders["sam"])
@@ -71,9 +70,9 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
 
     # The same model in another place: nothing is computed. Another setting: the masks are.
     moved = shutil.copytree(folders["sam"], tmp_path / "moved")
-    pipeline.run(settings_for(moved, tmp_path / "again"), store)
+    score(settings_for(moved, tmp_path / "again"), store)
     assert "room  masks  cached" in capsys.readouterr().err
-    pipeline.run(settings_for(moved, tmp_path / "third", points=2), store)
+    score(settings_for(moved, tmp_path / "third", points=2), store)
     said = capsys.readouterr().err
     assert "room  geometry  cached" in said and "room  masks  cached" not in said
     for file in Path(store.path).rglob("*"):
@@ -83,12 +82,12 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
 def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path, monkeypatch):
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
     settings = settings_for(folders["sam2"], tmp_path, "sam2")
-    steps = calls_of(scene_job(settings, settings.built_by, scene), monkeypatch)
+    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
     own = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
     assert keyed(steps["masks"])["proposer"] == {"sam2": own}
     assert keyed(steps["field"])["method"]["sam2"] == own
     assert steps["masks"]["proposer"].places() == {"model": str(folders["sam2"])}
-    plain = calls_of(scene_job(Settings(), Method(), scene), monkeypatch)
+    plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
     assert keyed(plain["masks"])["proposer"] == {"regions": {}}
     assert keyed(plain["supervision"]) == keyed(steps["supervision"])
     assert plain["geometry"]["predictor"] == steps["geometry"]["predictor"]
@@ -96,14 +95,14 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path,
 
 def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    site, method = Worksite(store), Method(tracker="flow")
+    context, method = RunContext(store), Method(tracker="flow")
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
+    base = geometry.compute(context, sample, method.predictor, 0)
     own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
 
     def labelled(place):
         proposer = Part.stored("proposer", own, {"model": str(place)})
-        return masks.work(site, sample, base, proposer, method.tracker, 1)
+        return masks.compute(context, sample, base, proposer, method.tracker, 1)
 
     assert labelled(folders["sam"]).meta["objects"] >= 1
     other = shutil.copytree(folders["sam"], tmp_path / "other")
@@ -116,7 +115,10 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--set", "proposer=sam"], "sam model: none given; give a folder, or a name on the hub as"),
+        (
+            ["--set", "proposer=sam"],
+            "sam model: none given; give a folder, or a name on the hub as",
+        ),
         (["--set", "proposer=sam", "--set", "sam.model=no/such/folder"], "there is no such folder"),
         (["--set", "proposer=sam2", "--set", "sam2.model=SAM"], "is of type 'sam', but sam2 needs"),
         (

@@ -4,7 +4,6 @@ That they fire is shown by ``benches/pipeline/scheduled_retraining.py``: a serve
 a clock.
 """
 
-import inspect
 import logging
 import os
 import re
@@ -22,7 +21,14 @@ import yaml
 from command import run, said
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
+from prefect.utilities.callables import parameter_schema
 
+from flows.benchmark import REPORT, SCORES, score_scenes
+from flows.retraining import retrain
+from flows.runners.task_runners import NO_EVENTS, send_events
+from flows.scene import STAGES
+from flows.settings import make_settings
+from flows.training_settings import RetrainSettings
 from slgaussian.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -30,13 +36,13 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def config(tmp_path):
-    file = tmp_path / "night.toml"
+    file = tmp_path / "retrain.toml"
     file.write_text(f'chunks = "{tmp_path}"\nout = "corpus"\nmodels = "models"\nstore = "store"\n')
     return file
 
 
 def refused(monkeypatch, capsys, *arguments) -> str:
-    assert run(monkeypatch, "nightly", *arguments) == 2
+    assert run(monkeypatch, "retrain", *arguments) == 2
     return said(capsys)
 
 
@@ -67,73 +73,98 @@ DEPLOYMENTS = yaml.safe_load((ROOT / "prefect.yaml").read_text())["deployments"]
 
 
 @pytest.mark.parametrize("deployment", DEPLOYMENTS, ids=[d["name"] for d in DEPLOYMENTS])
-def test_the_deployments_of_the_repository_can_be_loaded(deployment):
+def test_the_deployments_of_the_repository_can_be_loaded_and_their_parameters_fit(deployment):
     loaded = load_flow_from_entrypoint(deployment["entrypoint"])
-    name = deployment["entrypoint"].rpartition(".")[2]
-    from flows import schedule
-    from flows.runners import journal
-
-    own = getattr(schedule, name)
-    assert loaded.name == own.name
-    parameters = inspect.signature(own.fn).parameters
-    assert deployment["parameters"].keys() <= parameters.keys()
+    loaded.validate_parameters(deployment["parameters"])
     for clock in deployment.get("schedules", []):
         CronSchedule(**clock)
     pool = deployment["work_pool"]
     assert pool["name"] == "slgaussian"
     extra = pool["job_variables"]["env"]["PREFECT_LOGGING_EXTRA_LOGGERS"]
     assert logging.getLogger(extra).handlers  # where that of the runs sends what it hears
-    assert journal._log.name.startswith(f"{extra}.")
 
 
 def test_a_served_flow_is_found_by_its_module():
     """In a process that knows no path of this one."""
-    from flows.schedule import nightly
-
-    assert getattr(import_module(nightly.__module__), nightly.__name__) is nightly
+    assert getattr(import_module(retrain.__module__), retrain.__name__) is retrain
 
 
-def test_what_stops_a_run_is_said_and_fails_it(config, server, capsys):
-    from flows.schedule import nightly
-
+def test_what_stops_a_run_fails_it(tmp_path, server):
+    paths = {name: tmp_path / name for name in ("out", "models")}
     with pytest.raises(InputError, match="holds no chunk"):
-        nightly(str(config), {})
-    assert "holds no chunk (.torch)" in capsys.readouterr().err
+        retrain(RetrainSettings(chunks=str(tmp_path), store=str(tmp_path / "store"), **paths))
+    (ended,) = ended_runs(server, retrain.name)
+    assert ended["type"] == "FAILED" and "holds no chunk (.torch)" in ended["message"]
 
 
-def test_other_configurations_are_read_like_those_of_the_commands(config, server, capsys):
-    from flows.schedule import report, supervise
-
-    with pytest.raises(InputError, match=r"night.toml: unknown key 'models'"):
-        supervise(str(config))
-    config.write_text(f'chunks = "{config.parent}"\nout = "corpus"\nstore = "store"\n')
-    with pytest.raises(InputError, match="holds no chunk"):
-        supervise(str(config), {"min_overlap": 0.5})
-    with pytest.raises(InputError, match=r"min_overlap 1 is above max_overlap 0.5; no pair"):
-        supervise(str(config), {"min_overlap": 1.0, "max_overlap": 0.5})
-    with pytest.raises(InputError, match="unknown key 'chunks'"):
-        report(str(config))
-    capsys.readouterr()
-
-
-def test_a_report_by_the_clock_is_that_of_the_command(tmp_path, server, capsys):
+def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
+    tmp_path, server, monkeypatch
+):
+    """All that an operator sees of a run, asked of a real server by its API."""
     from command import ROOM
 
-    from flows.schedule import report
-
-    config = tmp_path / "report.toml"
-    config.write_text('out = "scores"\nstore = "store"\nsize = "64x96"\n')
+    monkeypatch.delenv(NO_EVENTS)  # the server is the user's
+    send_events()
     lost = {**ROOM, "name": "lost", "options": {"seed": 1, "objects": 4, "views": 1}}
-    away = {**lost, "name": "away"}
-    report(str(config), {"scenes": [{**ROOM, "queries": ["red ball"]}, lost, away]})
+    scenes = [{**ROOM, "queries": ["red ball"]}, lost]
+    places = {"out": tmp_path / "scores", "store": str(tmp_path / "store")}
+    for _ in range(2):
+        score_scenes(make_settings({"size": "64x96", "scenes": scenes, **places}, "test"))
+    runs = ended_runs(server, score_scenes.name)
     page = tmp_path / "scores" / "report.html"
-    message = f"report: {page}; left out: away, lost"
-    assert page.is_file() and message in capsys.readouterr().out
-    which = {"flows": {"name": {"any_": [report.name]}}, "sort": "END_TIME_DESC"}
-    states = [one["state"] for one in asked(server, "flow_runs/filter", which)]
-    assert [s["message"] for s in states if s["type"] == "COMPLETED"] == [message]
-    first, *_, last = (tmp_path / "scores" / "log.jsonl").read_text("utf-8").splitlines()
-    assert '"command": "run"' in first and '"how": "finished"' in last
+    assert [one["message"] for one in runs] == [f"report: {page}; left out: lost"] * 2
+    for ended, name in zip(runs, ("Cached", "Completed"), strict=True):
+        of_run = {"flow_runs": {"id": {"any_": [ended["flow_run"]]}}, "limit": 200}
+        tasks = wait_for(server, of_run, len(STAGES))
+        by_stage = {t["name"].split(" of ")[0]: t for t in tasks if t["name"].endswith(" of room")}
+        assert by_stage.keys() == {stage.name for stage in STAGES}
+        assert {t["state_name"] for t in by_stage.values()} == {name}
+        ids = {t["id"]: stage for stage, t in by_stage.items()}
+        edges = {
+            stage: {ids[one["id"]] for one in t["task_inputs"]["inputs"]}
+            for stage, t in by_stage.items()
+        }
+        assert edges["ingest"] == set() and edges["geometry"] == {"ingest"}
+        assert edges["field"] == {"ingest", "geometry", "masks", "supervision"}
+        assert edges["benchmark"] == {"ingest", "truth", "geometry", "masks", "field"}
+    keys = {REPORT: "markdown", SCORES: "table"}
+    made = asked(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
+    assert {one["key"]: one["type"] for one in made} == keys
+    assert any("IoU" in one["data"] for one in made if one["key"] == REPORT)
+
+
+def ended_runs(server, name: str) -> list[dict]:
+    """The final states of a flow's runs, the latest first, each with the id of its run."""
+    which = {"flows": {"name": {"any_": [name]}}, "sort": "END_TIME_DESC"}
+    runs = asked(server, "flow_runs/filter", which)
+    return [{**one["state"], "flow_run": one["id"]} for one in runs]
+
+
+def wait_for(server, which: dict, count: int) -> list[dict]:
+    """Task runs, which reach the server as events, a little later."""
+    for _ in range(100):
+        tasks = asked(server, "task_runs/filter", which)
+        final = [t for t in tasks if t["state_type"] in ("COMPLETED", "FAILED")]
+        if len(final) == len(tasks) and sum(t["name"].endswith("room") for t in tasks) >= count:
+            return tasks
+        time.sleep(0.2)
+    raise AssertionError([(t["name"], t["state_name"]) for t in tasks])
+
+
+def test_the_form_of_a_deployment_refuses_a_wrong_value_and_starts_a_run_again(server, tmp_path):
+    flow = asked(server, "flows/", {"name": score_scenes.name})
+    schema = parameter_schema(score_scenes).model_dump_for_openapi()
+    config = {"rooms": "0", "store": str(tmp_path / "store"), "out": str(tmp_path / "out")}
+    given = {"name": "form", "flow_id": flow["id"], "parameters": {"config": config}}
+    given |= {"parameter_openapi_schema": schema, "enforce_parameter_schema": True}
+    made = asked(server, "deployments/", given)
+    start = f"{server.url}/deployments/{made['id']}/create_flow_run"
+    for wrong in ({"replicas": 0}, {"keep": "some"}, {"no_such": 1}):
+        body = {"parameters": {"config": {**config, **wrong}}}
+        answer = httpx.post(start, json=body, timeout=60)
+        assert answer.status_code == 409 and next(iter(wrong)) in answer.text
+    again = httpx.post(start, json={"parameters": {"config": config}}, timeout=60).json()
+    assert again["parameters"] == {"config": config} and again["state_type"] == "SCHEDULED"
 
 
 LINES = (

@@ -4,9 +4,8 @@ import json
 
 import pyarrow.parquet as pq
 import pytest
-from command import run, said, save_photographs
+from command import run, said, save_photographs, score
 
-from flows import pipeline
 from flows.cli.benchmark import held_out, scene_of_photographs
 from flows.settings import make_settings
 from flows.sweep import combinations
@@ -27,7 +26,7 @@ def swept(tmp_path_factory, server):
     values = {"rooms": "0", "out": folder / "out", **SMALL}
     values["sweep"] = ["views=2,3,40", f"{DEPTHS}=16"]
     settings = make_settings(values, "test")
-    return folder, settings, pipeline.run(settings, ArtifactStore(folder / "store"))
+    return folder, settings, score(settings, ArtifactStore(folder / "store"))
 
 
 def test_each_combination_is_a_method_that_is_asked_the_same(swept):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from command import ROOM, room_sample, run, said
-from roads import calls_of, keyed
+from pipelines import calls_of, keyed
 
-from flows.jobs import scene_job
+from flows.scene import scene_task
 from flows.settings import make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
@@ -14,9 +14,9 @@ from slgaussian.parts.method import Method
 from slgaussian.parts.part import Part
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
 from tasks.geometry import geometry
 from tasks.masks import masks
-from tasks.stage import Worksite
 
 
 @pytest.fixture
@@ -42,24 +42,24 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     values = {"scenes": [ROOM], "tracker": "precomputed", "precomputed": {"folder": str(ids)}}
     settings = make_settings(values, "test")
     method = settings.built_by
-    steps = calls_of(scene_job(settings, method, settings.scenes[0]), monkeypatch)
+    steps = calls_of(scene_task(settings, method, settings.scenes[0]), monkeypatch)
     own = {"folder": folder_digest(ids)}
     assert keyed(steps["masks"])["tracker"] == {"precomputed": own}
     assert keyed(steps["field"])["method"]["precomputed"] == own
     assert steps["masks"]["tracker"].places() == {"folder": str(ids)}
 
     store = ArtifactStore(tmp_path / "store")
-    site = Worksite(store)
+    context = RunContext(store)
     sample = store.put("sample", sample_to_arrays(room_sample()))
-    base = geometry.work(site, sample, method.predictor, 0)
-    made = masks.work(site, sample, base, method.proposer, method.tracker, 5)
+    base = geometry.compute(context, sample, method.predictor, 0)
+    made = masks.compute(context, sample, base, method.proposer, method.tracker, 5)
     labels = store.get(made)["labels"]
     np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        masks.work(site, sample, base, method.proposer, method.tracker, 5)
+        masks.compute(context, sample, base, method.proposer, method.tracker, 5)
     again = Part.of("tracker", "precomputed", {"folder": ids})
-    made = masks.work(site, sample, base, method.proposer, again, 5)
+    made = masks.compute(context, sample, base, method.proposer, again, 5)
     assert made.meta["objects"] > 0
 
 
@@ -81,7 +81,10 @@ def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
     [
         (["--set", "tracker=sam2-video"], "sam2-video model: none given; give a folder, or a name"),
         (["--set", "tracker=precomputed"], "precomputed folder: none given"),
-        (["--set", "tracker=precomputed", "--set", "precomputed.folder=no"], "there is no folder 'no'"),
+        (
+            ["--set", "tracker=precomputed", "--set", "precomputed.folder=no"],
+            "there is no folder 'no'",
+        ),
         (["--set", "sam2_video.batch=4"], "settings of 'sam2_video' are given, but no part"),
     ],
 )

@@ -15,7 +15,8 @@ import pytest
 import torch
 from command import run
 
-from flows.training_settings import from_anywhere, read_retraining
+from flows.retraining import STATUS
+from flows.training_settings import anchored_config, read_retraining
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
@@ -245,25 +246,25 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     made = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert made.version.number == 1 and not made.version.promoted and versions.current() is None
     why = r"version 1 kept, not used: (no gain over|worse than) no network \((filled|hard)\)"
-    assert re.match(why, made.said)
+    assert re.match(why, made.message)
     same = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert same.version is None
-    assert same.said == "nothing new since version 1; no version is in use"
+    assert same.message == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
     made = learn(lessons_of(tmp_path, range(18)), settings, store)
-    assert made.judgements is not None and not made.version.promoted
-    assert re.match(r"version 3 kept, not used: (no gain over|worse than) no network", made.said)
+    assert not made.version.promoted
+    assert re.match(r"version 3 kept, not used: (no gain over|worse than) no network", made.message)
     assert made.regressed.startswith("version 2, in use, is worse than no network (")
 
     settings = retrain_settings(tmp_path, steps=200, rate=0.02, corrupted=0.0)
-    made = learn(lessons_of(tmp_path, range(18), holed=True), settings, store, by="the test")
+    made = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
     assert made.version.promoted and made.version.parent == bad.number and not made.regressed
-    assert made.said.startswith("version 4 put to use: better than no network (")
-    assert made.said.endswith("and version 2") or "and than version 2 and no" in made.said
+    assert made.message.startswith("version 4 put to use: better than no network (")
+    assert made.message.endswith("and version 2") or "and than version 2 and no" in made.message
     assert versions.current() == made.version
     last = versions.history()[-1]
-    assert (last.version, last.before, last.by) == (4, 2, "the test")
+    assert (last.version, last.before, last.by) == (4, 2, "slgaussian retrain")
     assert last.why == made.version.why
     scores = made.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
@@ -288,15 +289,15 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
         'size = "72x96"\nreplicas = 1\nheld_out = 0.4\nsteps = 2\n'
     )
     argv = ["retrain", config]
-    assert run(monkeypatch, *argv) == 0
+    assert run(monkeypatch, *argv) == STATUS["refused"]
     said = capsys.readouterr()
     assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no network")
-    assert run(monkeypatch, *argv) == 0
+    assert run(monkeypatch, *argv) == STATUS["nothing new"]
     said = capsys.readouterr()
-    assert said.out == "nothing new since version 1; no version is in use\n"
+    assert said.out.startswith("nothing new since version 1; no version is in use\n")
     assert said.err.count("  cached\n") == 4 and "branch" not in said.err
     re10k.write(tmp_path / "chunks", [rooms[3]], 10**8)
-    assert run(monkeypatch, *argv) == 0
+    assert run(monkeypatch, *argv) == STATUS["refused"]
     said = capsys.readouterr()
     assert said.out.startswith("version 2 kept") and "000000.torch  4 stages cached" in said.err
     counts = [v.facts["counts"]["learnt clips"] for v in Versions(tmp_path / "models").all()]
@@ -332,17 +333,14 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
     ]
 
 
-def test_what_is_given_to_hand_means_the_same_anywhere(tmp_path, monkeypatch):
+def test_a_deployed_config_means_the_same_anywhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = tmp_path / "retrain.toml"
     config.write_text('chunks = "s3://bucket/chunks"\nout = "corpus"\n')
-    given = from_anywhere(config, {"models": "models", "steps": 3})
-    assert given == {
-        "store": str(tmp_path / "slg-data"), "models": str(tmp_path / "models"), "steps": 3
-    }  # fmt: skip
-    settings = read_retraining(config, given)
-    assert settings.out == tmp_path / "corpus" and settings.chunks == "s3://bucket/chunks"
-    config.write_text('store = "s3://bucket/store"\n')
-    assert from_anywhere(config, {}) == {}
-    with pytest.raises(InputError, match=r"retrain\.toml: chunks is missing"):
+    with pytest.raises(InputError, match=r"retrain\.toml: models is missing"):
         read_retraining(config, {})
+    deployed = anchored_config(read_retraining(config, {"models": "models", "steps": 3}))
+    monkeypatch.chdir("/")
+    assert deployed.models == tmp_path / "models" and deployed.out == tmp_path / "corpus"
+    assert (deployed.chunks, deployed.store) == ("s3://bucket/chunks", f"{tmp_path}/slg-data")
+    assert deployed.model_fields_set == {"chunks", "out", "models", "steps", "store"}

@@ -9,7 +9,7 @@ from slgaussian.storage.store import ArtifactStore
 
 
 def tiny(value: int, more: int, log: Path, sleep: float = 0.0, **where: str) -> tuple:
-    """What the road of a scene is called with; :func:`tiny_stages.note` reads ``where``."""
+    """What the pipeline of a scene is called with; :func:`tiny_stages.note` reads ``where``."""
     return value, more, {"log": str(log), "sleep": str(sleep), **where}
 
 
@@ -20,17 +20,28 @@ def run_tiny(
     stream=None,
     runner: str = "threads",
     progress: Progress | None = None,
+    refresh: tuple[str, ...] = (),
 ):
-    """Run ``{scene: what its road is called with}``; returns the outcome."""
-    from tiny_stages import tiny_road
+    """Run ``{scene: what its pipeline is called with}``; returns the outcome."""
+    from tiny_flow import WORK, tiny_flow
 
-    from flows.runners.shard import Job
-    from flows.runners.worker_pool import job_flow, work_through_all
+    from flows.runners.batches import SceneTask, map_scenes
+    from flows.runners.task_runners import open_workers
 
     progress = progress or Progress(len(scenes), 3, stream=stream or io.StringIO())
-    jobs = [Job(scene, tiny_road, given, first="make") for scene, given in scenes.items()]
-    run = job_flow("tiny")(lambda pool: work_through_all(jobs, pool, progress))
-    outcome = run(store, runner, workers)
+
+    def work():
+        from tiny_stages import tiny_pipeline
+
+        scene_tasks = [
+            SceneTask(scene, tiny_pipeline, arguments, first="make")
+            for scene, arguments in scenes.items()
+        ]
+        with open_workers(runner, workers, store, frozenset(refresh)) as opened:
+            return map_scenes(scene_tasks, opened, progress)
+
+    WORK.append(work)
+    outcome = tiny_flow()
     progress.summary()
     return outcome
 

@@ -12,8 +12,8 @@ import numba
 import pytest
 from numba.core.compiler_lock import global_compiler_lock
 
-from flows.runners import display
-from flows.runners.display import Waiting
+from flows.runners import progress
+from flows.runners.progress import Waiting
 from slgaussian.kernels import compiling
 
 FIRST_USE = """
@@ -65,7 +65,7 @@ def test_a_small_kernel_is_not_worth_a_word(monkeypatch):
 
 
 def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatch):
-    # What flows.runners.journal, once imported, sends elsewhere.
+    # What flows.runners.log_file, once imported, sends elsewhere.
     monkeypatch.setattr(logging.getLogger("slgaussian"), "propagate", True)
     for _ in range(2):
         new_kernel()(1)
@@ -115,7 +115,7 @@ def test_where_there_is_no_terminal_a_line_comes_now_and_then(monkeypatch):
     for text in ("one", "two", "", "three"):
         waiting(text)
     assert stream.getvalue() == "one\n"
-    monkeypatch.setattr(display, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
     waiting("four")
     assert stream.getvalue() == "one\nfour\n"
 

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.context import RunContext, run_context
 from tasks.keys import cache_key, canonical
-from tasks.stage import Worksite, at, stage
+from tasks.stage import stage
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
 B = ArtifactRef("labels", "labels/bb/bb.npz", "bb")
@@ -109,13 +110,13 @@ def test_a_stage_of_another_version_works_anew(tmp_path):
     versions = []
 
     def of_version(version):
-        def work(site, number):
+        def work(run, number):
             versions.append(version)
-            return site.store.put("sheet", {"png": np.full(3, number, np.uint8)})
+            return run.store.put("sheet", {"png": np.full(3, number, np.uint8)})
 
         return stage("sheet", version)(work)
 
     for version in (1, 1, 2, 2, 1):
-        with at(Worksite(ArtifactStore(str(tmp_path)))):
-            of_version(version).task.fn({"number": 4})
+        with run_context(RunContext(ArtifactStore(str(tmp_path)))):
+            of_version(version).task.fn([], [], {"number": 4})
     assert versions == [1, 2]

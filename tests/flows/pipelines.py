@@ -1,17 +1,17 @@
-"""A road taken without doing the work: what each of its stages would be called with."""
+"""A pipeline without the work: what each of its stages would be called with."""
 
 from typing import Any
 
 import pytest
 
-from flows.runners.shard import Job
+from flows.runners.batches import SceneTask
 from slgaussian.storage.store import ArtifactRef
 from tasks.keys import canonical
 from tasks.stage import Stage
 
 
-def calls_of(job: Job, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
-    """The arguments of every stage on the road of a job, by the stage's name."""
+def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
+    """The arguments of every stage of a pipeline, by the stage's name."""
     calls = {}
 
     def called(stage: Stage, *args, **kwargs) -> ArtifactRef:
@@ -23,7 +23,7 @@ def calls_of(job: Job, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, A
 
     with monkeypatch.context() as patch:
         patch.setattr(Stage, "__call__", called)
-        job.road(*job.arguments)
+        scene_task.pipeline(*scene_task.arguments)
     return calls
 
 

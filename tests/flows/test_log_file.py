@@ -7,10 +7,10 @@ from datetime import datetime
 
 import pytest
 
-from flows.runners.journal import BEFORE, FILE, journal, log
+from flows.runners.log_file import BEFORE, FILE, log, log_to_file
 from flows.runners.progress import Progress
 from slgaussian.errors import InputError
-from tasks.events import Failed, Finished, Repeated, Started
+from tasks.context import StageEvent
 
 
 def lines_of(file) -> list[dict]:
@@ -19,27 +19,27 @@ def lines_of(file) -> list[dict]:
 
 def run_one(verbose: bool = False) -> Progress:
     """Two scenes of two stages, of which one is left out."""
-    with Progress(2, 2, stream=io.StringIO(), verbose=verbose) as told:
-        for stage, cached in (("ingest", True), ("masks", False)):
-            told.hear(Started("küche\n", stage))
-            told.hear(Finished("küche\n", stage, 0.5, cached))
-        told.lost(True, "died (killed)", ["hall"])
-        told.dropped("hall")
-        told.hear(Started("hall", "ingest"))
-        told.hear(Finished("hall", "ingest", 0.25, False))
-        told.hear(Repeated("hall", "ingest"))
-        told.hear(Failed("hall", "masks", "a defect", "Traceback: of it"))
-    return told
+    with Progress(2, 2, stream=io.StringIO(), verbose=verbose) as progress:
+        for stage, state in (("ingest", "cached"), ("masks", "completed")):
+            progress.update(StageEvent("küche\n", stage, "running"))
+            progress.update(StageEvent("küche\n", stage, state, seconds=0.5))
+        progress.lost(True, "died (killed)", ["hall"])
+        progress.update(StageEvent("hall", "ingest", "running"))
+        progress.update(StageEvent("hall", "ingest", "completed", seconds=0.25))
+        progress.update(StageEvent("hall", "ingest", "repeated"))
+        progress.update(
+            StageEvent("hall", "masks", "failed", "a defect", traceback="Traceback: of it")
+        )
+    return progress
 
 
 def test_every_event_has_its_line(tmp_path):
-    with journal(tmp_path, {"command": "run", "workers": 2}):
+    with log_to_file(tmp_path, {"command": "run", "workers": 2}):
         run_one()
     first, *events, last = lines_of(tmp_path / FILE)
     assert first["event"] == "run" and first["command"] == "run" and first["workers"] == 2
     assert [event["event"] for event in events] == [
-        "began", "finished", "done", "worker_died", "dropped", "finished", "repeated", "failed",
-        "metrics",
+        "began", "finished", "done", "worker_died", "finished", "repeated", "failed", "progress",
     ]  # fmt: skip
     assert (last["event"], last["how"]) == ("ended", "finished")
     whole = [first, *events, last]
@@ -50,14 +50,14 @@ def test_every_event_has_its_line(tmp_path):
     assert told["done"]["scene"] == "küche\n" and told["done"]["cached"] == 1
     assert told["failed"]["level"] == "error" and told["failed"]["traceback"] == "Traceback: of it"
     assert told["worker_died"]["scenes"] == ["hall"]
-    assert (told["metrics"]["done"], told["metrics"]["failed"]) == (1, 1)
+    assert (told["progress"]["done"], told["progress"]["failed"]) == (1, 1)
 
 
 def test_verbose_keeps_also_what_was_found_done(tmp_path):
-    with journal(tmp_path, {}, verbose=True):
+    with log_to_file(tmp_path, {}, verbose=True):
         run_one(verbose=True)
     told = [line["event"] for line in lines_of(tmp_path / FILE)]
-    assert told.count("started") == 3 and told.count("finished") == 3
+    assert told.count("finished") == 3
 
 
 def test_it_says_how_the_run_ended(tmp_path):
@@ -67,7 +67,7 @@ def test_it_says_how_the_run_ended(tmp_path):
         (KeyboardInterrupt(), "stopped", "stopped"),
     ]
     for error, how, message in ends:
-        with pytest.raises(type(error)), journal(tmp_path, {}):
+        with pytest.raises(type(error)), log_to_file(tmp_path, {}):
             log(logging.INFO, "note", "begun")
             raise error
         last = lines_of(tmp_path / FILE)[-1]
@@ -76,12 +76,12 @@ def test_it_says_how_the_run_ended(tmp_path):
 
 
 def test_a_run_that_could_not_begin_leaves_the_log_before_it(tmp_path):
-    with journal(tmp_path, {}):
+    with log_to_file(tmp_path, {}):
         log(logging.INFO, "note", "the first")
-    with pytest.raises(InputError), journal(tmp_path, {}):
+    with pytest.raises(InputError), log_to_file(tmp_path, {}):
         raise InputError("nothing to do")
     assert lines_of(tmp_path / FILE)[1]["message"] == "the first"
-    with journal(tmp_path, {}):
+    with log_to_file(tmp_path, {}):
         log(logging.INFO, "note", "the second")
     assert lines_of(tmp_path / FILE)[1]["message"] == "the second"
     assert lines_of(tmp_path / BEFORE)[1]["message"] == "the first"
@@ -89,7 +89,7 @@ def test_a_run_that_could_not_begin_leaves_the_log_before_it(tmp_path):
 
 def test_what_the_library_logs_is_kept_while_a_run_is_on(tmp_path):
     own = logging.getLogger("slgaussian.somewhere")
-    with journal(tmp_path, {}):
+    with log_to_file(tmp_path, {}):
         own.info("at %d", 7)
     own.info("afterwards")
     assert not own.isEnabledFor(logging.INFO)
@@ -98,9 +98,9 @@ def test_what_the_library_logs_is_kept_while_a_run_is_on(tmp_path):
 
 
 def test_a_log_that_cannot_be_written_is_said_once(tmp_path, capsys):
-    with journal(tmp_path / "gone", {}):
+    with log_to_file(tmp_path / "gone", {}):
         told = run_one()
-    assert told.metrics().done == 1
+    assert told.done == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert f"{FILE}: cannot be written (No such file or directory); going on without" in said

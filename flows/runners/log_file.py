@@ -1,8 +1,8 @@
-"""The log of a run: what happens to which scene at which stage, a line of JSON each.
+"""The log of a run in its output folder: an event a line, as JSON.
 
-It is for operators and their collectors, and volatile: nothing reads it back. What people watch is
-told by :mod:`flows.runners.progress`, which also tells the logger of this module; so does anything
-that logs under ``slgaussian``.
+It is for operators and their collectors, and volatile: nothing reads it back. What is logged under
+``slgaussian`` goes there, and to Prefect where its setting ``PREFECT_LOGGING_EXTRA_LOGGERS`` names
+that logger.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def log(
 
 
 @contextmanager
-def journal(out: Path, about: Mapping[str, Any], verbose: bool = False) -> Iterator[None]:
+def log_to_file(out: Path, facts: Mapping[str, Any], verbose: bool = False) -> Iterator[None]:
     """Keep what is logged within the block in ``out/log.jsonl``.
 
     The file begins with the first event, so of a run that could not begin there is none, and ends
@@ -69,12 +69,12 @@ def journal(out: Path, about: Mapping[str, Any], verbose: bool = False) -> Itera
     ----------
     out : Path
         A folder that is there when the first event comes.
-    about : mapping
+    facts : mapping
         What the first line says of the run, as plain values; never credentials.
     verbose : bool
         Keep also what is only for looking into a run, such as each stage that was found done.
     """
-    file = _File(out, about)
+    file = _File(out, facts)
     before = _all.level
     _all.addHandler(file)
     _all.setLevel(logging.DEBUG if verbose else logging.INFO)
@@ -105,9 +105,9 @@ def journal(out: Path, about: Mapping[str, Any], verbose: bool = False) -> Itera
 
 
 class _File(logging.Handler):
-    def __init__(self, out: Path, about: Mapping[str, Any]) -> None:
+    def __init__(self, out: Path, facts: Mapping[str, Any]) -> None:
         super().__init__()
-        self.path, self.about = out / FILE, about
+        self.path, self.facts = out / FILE, facts
         self.run = uuid.uuid4().hex[:12]
         self.stream: TextIO | None = None
         self.lost = False
@@ -137,15 +137,15 @@ class _File(logging.Handler):
             os.replace(self.path, self.path.with_name(BEFORE))
         self.stream = self.path.open("w", encoding="utf-8", errors="backslashreplace")
         self._write(
-            {**_stamp(when, "info"), "run": self.run, "event": "run", "spec": LABEL, **self.about}
+            {**_stamp(when, "info"), "run": self.run, "event": "run", "spec": LABEL, **self.facts}
         )
 
     def _fields(self, record: logging.LogRecord) -> dict[str, Any]:
-        facts = dict(getattr(record, "facts", {"event": "logged", "logger": record.name}))
+        known = dict(getattr(record, "facts", {"event": "logged", "logger": record.name}))
         fields = {
             **_stamp(record.created, record.levelname.lower()),
             "run": self.run,
-            **facts,
+            **known,
             "message": record.getMessage(),
         }
         if record.exc_info:

@@ -1,12 +1,12 @@
-"""Nights in which everything happens, and whether anything was lost or done twice.
+"""Retrain while everything happens, and check that nothing was lost or done twice.
 
-    python -m benches.pipeline.nights WORK
+    python -m benches.pipeline.retrainings WORK
 
-Made-up rooms arrive, a chunk each, and `slgaussian nightly` runs again and again: with new rooms
-and none, a damaged chunk, a night that is killed (SIGKILL), one that overruns into the next, a
+Made-up rooms arrive, a chunk each, and `slgaussian retrain` runs again and again: with new
+rooms and none, a damaged chunk, a run that is killed (SIGKILL), one that overruns into the next, a
 room that is changed and one that is withdrawn, and a clock that is put back and forward (with
 `pip install libfaketime`). In the end its tables are compared with those of one `supervise` of what
-is there then, in a store of its own. Prints a table of the nights.
+is there then, in a store of its own. Prints a table of the runs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 
 from benches.common.machine import measured
 from benches.common.process_cost import CLI
-from flows.night_settings import STATUS
+from flows.retraining import STATUS
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.semantic.versions import Versions
@@ -60,13 +60,13 @@ def room(seed: int, views: int = 6) -> re10k.Clip:
     return re10k.clip_of(made)
 
 
-class Nights:
-    """A corpus that changes, and what its nights came to."""
+class Retrainings:
+    """A corpus that changes, and what each retraining of it came to."""
 
     def __init__(self, work: Path) -> None:
         self.work, self.rows = work, []
         (work / "chunks").mkdir(parents=True)
-        (work / "night.toml").write_text(CONFIG)
+        (work / "retrain.toml").write_text(CONFIG)
         (work / "withdrawn.txt").touch()
 
     def arrive(self, seeds: Iterable[int], views: int = 6) -> None:
@@ -78,25 +78,23 @@ class Nights:
             os.replace(one / made, self.work / "chunks" / f"room_{seed}.torch")
 
     def begin(self, env: Mapping[str, str] | None = None) -> subprocess.Popen:
-        """Start a night."""
-        log = (self.work / "nights.log").open("ab")
-        command = [*CLI, "nightly", str(self.work / "night.toml")]
+        """Start a retraining."""
+        log = (self.work / "retrainings.log").open("ab")
+        command = [*CLI, "retrain", str(self.work / "retrain.toml")]
         return subprocess.Popen(
             command, stdout=log, stderr=log, env={**os.environ, **(env or {})},
             start_new_session=True,
         )  # fmt: skip
 
-    def night(
-        self, what: str, expected: Iterable[str], env: Mapping[str, str] | None = None
-    ) -> None:
-        """Have a night to its end."""
+    def run(self, what: str, expected: Iterable[str], env: Mapping[str, str] | None = None) -> None:
+        """Retrain, to the end."""
         start = time.perf_counter()
         self.over(what, expected, self.begin(env), start)
 
     def over(
         self, what: str, expected: Iterable[str], process: subprocess.Popen, start: float
     ) -> None:
-        """Wait for a night, and put it down."""
+        """Wait for a retraining, and put it down."""
         status = process.wait()
         came = {code: name for name, code in STATUS.items()}.get(status, f"signal {-status}")
         seconds = time.perf_counter() - start
@@ -104,8 +102,8 @@ class Nights:
         print(f"{what}: {came}, {seconds:.0f} s", flush=True)
 
     def records(self) -> list[dict]:
-        """What the nights put down, in order."""
-        files = sorted((self.work / "corpus" / "nights").glob("*.json"))
+        """Read the records of all retrainings, in order."""
+        files = sorted((self.work / "corpus" / "history").glob("*.json"))
         return [json.loads(file.read_text()) for file in files]
 
 
@@ -118,17 +116,17 @@ def clock(work: Path, offset: str) -> dict[str, str] | None:
     return {"LD_PRELOAD": str(library), "FAKETIME": offset, "DONT_FAKE_MONOTONIC": "1"}
 
 
-def wrongs(nights: Nights, there: set[str], gone: str, changed: str) -> list[str]:
+def wrongs(retrainings: Retrainings, there: set[str], gone: str, changed: str) -> list[str]:
     """What was lost, done twice, or is still there."""
-    work, found = nights.work, []
+    work, found = retrainings.work, []
     arrived = Counter(
-        clip for record in nights.records() if "changes" in record
+        clip for record in retrainings.records() if "changes" in record
         for clip in record["changes"]["arrived"]["first"]
     )  # fmt: skip
     for clip in sorted(there | {gone}):
         if arrived[clip] != 1:
             found.append(f"{clip} arrived {arrived[clip]} times")
-    told = [record["changes"] for record in nights.records() if "changes" in record]
+    told = [record["changes"] for record in retrainings.records() if "changes" in record]
     for kind, clip in (("withdrawn", gone), ("changed", changed)):
         count = sum(clip in one[kind]["first"] for one in told)
         if count != 1:
@@ -160,59 +158,58 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="an empty folder")
     work = parser.parse_args().work.resolve()
-    nights = Nights(work)
+    retrainings = Retrainings(work)
     judged = ("refused", "promoted", "regressed")
 
-    nights.arrive(range(4))
-    nights.night("four rooms arrive", judged)
-    nights.night("nothing", ["nothing new"])
-    nights.arrive([4, 5])
+    retrainings.arrive(range(4))
+    retrainings.run("four rooms arrive", judged)
+    retrainings.run("nothing", ["nothing new"])
+    retrainings.arrive([4, 5])
     (work / "chunks" / "broken.torch").write_bytes(b"no chunk")
-    nights.night("two arrive, and a damaged chunk", judged)
+    retrainings.run("two arrive, and a damaged chunk", judged)
 
-    nights.arrive([6])
-    start, process = time.perf_counter(), nights.begin()
+    retrainings.arrive([6])
+    start, process = time.perf_counter(), retrainings.begin()
     log = work / "corpus" / "log.jsonl"
     while process.poll() is None and not ("room_6" in log.read_text() if log.exists() else False):
         time.sleep(0.1)
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    nights.over("one arrives; killed", ["signal 9"], process, start)
-    nights.night("the night after", judged)
+    retrainings.over("one arrives; killed", ["signal 9"], process, start)
+    retrainings.run("the next one", judged)
 
-    nights.arrive([7])
-    start, process = time.perf_counter(), nights.begin()
-    while not (work / "corpus" / "nights" / "000006.json").exists():
+    retrainings.arrive([7])
+    start, process = time.perf_counter(), retrainings.begin()
+    while not (work / "corpus" / "history" / "000006.json").exists():
         time.sleep(0.1)
-    nights.night("begun while the one before is on", ["busy"])
-    nights.over("one arrives; overruns into the next", judged, process, start)
+    retrainings.run("begun while the one before is on", ["busy"])
+    retrainings.over("one arrives; overruns into the next", judged, process, start)
 
     versions = Versions(work / "models")
     versions.use(versions.all()[-1], "the bench", "so that something is in use")
     learnt = versions.learnt(versions.all()[-1])[-1]["clip"].to_pylist()
     gone, changed = learnt[0], learnt[1]
     (work / "withdrawn.txt").write_text(f"{gone}\n")
-    nights.arrive([int(changed.rpartition("_")[2])], views=7)
-    nights.night("one withdrawn, one changed", judged)
+    retrainings.arrive([int(changed.rpartition("_")[2])], views=7)
+    retrainings.run("one withdrawn, one changed", judged)
     back = clock(work, "-25h")
     if back is not None:
-        nights.arrive([8])
-        nights.night("one arrives; the clock a day back", judged, back)
-        nights.night("nothing; the clock 40 days ahead", ["nothing new"], clock(work, "+40d"))
+        retrainings.arrive([8])
+        retrainings.run("one arrives; the clock a day back", judged, back)
+        retrainings.run("nothing; the clock 40 days ahead", ["nothing new"], clock(work, "+40d"))
 
     rooms = range(9 if back is not None else 8)
     there = {room(seed).key for seed in rooms} - {gone}
     known = set(pq.read_table(work / "corpus" / "views.parquet")["clip"].to_pylist())
-    wrong = wrongs(nights, there & known, gone, changed)
+    wrong = wrongs(retrainings, there & known, gone, changed)
     if there - known:
         wrong.append(f"lost: {sorted(there - known)}")
-    print(
-        f"\n{measured()}\n\n| night | came to | status | s | as expected |\n|---|---|--:|--:|---|"
-    )
-    for what, came, status, seconds, good in nights.rows:
+    print(f"\n{measured()}\n")
+    print("| retraining | came to | status | s | as expected |\n|---|---|--:|--:|---|")
+    for what, came, status, seconds, good in retrainings.rows:
         print(f"| {what} | {came} | {status} | {seconds:.0f} | {'yes' if good else 'NO'} |")
     print("\n".join(wrong) or "\nNothing lost, nothing twice, nothing withdrawn left.")
-    sys.exit(bool(wrong) or not all(row[-1] for row in nights.rows))
+    sys.exit(bool(wrong) or not all(row[-1] for row in retrainings.rows))
 
 
 if __name__ == "__main__":

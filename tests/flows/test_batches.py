@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 from tiny_run import run_tiny, tiny
 
+from flows.runners.batches import failures_table
 from flows.runners.progress import Progress
-from flows.runners.worker_pool import failures_table
 from slgaussian.storage.store import ArtifactStore, table_digest
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -183,35 +183,35 @@ def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted
 ):
     import tiny_stages
 
-    log, halved = tmp_path / "log", tiny_stages.halve.work
+    log, halved = tmp_path / "log", tiny_stages.halve.compute
     spoilt = []
 
-    def spoil(site, made, where):
+    def spoil(run, made, where):
         if not spoilt:
             spoilt.append(made.uri)
             (Path(store.path) / made.uri).write_bytes(b"spoilt")
-        return halved(site, made, where)
+        return halved(run, made, where)
 
-    monkeypatch.setattr(tiny_stages.halve, "work", spoil)
+    monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
     told = Progress(1, 3, stream=io.StringIO())
     outcome = run_tiny(store, {"a": tiny(6, 1, log)}, progress=told)
     assert outcome.failures == [] and list(outcome.refs["a"]) == ["make", "halve", "add"]
     assert log.read_text().split("\n")[:-1] == ["a make", "a halve", "a make", "a halve", "a add"]
-    assert told.metrics().steps == told.metrics().stages == 3
-    assert "a  make  again: its artifact was damaged" in told.display.stream.getvalue()
+    assert told.steps == told.total == 3
+    assert "a  make  again: its artifact was damaged" in told.console.file.getvalue()
     assert store.get(outcome.refs["a"]["make"])["labels"].max() == 6
 
 
 def test_what_is_damaged_again_and_again_fails_the_scene(store, tmp_path, monkeypatch):
     import tiny_stages
 
-    halved = tiny_stages.halve.work
+    halved = tiny_stages.halve.compute
 
-    def spoil(site, made, where):
+    def spoil(run, made, where):
         (Path(store.path) / made.uri).write_bytes(b"spoilt")
-        return halved(site, made, where)
+        return halved(run, made, where)
 
-    monkeypatch.setattr(tiny_stages.halve, "work", spoil)
+    monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
     outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
     (failure,) = outcome.failures
     assert (failure.stage, failure.kind) == ("halve", "DamagedError")

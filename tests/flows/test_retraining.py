@@ -1,4 +1,4 @@
-"""Nights: what comes is learnt once, what is withdrawn is unlearnt, each end has its status."""
+"""Retraining: what arrives is learnt once, what is withdrawn is unlearnt, each end has a status."""
 
 import json
 from pathlib import Path
@@ -8,9 +8,9 @@ import pytest
 from command import run, said
 from prefect.client.orchestration import get_client
 
-from flows.night_settings import STATUS
-from flows.nightly import ARTIFACT
-from flows.retraining import LOCK
+from flows.history import ARTIFACT
+from flows.retraining import LOCK, STATUS
+from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.semantic.split import held_out
@@ -61,11 +61,11 @@ def arrive(folder: Path, clip: re10k.Clip) -> None:
 
 
 def record(folder: Path, number: int) -> dict:
-    return json.loads((folder / "corpus" / "nights" / f"{number:06d}.json").read_text())
+    return json.loads((folder / "corpus" / "history" / f"{number:06d}.json").read_text())
 
 
 def artifact() -> str:
-    """The latest artifact of a night, read from the server by its API."""
+    """The latest artifact of a retraining, read from the server by its API."""
     with get_client(sync_client=True) as client:
         body = {"artifacts": {"key": {"any_": [ARTIFACT]}}, "sort": "CREATED_DESC", "limit": 1}
         answer = client._client.post("/artifacts/filter", json=body)
@@ -82,42 +82,43 @@ def clips_of_set(folder: Path) -> set[str]:
     return {about["clip"] for about in TrainingSet(folder / "set").rows.to_pylist()}
 
 
-def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
+def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
     first, second, judged = clips
+    monkeypatch.delenv(NO_EVENTS)  # the server is the user's
     config = tmp_path / "night.toml"
     config.write_text(CONFIG)
     (tmp_path / "withdrawn.txt").touch()
     versions = Versions(tmp_path / "models")
 
-    def night(expected: str) -> str:
-        status, heard = run(monkeypatch, "nightly", config), capsys.readouterr()
+    def retrain(expected: str) -> str:
+        status, heard = run(monkeypatch, "retrain", config), capsys.readouterr()
         assert status == STATUS[expected], heard
         return heard.out + heard.err
 
     # A first one, of too few clips to promote anything.
     for clip in (first, judged):
         arrive(tmp_path, clip)
-    assert "version 1 kept, not used: too few clips" in night("refused")
+    assert "version 1 kept, not used: too few clips" in retrain("refused")
     made = record(tmp_path, 1)
     assert made["changes"]["arrived"]["count"] == 2 and made["outcome"] == "refused"
     page = artifact()
-    assert page.startswith("# Night 1: refused\n") and "| filled | 0." in page
+    assert page.startswith("# Retraining 1: refused\n") and "| filled | 0." in page
     assert "| arrived | 2 | " in page
     assert clips_of_set(tmp_path) == {first.key, judged.key}
     assert f"training set: {made['training set']['samples']} samples of 2 places" in page
 
-    # Nothing happens; then another night is on; then one is killed while something damaged came.
-    assert "nothing new since version 1; no version is in use" in night("nothing new")
+    # Nothing happens; then another one is on; then one is killed while something damaged came.
+    assert "nothing new since version 1; no version is in use" in retrain("nothing new")
     with held(tmp_path / "models" / LOCK, "test"):
-        assert "models is in use by process" in night("busy")
-    lost = {"night": 3, "begun": "2099-01-01T00:00:00+00:00", "outcome": "on", "said": []}
-    (tmp_path / "corpus" / "nights" / "000003.json").write_text(json.dumps(lost))
+        assert "models is in use by process" in retrain("busy")
+    lost = {"number": 3, "begun": "2099-01-01T00:00:00+00:00", "outcome": "on", "messages": []}
+    (tmp_path / "corpus" / "history" / "000003.json").write_text(json.dumps(lost))
     (tmp_path / "chunks" / "broken.torch").write_bytes(b"no chunk")
-    assert "left out for the first time: 1, as broken.torch: " in night("left out")
+    assert "left out for the first time: 1, as broken.torch: " in retrain("left out")
     assert record(tmp_path, 3)["outcome"] == "failed"
-    assert "begun 2099-01-01T00:00:00+00:00, was ended" in record(tmp_path, 3)["said"][0]
+    assert "begun 2099-01-01T00:00:00+00:00, was ended" in record(tmp_path, 3)["messages"][0]
     assert "\nLeft out: broken.torch: " in artifact()
-    assert "nothing new" in night("nothing new")  # what was left out before is no news
+    assert "nothing new" in retrain("nothing new")  # what was left out before is no news
 
     # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.
     assert run(monkeypatch, "versions", tmp_path / "models", "--use", "1") == 0
@@ -126,7 +127,7 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     ]
     (tmp_path / "withdrawn.txt").write_text(f"{first.key}\n")
     arrive(tmp_path, second)
-    text = night("refused")
+    text = retrain("refused")
     assert (
         f"trained anew, as version 1 has learnt what was withdrawn or changed since: {first.key}"
         in text
@@ -145,28 +146,28 @@ def test_nights_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch
     assert first.key.replace(" ", "_") not in sheets and len(sheets) == 2
     assert clips_of_set(tmp_path) == {second.key, judged.key}
 
-    # What cannot be done is a failure with an artifact, and the next night is as good.
-    # A training set that cannot be built is told, and does not keep a night from learning.
+    # What cannot be done is a failure with an artifact, and the next one is as good.
+    # A training set that cannot be built is told, and does not keep one from learning.
     config.write_text(CONFIG.replace("targets = 1", "targets = 9"))
-    assert "the training set was not built: " in night("nothing new")
+    assert "the training set was not built: " in retrain("nothing new")
     config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
-    assert "held_out 0.01: found" in night("failed")
+    assert "held_out 0.01: found" in retrain("failed")
     assert record(tmp_path, 8)["outcome"] == "failed"
-    assert artifact().startswith("# Night 8: failed\n\nheld_out 0.01")
+    assert artifact().startswith("# Retraining 8: failed\n\nheld_out 0.01")
     config.write_text(CONFIG)
-    assert "nothing new since version 2; version 1 is in use" in night("nothing new")
+    assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
     assert record(tmp_path, 9)["changes"]["arrived"]["count"] == 0
     files = sorted(file.name for file in (tmp_path / "corpus" / "nights").glob("*.parquet"))
     assert files == ["000009.clips.parquet"]
 
 
-def test_settings_of_a_night_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):
+def test_settings_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):
     config = tmp_path / "night.toml"
     config.write_text(CONFIG)
     (tmp_path / "chunks").mkdir()
     (tmp_path / "chunks" / "one.torch").touch()
-    assert run(monkeypatch, "nightly", config) == 2
+    assert run(monkeypatch, "retrain", config) == 2
     assert "withdrawn.txt: cannot be read" in said(capsys)
     config.write_text(CONFIG.replace("replicas", "copies"))
-    assert run(monkeypatch, "nightly", config) == 2
+    assert run(monkeypatch, "retrain", config) == 2
     assert "night.toml: unknown key 'copies'" in said(capsys)

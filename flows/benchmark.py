@@ -9,30 +9,34 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from prefect import flow
+from prefect.states import State
 
 from flows import kept
 from flows.artifact_table import write_artifacts
-from flows.jobs import baseline_job_name, baseline_jobs, chosen_baselines, scene_job
 from flows.labelled import labelled_scenes
 from flows.manifest import manifest
-from flows.road import STAGES, check_numerics
 from flows.room_scenes import THIRDS, room_scene, seeds
+from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
 from flows.runners.progress import Progress
-from flows.runners.shard import Failure, Job
-from flows.runners.worker_pool import (
-    Outcome,
-    WorkerPool,
-    failures_file,
-    job_flow,
-    work_through_all,
+from flows.runners.publishing import publish_markdown, publish_table
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.runners.task_runners import Workers, open_workers
+from flows.scene import (
+    STAGES,
+    baseline_tasks,
+    check_numerics,
+    chosen_baselines,
+    method_task_name,
+    scene_task,
 )
-from flows.settings import SceneSettings, Settings
-from flows.sweep import VIEWS, Combination, combinations, sweep_jobs
+from flows.settings import SceneSettings, Settings, settled
+from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.numerics import HardCase
@@ -51,8 +55,10 @@ from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.tables import read_table
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.baselines import baselines
+from tasks.numerics import numerics
 from tasks.report import Scored, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
@@ -60,6 +66,9 @@ BUILDING = ("geometry", "masks", "supervision", "field")
 
 SWEPT = len(STAGES) - 1
 """Stages of a scene with other settings: all but attribution."""
+
+REPORT, SCORES = "slgaussian-report", "slgaussian-scores"
+"""Keys of the Prefect artifacts of a run."""
 
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
@@ -76,7 +85,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Finished:
+class RunResult:
     """What a run leaves.
 
     Attributes
@@ -104,49 +113,106 @@ class Finished:
         return shlex.join(["slgaussian", "view", shlex.split(self.ready)[2]]) if self.ready else ""
 
 
-def run(
-    settings: Settings,
-    store: ArtifactStore,
-    verbose: bool = False,
-) -> Finished:
-    """Run the pipeline; write its tables, masks, fields and report to ``settings.out``.
+@flow(name="slgaussian", persist_result=False)
+def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
+    """Score the method, and others, on many scenes; write tables, masks, fields and report.
 
-    Needs Prefect to be ready (:func:`flows.runners.environment.orchestration`).
+    The final state names the scenes that were left out; report and scores are artifacts of Prefect
+    too, where its server is the user's.
+
+    Parameters
+    ----------
+    config : Settings
+    verbose : bool
+        Print a line for every stage.
 
     Raises
     ------
     InputError
-        If there is nothing to do, a part of the method is unknown, or the store or the output
-        folder cannot be written.
+        If there is nothing to do, a component is unknown, or the store or the output folder cannot
+        be written.
     """
-    scenes, said = scenes_of(settings)
-    variants = combinations(settings)
-    method = settings.built_by
+    config = settled(config)
+    result = run_session("run", config, verbose, lambda store: _score(config, store, verbose))
+    message = f"report: {result.report}" if result.report else "no report"
+    if result.report is not None:
+        publish_markdown(REPORT, result.report.with_suffix(".md").read_text("utf-8"))
+        publish_table(SCORES, read_table(config.out / "scores.parquet").to_pylist())
+    return completed(message, result, result.failures)
+
+
+def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
+    scenes, notes = scenes_of(config)
+    variants = combinations(config)
+    method = config.built_by
     for one in (method, *(variant.settings.built_by for variant in variants)):
         one.check()
-    Rules(**settings.rules())
-    chosen_baselines(settings.against)
+    Rules(**config.rules())
+    chosen_baselines(config.against)
     store.check_writable()
-    check_folder(settings.out)
-    kept.check_places([scene.name for scene in scenes], settings.out)
-    progress = Progress(len(scenes), len(STAGES), verbose=verbose)
-    for text in (f"with {', '.join(part.name for part in method.parts)}", *said):
-        progress.line(text)
-    made = score(store, settings.runner, settings.workers, settings, scenes, variants, progress)
-    for scene, of in made.manifest.get("data", {}).items():
-        for name, why in of["left_out"].items():
-            progress.line(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
+    check_folder(config.out)
+    kept.check_places([scene.name for scene in scenes], config.out)
+    stages = [stage.name for stage in (*STAGES, baselines, report, numerics)]
+    refresh = stages_to_refresh(config, stages)
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
+        progress = Progress(len(scenes), len(STAGES), verbose=verbose)
+        for text in (f"with {', '.join(part.name for part in method.parts)}", *notes):
+            progress.note(text)
+        refs = _compute(config, scenes, variants, workers, progress)
+    for scene, data in refs.manifest.get("data", {}).items():
+        for name, why in data["left_out"].items():
+            progress.note(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
     try:
-        results = _write(settings, store, made, progress.line)
+        results = _write(config, store, refs, progress.note)
     except OSError as error:
         raise InputError(
-            f"{settings.out}: cannot write the results ({error.strerror}); they are kept in the "
+            f"{config.out}: cannot write the results ({error.strerror}); they are kept in the "
             "store, so make room there, or choose another folder with -o, and run again"
         ) from error
     progress.summary()
-    written = None if made.report is None else settings.out / "report.html"
-    ready = _ready(made, settings.out)
-    return Finished(results, made.failures, written, ready, made.costs)
+    page = None if refs.report is None else config.out / "report.html"
+    return RunResult(results, refs.failures, page, _example(refs, config.out), refs.costs)
+
+
+def _compute(
+    config: Settings,
+    scenes: Sequence[SceneSettings],
+    variants: Sequence[Combination],
+    workers: Workers,
+    progress: Progress,
+) -> _Refs:
+    """Take all scenes through their pipeline, ask the other methods the same, make the report."""
+    method, verbose = config.built_by, progress.verbose
+    with progress:
+        ours = map_scenes(
+            [scene_task(config, method, scene) for scene in scenes], workers, progress
+        )
+    others = rest = Outcome()
+    if tasks := baseline_tasks(config, method, scenes, ours.refs):
+        others = _map(tasks, 1, "answers", workers, verbose)
+    complete = [scene for scene in scenes if scene.name in ours.refs]
+    by_names, refused = sweep_tasks(variants, complete)
+    if by_names:
+        rest = _map(list(by_names.values()), SWEPT, "settings", workers, verbose)
+    rest = replace(rest, failures=[*rest.failures, *refused])
+    refs = _gathered(config, scenes, variants, ours, others, rest)
+    if refs.answers:
+        last = [_report_task(refs), SceneTask("this machine", check_numerics, (), "numerics")]
+        made = _map(last, 1, "last tasks", workers, verbose)
+        refs.outcomes.append(made)
+        refs.failures += made.failures
+        refs.report = made.refs.get("all scenes", {}).get("report")
+        refs.hard_cases = made.refs.get("this machine", {}).get("numerics")
+    return refs
+
+
+def _map(
+    tasks: list[SceneTask], stages: int, unit: str, workers: Workers, verbose: bool
+) -> Outcome:
+    with Progress(len(tasks), stages, verbose, unit=unit) as progress:
+        outcome = map_scenes(tasks, workers, progress)
+    progress.summary()
+    return outcome
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -170,20 +236,8 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     return scenes, said
 
 
-def check_folder(out: Path) -> None:
-    """Make the output folder; InputError now, not after the work, if it cannot be written."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomic(out / ".probe", b"")
-        (out / ".probe").unlink()
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot write there ({error.strerror}); choose another folder with -o"
-        ) from error
-
-
 def _write(
-    settings: Settings, store: ArtifactStore, made: _Made, tell: Callable[[str], None]
+    settings: Settings, store: ArtifactStore, made: _Refs, tell: Callable[[str], None]
 ) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
@@ -235,7 +289,7 @@ def _write(
     return results
 
 
-def _ready(made: _Made, out: Path) -> str:
+def _example(made: _Refs, out: Path) -> str:
     """A command that asks a field something, as it can be pasted.
 
     Of the first scene whose answer is known to be right, or else of the first that has one. A field
@@ -261,7 +315,7 @@ def _json(content: dict[str, Any]) -> bytes:
 
 
 @dataclass
-class _Made:
+class _Refs:
     """What the flow made.
 
     By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
@@ -301,45 +355,6 @@ class _Made:
                 yield scene, other
 
 
-@job_flow("slgaussian")
-def score(
-    pool: WorkerPool,
-    settings: Settings,
-    scenes: Sequence[SceneSettings],
-    variants: Sequence[Combination],
-    progress: Progress,
-) -> _Made:
-    """Take all scenes down their road, have the baselines asked the same, and make the report."""
-    method = settings.built_by
-    with progress:
-        jobs = [scene_job(settings, method, scene) for scene in scenes]
-        outcome = work_through_all(jobs, pool, progress)
-    others = baseline_jobs(settings, method, scenes, outcome.refs)
-    more = Outcome()
-    if others:
-        with Progress(len(others), 1, progress.verbose, unit="answers") as course:
-            more = work_through_all(others, pool, course)
-        course.summary()
-    rest = Outcome()
-    through = [scene for scene in scenes if scene.name in outcome.refs]
-    jobs_by, refused = sweep_jobs(variants, through)
-    if jobs_by:
-        with Progress(len(jobs_by), SWEPT, progress.verbose, unit="settings") as course:
-            rest = work_through_all(list(jobs_by.values()), pool, course)
-        course.summary()
-    rest.failures += refused
-    made = _gathered(settings, scenes, variants, outcome, more, rest)
-    if made.answers:
-        last = [_report_job(made), Job("this machine", check_numerics, (), "numerics")]
-        with Progress(len(last), 1, progress.verbose, unit="last jobs") as course:
-            page = work_through_all(last, pool, course)
-        made.outcomes.append(page)
-        made.failures += page.failures
-        made.report = page.refs.get("all scenes", {}).get("report")
-        made.hard_cases = page.refs.get("this machine", {}).get("numerics")
-    return made
-
-
 def _gathered(
     settings: Settings,
     scenes: Sequence[SceneSettings],
@@ -347,14 +362,14 @@ def _gathered(
     outcome: Outcome,
     more: Outcome,
     rest: Outcome,
-) -> _Made:
+) -> _Refs:
     through = [scene.name for scene in scenes if scene.name in outcome.refs]
     rows = chosen_baselines(settings.against)
     others = {
         scene: {
             method: more.refs[job][baselines.name]
             for method in rows
-            if (job := baseline_job_name(scene, method)) in more.refs
+            if (job := method_task_name(scene, method)) in more.refs
         }
         for scene in through
     }
@@ -362,7 +377,7 @@ def _gathered(
         (scene, one.name): rest.refs[called]
         for scene in through
         for one in variants
-        if (called := baseline_job_name(scene, one.name)) in rest.refs
+        if (called := method_task_name(scene, one.name)) in rest.refs
     }
     costs = {
         stage.name: StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
@@ -375,13 +390,13 @@ def _gathered(
         stages.append(baselines)
     for (scene, method), refs in swept.items():
         others[scene][method] = refs["benchmark"]
-    begun = outcome.begun | outcome.refs
+    started = outcome.partial | outcome.refs
     fields = {
-        scene.name: begun[scene.name]["field"]
+        scene.name: started[scene.name]["field"]
         for scene in scenes
-        if "field" in begun.get(scene.name, {})
+        if "field" in started.get(scene.name, {})
     }
-    return _Made(
+    return _Refs(
         fields,
         {scene: outcome.refs[scene]["benchmark"] for scene in through},
         others,
@@ -409,7 +424,7 @@ def _cost(refs: Mapping[str, ArtifactRef]) -> Cost:
     return Cost(account["gaussians_made"], account["gaussians_kept"], seconds)
 
 
-def _report_job(made: _Made) -> Job:
+def _report_task(made: _Refs) -> SceneTask:
     scenes = [
         Scored(
             scene,
@@ -422,4 +437,4 @@ def _report_job(made: _Made) -> Job:
         for scene, answer in made.answers.items()
     ]
     failures = [asdict(failure) for failure in made.failures]
-    return Job("all scenes", report, (scenes, made.manifest, failures), first="report")
+    return SceneTask("all scenes", report, (scenes, made.manifest, failures), first="report")

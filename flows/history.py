@@ -1,0 +1,150 @@
+"""The record of a retraining: a numbered JSON file, and the Markdown of its Prefect artifact.
+
+``history/000012.json`` in the output folder says that a retraining is on, and in the end what came
+of it. One that still says so when the next begins was ended from outside: a retraining holds a
+lock, which the kernel takes back. Nothing goes by the time of day, so no clock that is put forward
+or back loses one or counts one twice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from flows.runners.publishing import publish_markdown
+from slgaussian.errors import SpecError
+from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import decode_table, encode_table
+
+ARTIFACT = "slgaussian-retraining"
+"""Key of the Prefect artifact of a retraining; a server keeps those of all."""
+
+NAMES = 20
+"""Names of each kind that a record has at most; there may be as many as there are clips."""
+
+
+class History:
+    """The records of all retrainings, and of the last one the clips that there were."""
+
+    def __init__(self, out: Path) -> None:
+        self.folder = out / "history"
+
+    def file(self, number: int) -> Path:
+        """Return the place of a record."""
+        return self.folder / f"{number:06d}.json"
+
+    def numbers(self) -> list[int]:
+        """Return the numbers of all records, ascending."""
+        return sorted(int(f.stem) for f in self.folder.glob("*.json") if f.stem.isdecimal())
+
+    def read(self, number: int) -> dict[str, Any]:
+        """Read a record; SpecError if it cannot be read."""
+        file = self.file(number)
+        try:
+            record = strict_json.parse(file.read_bytes())
+            return {**record, "number": number, "outcome": str(record["outcome"])}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SpecError(f"{file}: cannot be read ({error!r:.200}); delete it") from error
+
+    def last(self) -> dict[str, Any] | None:
+        """Read the last record; None if there is none."""
+        numbers = self.numbers()
+        return self.read(numbers[-1]) if numbers else None
+
+    def begin(self) -> dict[str, Any]:
+        """Begin a record, after that of one that was ended from outside is closed."""
+        self.folder.mkdir(exist_ok=True)
+        last = self.last()
+        if last is not None and last["outcome"] == "on":
+            reason = (
+                f"retraining {last['number']}, begun {last['begun']}, was ended from outside; the "
+                "next goes on with what it made"
+            )
+            self.end(last | {"outcome": "failed", "messages": [reason]}, None)
+        number = max(self.numbers(), default=0) + 1
+        record = {"number": number, "begun": _now(), "outcome": "on", "messages": []}
+        self._write(record)
+        return record
+
+    def end(self, record: dict[str, Any], clips: pa.Table | None) -> None:
+        """Write the record of a retraining that is over, and create its artifact.
+
+        ``clips`` are what the next one compares with; None if nothing is known of them.
+        """
+        number = record["number"]
+        if clips is not None:
+            write_atomic(self._clips_of(number), encode_table(clips, load_spec("clips")))
+        self._write(record | {"clips": clips is not None})
+        if clips is not None:
+            for file in self.folder.glob("*.clips.parquet"):
+                if file != self._clips_of(number):
+                    file.unlink()
+        publish_markdown(ARTIFACT, markdown_of(record), f"Retraining {number}")
+
+    def last_clips(self) -> pa.Table:
+        """Return the clips of the last retraining that knew them; an empty table at first."""
+        spec = load_spec("clips")
+        for number in reversed(self.numbers()):
+            if self.read(number).get("clips"):
+                file = self._clips_of(number)
+                return decode_table(file.read_bytes(), spec, str(file), "delete this file")
+        return spec.schema.empty_table()
+
+    def left_out(self) -> set[str]:
+        """Return the names of what was left out in the last retraining that knew them."""
+        for number in reversed(self.numbers()):
+            record = self.read(number)
+            if record.get("clips"):
+                return set(record["left out"])
+        return set()
+
+    def _clips_of(self, number: int) -> Path:
+        return self.folder / f"{number:06d}.clips.parquet"
+
+    def _write(self, record: dict[str, Any]) -> None:
+        write_atomic(self.file(record["number"]), json.dumps(record, indent=1).encode())
+
+
+def markdown_of(record: Mapping[str, Any]) -> str:
+    """Return the Markdown of a retraining's artifact; of one that failed, only why."""
+    lines = [f"# Retraining {record['number']}: {record['outcome']}", *record["messages"]]
+    if "scores" in record:
+        rows = [f"| {name} | {iou:.4f} |" for name, iou in record["scores"].items()]
+        lines.append("\n".join(["| lifting | IoU on held-out clips |", "|---|---:|", *rows]))
+    if "changes" in record:
+        rows = [
+            f"| {kind} | {some['count']} | {_cell(', '.join(some['first']))} |"
+            for kind, some in record["changes"].items()
+        ]
+        lines.append("\n".join(["| clips | number | first |", "|---|---:|---|", *rows]))
+        lines += [
+            f"Left out: {_cell(f'{n}: {why}')}" for n, why in record["newly left out"].items()
+        ]
+    for one in record.get("drift", ()):
+        low, _, high = one["known"]
+        verdict = "drifted" if one["drifted"] else "as before"
+        lines.append(f"{one['measure']}: {low:.3g} to {high:.3g}, now {one['come']:.3g}, {verdict}")
+    if "seconds" in record:
+        lines.append(f"{record['seconds']} s, begun {record['begun']}")
+    return "\n\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Escape a text for a cell: names of clips and reasons are no markup."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>|#!" else c for c in " ".join(text.split()))
+
+
+def first_names(names: Sequence[str]) -> dict[str, Any]:
+    """Return how many names there are, and the first :data:`NAMES`."""
+    return {"count": len(names), "first": list(names[:NAMES])}
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,116 @@
+"""What every flow of this package does around its work: a log, provenance, damaged artifacts."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from prefect.runtime import deployment
+from prefect.states import Completed, State
+
+from flows.runners.batches import Failure
+from flows.runners.log_file import log, log_to_file
+from slgaussian import __version__
+from slgaussian.errors import InputError, did_you_mean
+from slgaussian.io import write_atomic
+from slgaussian.storage.provenance import Made, making
+from slgaussian.storage.store import ArtifactStore, DamagedError
+
+Result = TypeVar("Result")
+
+NAMED = 50
+"""Scenes that the message of a state names at most."""
+
+
+def run_session(
+    command: str, config: Any, verbose: bool, work: Callable[[ArtifactStore], Result]
+) -> Result:
+    """Do the work of a flow with its store, a log in its output folder, and whole artifacts.
+
+    Where an artifact turns out to be damaged when it is handed out or read by another scene, it is
+    removed and the work is done again, which computes it anew and finds the rest in the store.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command, for provenance and log.
+    config
+        The flow's configuration, with ``store`` and ``out`` at least.
+    verbose : bool
+    work : callable
+
+    Raises
+    ------
+    SLGaussianError
+        As ``work``, and if a damaged artifact is none that it makes.
+    """
+    store = ArtifactStore(config.store)
+    facts = {"command": command, "version": __version__, "store": store.root}
+    facts |= config.model_dump(include={"runner", "workers"})
+    if deployment.id is not None:
+        threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+    damaged: dict[str, str] = {}
+    with log_to_file(config.out, facts, verbose), making(Made(command)):
+        while True:
+            try:
+                return work(store)
+            except DamagedError as error:
+                if error.uri in damaged:
+                    raise InputError(
+                        f"{damaged[error.uri]}; this command does not make it: first run the one "
+                        "that does, such as `slgaussian supervise`"
+                    ) from error
+                damaged[error.uri] = str(error)
+                store.remove([error.uri])
+                message = (
+                    f"{store.root}/{error.uri} is damaged; it is removed, and the work begins anew"
+                )
+                log(logging.WARNING, "damaged", message)
+                print(message, file=sys.stderr, flush=True)
+
+
+def _leave_with_parent(parent: int) -> None:
+    """End this process, whose work goes on next time, once the one that serves it is gone."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)
+
+
+def completed(
+    message: str, result: Result, failures: Sequence[Failure] = (), name: str = "Completed"
+) -> State[Result]:
+    """Return the final state of a flow, whose message names the scenes that were left out."""
+    names = list(dict.fromkeys(failure.scene for failure in failures))
+    if names:
+        more = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
+        message += f"; left out: {', '.join(names[:NAMED])}{more}"
+    return Completed(name=name, message=message, data=result)
+
+
+def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
+    """Return ``config.refresh``; InputError if one is none of a flow's stages."""
+    for name in config.refresh:
+        if name not in stages:
+            raise InputError(
+                f"refresh: found {name!r}, expected one of the stages {', '.join(stages)}"
+                f"{did_you_mean(name, stages)}"
+            )
+    return frozenset(config.refresh)
+
+
+def check_folder(out: Path) -> None:
+    """Make the output folder; InputError now, not after the work, if it cannot be written."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomic(out / ".probe", b"")
+        (out / ".probe").unlink()
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot write there ({error.strerror}); choose another folder with -o"
+        ) from error

@@ -1,0 +1,196 @@
+"""The pipeline of a scene, from photographs to scores: each line a stage, in the order they run.
+
+A stage is a Prefect task whose result is looked up in the store first (:mod:`tasks.stage`).
+:func:`slgaussian.build.build_field` takes the same steps with arrays in memory and without a store,
+from a sample to a field. :mod:`flows.runners.batches` runs the pipelines of many scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from flows.runners.batches import SceneTask
+from flows.settings import SceneSettings, Settings
+from slgaussian.benchmark.baselines import ROWS, Row
+from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.errors import InputError, did_you_mean
+from slgaussian.kernels import threads
+from slgaussian.language.query import Rules
+from slgaussian.parts.method import Method
+from slgaussian.scene import Size
+from slgaussian.storage.store import ArtifactRef
+from tasks.attribution import attribution
+from tasks.baselines import baselines
+from tasks.benchmark import benchmark
+from tasks.field import field
+from tasks.geometry import geometry
+from tasks.ingest import Photographs, ingest
+from tasks.masks import masks
+from tasks.numerics import numerics
+from tasks.supervision import supervision
+from tasks.truth import Labels, truth
+
+STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
+"""The stages of :func:`score_scene`, in their order."""
+
+OURS = "slgaussian"
+
+JUDGED = "auto"
+"""Size of the targets of every run, whatever it works at: scores of other sizes do not compare."""
+
+
+def score_scene(
+    photographs: Photographs,
+    labels: Labels,
+    method: Method,
+    trust_cameras: bool,
+    settings: EvaluationSettings,
+) -> None:
+    """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
+    refs = answer_scene(photographs, labels, method, trust_cameras, settings)
+    # What is asked without truth can be no miss.
+    attribution(*refs, method, replace(settings, queries=()))
+
+
+def answer_scene(
+    photographs: Photographs,
+    labels: Labels,
+    method: Method,
+    trust_cameras: bool,
+    settings: EvaluationSettings,
+) -> tuple[ArtifactRef, ...]:
+    """Build the field of a scene and ask it.
+
+    Returns the refs of sample, truth, Gaussians, label maps and field.
+    """
+    sample = ingest(photographs)
+    known = truth(sample, labels.of_views(sample.meta["targets"]))
+    gaussians = geometry(sample, method.predictor, method.seed, trust_cameras)
+    ids = masks(sample, gaussians, method.proposer, method.tracker, method.replicas)
+    bank = supervision(
+        sample, gaussians, ids, method.encoder, method.codes, method.seed, method.bank
+    )
+    built = field(sample, gaussians, ids, bank, method)
+    benchmark(sample, known, gaussians, ids, built, method.encoder, settings)
+    return sample, known, gaussians, ids, built
+
+
+def score_baseline(
+    refs: Mapping[str, ArtifactRef],
+    method: Method,
+    settings: EvaluationSettings,
+    name: str,
+    fields: Mapping[str, Any],
+    package: str,
+) -> None:
+    """Ask a baseline what the field of a scene was asked.
+
+    ``refs`` are the results of the stages of :func:`score_scene`, ``name`` and ``fields`` those of
+    the baseline, and ``package`` what another package that brings it is known by, else empty.
+    """
+    inputs = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
+    baselines(*inputs, method, settings, name, fields, package)
+
+
+def check_numerics() -> None:
+    """Measure the hard cases of the machine that works, unless it or one of its kind has."""
+    known = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
+    numerics(threads.kernels() | known)
+
+
+def scene_task(settings: Settings, method: Method, scene: SceneSettings) -> SceneTask:
+    """Return the task of a scene, from its photographs to its scores."""
+    arguments = photographs(settings, scene), labels(scene), method, settings.trust_cameras
+    return SceneTask(scene.name, score_scene, (*arguments, evaluation(settings, scene)))
+
+
+def judged_at(size: Size) -> Size:
+    """Return the size of targets where scenes are worked on at ``size``.
+
+    A height and width crops, and so crops the targets too.
+    """
+    return JUDGED if isinstance(size, str) else size
+
+
+def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
+    """Return which photographs of a scene are read in a run, and how."""
+    size = scene.size or settings.size
+    return Photographs(
+        scene.name,
+        scene.format,
+        scene.path,
+        scene.options,
+        tuple(scene.context),
+        tuple(scene.targets),
+        size,
+        scene.near or settings.near,
+        scene.far or settings.far,
+        judged=judged_at(size),
+    )
+
+
+def labels(scene: SceneSettings) -> Labels:
+    """Return where the truth of a scene comes from."""
+    return Labels(scene.labels, tuple(scene.targets), tuple(scene.categories))
+
+
+def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
+    """Return what a scene is asked in a run."""
+    place = scene.options.get("scene")
+    return EvaluationSettings(
+        method=settings.method,
+        dataset=scene.dataset,
+        place=None if place is None else str(place),
+        queries=tuple(scene.queries),
+        rules=Rules(**settings.rules()),
+    )
+
+
+def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
+    """Return the baselines by these names, in the order of the table of methods.
+
+    ``all`` stands for all that are not slow. Without our own, which is scored anyway.
+
+    Raises
+    ------
+    InputError
+        If there is no such method.
+    """
+    for name in names:
+        if name not in (*ROWS, "all"):
+            raise InputError(
+                f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
+                f"{did_you_mean(name, ROWS)}"
+            )
+    return {
+        name: row
+        for name, row in ROWS.items()
+        if name != OURS and (name in names or ("all" in names and not row.slow))
+    }
+
+
+def baseline_tasks(
+    settings: Settings,
+    method: Method,
+    scenes: Sequence[SceneSettings],
+    refs: Mapping[str, Mapping[str, ArtifactRef]],
+) -> list[SceneTask]:
+    """Return a task for each baseline and scene that has ``refs`` of its stages."""
+    scene_tasks = []
+    for scene in (scene for scene in scenes if scene.name in refs):
+        asked = evaluation(settings, scene)
+        for name, row in chosen_baselines(settings.against).items():
+            rules = replace(asked.rules, **row.rules)
+            changed = replace(asked, method=name, rules=rules, drawn=False)
+            baseline = row.method, dict(row.settings), row.brought_by
+            arguments = dict(refs[scene.name]), method, changed, *baseline
+            task_name = method_task_name(scene.name, name)
+            scene_tasks.append(SceneTask(task_name, score_baseline, arguments, baselines.name))
+    return scene_tasks
+
+
+def method_task_name(scene: str, method: str) -> str:
+    """Return the name of the task of another method and scene, in failures too."""
+    return f"{scene}: {method}"

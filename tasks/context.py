@@ -1,0 +1,117 @@
+"""The run context: where the stages of one scene store, read and report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class StageEvent:
+    """A change of state of one stage of one scene.
+
+    Attributes
+    ----------
+    scene, stage : str
+    state : str
+        ``running``, ``completed``, ``cached``, ``repeated`` (its artifact was damaged, and it is
+        computed again) or ``failed`` (the scene is left out).
+    message : str
+        Progress within a running stage, or the reason of a failure.
+    seconds : float
+        Wall time of a completed stage.
+    traceback : str
+        Of a failure that is a defect.
+    """
+
+    scene: str
+    stage: str
+    state: str
+    message: str = ""
+    seconds: float = 0.0
+    traceback: str = ""
+
+
+Notify = Callable[[StageEvent], None]
+
+
+@dataclass
+class RunContext:
+    """What the stages of one scene share.
+
+    Attributes
+    ----------
+    store : ArtifactStore
+    scene : str
+        Name of the scene in events and in Prefect's page.
+    workers : int
+        Scenes that are worked on at the same time on this machine.
+    notify : callable
+        Receives every :class:`StageEvent`.
+    refresh : frozenset of str
+        Names of stages to compute anew, with what follows from them.
+    refs : {stage: ArtifactRef}
+        Results of the stages so far.
+    stage, key : str
+        The running stage and its cache key.
+    results : {digest: StageResult}
+        The same as ``refs``, as Prefect knows them.
+    """
+
+    store: ArtifactStore
+    scene: str = ""
+    workers: int = 1
+    notify: Notify = lambda event: None
+    refresh: frozenset[str] = frozenset()
+    refs: dict[str, ArtifactRef] = field(default_factory=dict)
+    stage: str = ""
+    key: str = ""
+    results: dict[str, Any] = field(default_factory=dict)
+    _values: dict[Hashable, Any] = field(default_factory=dict)
+
+    def read(self, ref: ArtifactRef, decode: Callable[[Arrays], Value]) -> Value:
+        """Decode a stored artifact; see :meth:`once`."""
+        return self.once((ref.digest, decode), lambda: decode(self.store.get(ref)))
+
+    def once(self, key: Hashable, compute: Callable[[], Value]) -> Value:
+        """Compute a value once for all stages of the scene, none of which may change it."""
+        if key not in self._values:
+            self._values[key] = compute()
+        return self._values[key]
+
+    def report(self, message: str) -> None:
+        """Report the progress of the running stage."""
+        self.notify(StageEvent(self.scene, self.stage, "running", message))
+
+
+_context: ContextVar[RunContext | None] = ContextVar("run_context", default=None)
+
+
+def current_run() -> RunContext:
+    """Return the context that stages are called in; LookupError outside :func:`run_context`."""
+    context = _context.get()
+    if context is None:
+        raise LookupError("stages are called within tasks.context.run_context")
+    return context
+
+
+def enclosing_run() -> RunContext | None:
+    """Return the context that this code runs in, None in a process that has none."""
+    return _context.get()
+
+
+@contextmanager
+def run_context(context: RunContext) -> Iterator[RunContext]:
+    """Have stages that are called within the block use this context."""
+    token = _context.set(context)
+    try:
+        yield context
+    finally:
+        _context.reset(token)

@@ -1,0 +1,124 @@
+"""Progress of a run: lines that stay, counts, and what a terminal shows below them."""
+
+import io
+import itertools
+
+import pytest
+
+from flows.runners.progress import Progress, Waiting, duration
+from tasks.context import StageEvent
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(autouse=True)
+def wide(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("TERM", "xterm")
+
+
+def two_done_one_failed(progress: Progress) -> None:
+    """Take scenes a (cached) and b through two stages, leave c out, and begin d."""
+    for scene, stage in itertools.product("ab", ("ingest", "masks")):
+        progress.update(StageEvent(scene, stage, "running"))
+        state = "cached" if scene == "a" else "completed"
+        progress.update(StageEvent(scene, stage, state, seconds=2.0))
+    progress.update(StageEvent("c", "ingest", "failed", "too dark"))
+    progress.update(StageEvent("d", "ingest", "running", "half of it"))
+
+
+def test_a_stream_that_is_no_terminal_gets_lines_only():
+    seen = io.StringIO()
+    with Progress(4, 2, stream=seen) as progress:
+        two_done_one_failed(progress)
+    assert seen.getvalue().splitlines() == [
+        "a  2 stages cached",
+        "b  ingest 2.0 s · masks 2.0 s",
+        "c  left out at ingest: too dark",
+    ]
+
+
+def test_a_terminal_shows_counts_and_what_is_worked_on():
+    seen = Terminal()
+    with Progress(4, 2, stream=seen) as progress:
+        two_done_one_failed(progress)
+        assert progress.counts().startswith("2/4 scenes, 1 failed, 4/6 stages, ")
+        progress.bar.refresh()
+        assert "d: ingest, half of it" in seen.getvalue()
+    assert "b  ingest 2.0 s · masks 2.0 s" in seen.getvalue()
+    # It draws on its own stream and leaves the cursor where it was, and visible.
+    assert seen.getvalue().count("\x1b[?25l") == seen.getvalue().count("\x1b[?25h") == 1
+
+
+def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
+    seen = Terminal()
+    with Progress(1, 1, stream=seen) as progress:
+        progress.line("bad \x1b[31m [red]name[/red] :smile:")
+    assert "bad \\x1b[31m [red]name[/red] :smile:" in seen.getvalue()
+
+
+def test_long_lines_are_not_broken():
+    seen = io.StringIO()
+    Progress(1, 1, stream=seen).line("word " * 100)
+    assert seen.getvalue().count("\n") == 1
+
+
+def test_what_is_lost_or_repeated_is_counted_once():
+    progress = Progress(2, 2, stream=io.StringIO())
+    progress.update(StageEvent("a", "ingest", "completed"))
+    progress.lost(True, "died (killed)", ["a"])
+    assert (progress.steps, progress.total) == (0, 4)
+    for scene, stage, state in (
+        ("a", "ingest", "completed"),
+        ("a", "masks", "completed"),
+        ("b", "ingest", "completed"),
+        ("b", "ingest", "repeated"),
+        ("b", "ingest", "completed"),
+    ):
+        progress.update(StageEvent(scene, stage, state))
+    progress.update(StageEvent("b", "masks", "failed", "its worker died"))
+    assert (progress.done, progress.failed, progress.steps, progress.total) == (1, 1, 3, 3)
+    assert "a worker died (killed)" in progress.console.file.getvalue()
+
+
+def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
+    seen = io.StringIO()
+    progress = Progress(2, 1, verbose=True, stream=seen)
+    for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
+        progress.update(StageEvent(scene, "ingest", "completed", seconds=0.5))
+        progress.update(StageEvent(scene, "masks", "failed", reason, traceback=trace))
+    lines = seen.getvalue().splitlines()
+    assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
+    assert lines[4:] == ["ZeroDivisionError: a"]
+
+
+def test_counts_have_rate_and_time_left_and_the_summary_a_line_a_stage():
+    seen = io.StringIO()
+    progress = Progress(3, 2, stream=seen)
+    for scene, stage in itertools.product("ab", ("ingest", "masks")):
+        state = "cached" if scene == "b" else "completed"
+        progress.update(StageEvent(scene, stage, state, seconds=0.5))
+    progress.start -= 60  # a minute ago
+    assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute, about 30 s left"
+    progress.summary()
+    assert "masks        1 in 0.5 s, 1 cached\n" in seen.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0 s"), (99.4, "99 s"), (99.6, "2 min"), (5900, "98 min"), (2e5, "2 d 7 h")],
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_waiting_says_it_now_and_then_where_there_is_no_terminal():
+    seen = io.StringIO()
+    waiting = Waiting(seen)
+    for _ in range(3):
+        waiting("compiling")
+    waiting("")
+    assert seen.getvalue() == "compiling\n"
