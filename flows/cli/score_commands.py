@@ -18,6 +18,7 @@ def run(
         Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
     ],
     preset: options.Preset = None,
+    seed: options.Seed = None,
     store: options.Store = None,
     runner: options.Runner = None,
     workers: options.Workers = None,
@@ -88,6 +89,7 @@ def benchmark(
     ] = None,
     preset: options.Preset = None,
     size: options.Size = None,
+    seed: options.Seed = None,
     store: options.Store = None,
     runner: options.Runner = None,
     workers: options.Workers = None,

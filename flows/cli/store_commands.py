@@ -10,7 +10,6 @@ import typer
 
 from flows.cli import options
 from flows.cli.help import Group
-from flows.cli.options import settings_from
 from flows.cli.text import aligned
 from slgaussian.errors import InputError
 
@@ -146,16 +145,14 @@ def size_text(size: float) -> str:
 
 
 @contextmanager
-def _opened(
-    ctx: typer.Context, url: str | None
-) -> "Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]":
+def _opened(url: str | None) -> "Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]":
     """Open a store; on a terminal, show how far a long walk through it is."""
     from rich.console import Console
 
     from flows.settings import make_settings
     from slgaussian.storage.store import ArtifactStore
 
-    store = ArtifactStore(make_settings(settings_from(ctx, store=url), "store").store)
+    store = ArtifactStore(make_settings({} if url is None else {"store": url}, "store").store)
     if store.local and not Path(store.path).is_dir():
         raise InputError(f"{store.root}: found no folder, expected a store; say where with --store")
     counts, sizes = Counter[str](), Counter[str]()

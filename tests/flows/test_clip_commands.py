@@ -104,7 +104,7 @@ def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, t
     assert run(monkeypatch, "query", field, "red basket") == 2
     sentence = said(capsys)
     assert "encoder 'clip' needs its model, which is not stored with a field and is" in sentence
-    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --clip-model" in sentence
+    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --set clip.model=" in sentence
     assert (
         run(monkeypatch, "query", field, "red basket", "--json", "--set", f"clip.model={moved}")
         == 0
@@ -255,19 +255,22 @@ def _toml(value) -> str:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--encoder", "clip", "--set", "clip.model=no/such/folder"], "there is no such folder"),
         (
-            ["--encoder", "clip", "--set", "clip.model=CLIP", "--set", "clip.crops=x"],
+            ["--set", "encoder=clip", "--set", "clip.model=no/such/folder"],
+            "there is no such folder",
+        ),
+        (
+            ["--set", "encoder=clip", "--set", "clip.model=CLIP", "--set", "clip.crops=x"],
             "crops: found 'x'",
         ),
         (
-            ["--encoder", "clip", "--set", "clip.model=CLIP", "--set", "clip.batch=0"],
+            ["--set", "encoder=clip", "--set", "clip.model=CLIP", "--set", "clip.batch=0"],
             "batch: found 0",
         ),
         (["--set", "clip.batch=2"], "settings of 'clip' are given, but no part is 'clip'"),
-        (["--encoder", "named"], "named table: none given"),
+        (["--set", "encoder=named"], "named table: none given"),
         (
-            ["--encoder", "named", "--set", "named.table=none.npz"],
+            ["--set", "encoder=named", "--set", "named.table=none.npz"],
             "named table none.npz: cannot be",
         ),
     ],

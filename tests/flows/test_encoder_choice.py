@@ -145,7 +145,7 @@ def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys
 
 
 def test_the_help_names_it(monkeypatch, capsys):
-    for command in ("field", "benchmark", "run"):
+    for command in ("field", "demo", "doctor"):
         assert run(monkeypatch, command, "--help") == 0
         told = " ".join(capsys.readouterr().out.split())
         assert "lexicon, clip, named or auto. [default: lexicon]" in told

@@ -115,15 +115,18 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--proposer", "sam"], "sam model: none given; give a folder, or a name on the hub as"),
-        (["--proposer", "sam", "--set", "sam.model=no/such/folder"], "there is no such folder"),
-        (["--proposer", "sam2", "--set", "sam2.model=SAM"], "is of type 'sam', but sam2 needs"),
         (
-            ["--proposer", "sam", "--set", "sam.model=SAM", "--set", "sam.preset=x"],
+            ["--set", "proposer=sam"],
+            "sam model: none given; give a folder, or a name on the hub as",
+        ),
+        (["--set", "proposer=sam", "--set", "sam.model=no/such/folder"], "there is no such folder"),
+        (["--set", "proposer=sam2", "--set", "sam2.model=SAM"], "is of type 'sam', but sam2 needs"),
+        (
+            ["--set", "proposer=sam", "--set", "sam.model=SAM", "--set", "sam.preset=x"],
             "preset: found 'x'",
         ),
         (["--set", "sam.points=4"], "settings of 'sam' are given, but no part is 'sam'"),
-        (["--proposer", "sam", "--set", "sam.points=few"], "sam.points: found 'few'"),
+        (["--set", "proposer=sam", "--set", "sam.points=few"], "sam.points: found 'few'"),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(

@@ -79,9 +79,12 @@ def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--tracker", "sam2-video"], "sam2-video model: none given; give a folder, or a name"),
-        (["--tracker", "precomputed"], "precomputed folder: none given"),
-        (["--tracker", "precomputed", "--set", "precomputed.folder=no"], "there is no folder 'no'"),
+        (["--set", "tracker=sam2-video"], "sam2-video model: none given; give a folder, or a name"),
+        (["--set", "tracker=precomputed"], "precomputed folder: none given"),
+        (
+            ["--set", "tracker=precomputed", "--set", "precomputed.folder=no"],
+            "there is no folder 'no'",
+        ),
         (["--set", "sam2_video.batch=4"], "settings of 'sam2_video' are given, but no part"),
     ],
 )
