@@ -13,7 +13,7 @@ import pytest
 from benches.common import pages, photograph_pairs
 from benches.predict import depth_error
 from benches.views import built_fields, hard_views, outward, spread
-from slgaussian.predict import sweep
+from slgaussian.predict import planesweep
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
@@ -109,13 +109,14 @@ def test_stages_that_the_bench_of_depth_times_are_all_and_called_where_it_looks(
     assert missing == []
     steps = {
         name
-        for name, step in vars(sweep).items()
+        for name, step in vars(planesweep).items()
         if callable(step) and not inspect.isclass(step)
-        if step.__module__.startswith("slgaussian.predict.") and step.__module__ != sweep.__name__
+        if step.__module__.startswith("slgaussian.predict.")
+        and step.__module__ != planesweep.__name__
     }
     small = {"candidates", "inverse_depth_range", "visible_share", "concatenate"}
     assert steps - small == {
-        stage for stage, module in depth_error.STAGES.items() if module is sweep
+        stage for stage, module in depth_error.STAGES.items() if module is planesweep
     }
 
 

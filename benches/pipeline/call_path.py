@@ -1,11 +1,12 @@
 """Count the files and functions that a command enters, and its calls across files.
 
-``python benches/pipeline/call_path.py [field | run]`` builds the field of two photographs
-of a small made-up room, or runs a configuration of that one scene, in this process, and looks at
+``python benches/pipeline/call_path.py [field | run]`` builds the field of two photographs of a
+small made-up room, or runs a configuration of that one scene, in this process, and looks at
 every call in all of its threads. Counted are the files and functions of ours that are entered, and
 the distinct pairs of a function and one in another file that it calls, with none of ours between
 them; calls of a module while it is imported are no pair. The sources are those of any tree that
-stands first in ``PYTHONPATH``, with its benches.
+stands first in ``PYTHONPATH``, with its benches. Run
+the command once before: kernels are compiled slowly under watch.
 """
 
 from __future__ import annotations

@@ -70,8 +70,7 @@ def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef, Mapping
     truth = truth_from_instances(sample)
     labels = np.stack([view.instances for view in sample.context])
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
-    parts = {"gaussians": field.gaussians, "bank": field.bank}
-    result = evaluate(field, sample, maps, truth, **parts)
+    result = evaluate(field, sample, maps, truth, gaussians=field.gaussians)
     return result, store.put("truth", truth_to_arrays(truth, sample)), field.settings["account"]
 
 

@@ -25,31 +25,30 @@ from slgaussian import datasets
 from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import links
-from slgaussian.predict import planesweep as sweep
+from slgaussian.predict import links, planesweep
 from slgaussian.predict.links import INLIER, link_views
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View
 
 STAGES = {
-    "link_views": sweep,
+    "link_views": planesweep,
     "settle": links,
-    "matching_cost": sweep,
-    "combine": sweep,
-    "aggregate": sweep,
-    "winners": sweep,
-    "cross_check": sweep,
-    "without_speckles": sweep,
-    "color_gains": sweep,
-    "lend": sweep,
-    "fit_planes": sweep,
-    "fill": sweep,
-    "weighted_median": sweep,
-    "blend": sweep,
-    "kept_near": sweep,
-    "unproject": sweep,
-    "needed": sweep,
-    "hidden": sweep,
+    "matching_cost": planesweep,
+    "combine": planesweep,
+    "aggregate": planesweep,
+    "winners": planesweep,
+    "cross_check": planesweep,
+    "without_speckles": planesweep,
+    "color_gains": planesweep,
+    "lend": planesweep,
+    "fit_planes": planesweep,
+    "fill": planesweep,
+    "weighted_median": planesweep,
+    "blend": planesweep,
+    "kept_near": planesweep,
+    "unproject": planesweep,
+    "needed": planesweep,
+    "hidden": planesweep,
 }
 """Functions in the order of the road, by the module that calls them."""
 

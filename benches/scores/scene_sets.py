@@ -57,7 +57,9 @@ def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
     return found
 
 
-OF_LABELS = "slgaussian benchmark --data {0} --pairs {0}/pairs.json --labels {0}/labels --seed K"
+OF_LABELS = (
+    "slgaussian benchmark --data {0} --pairs {0}/pairs.json --labels {0}/labels --set seed=K"
+)
 SETS: Mapping[str, Set] = {
     "office": Set(
         "office: 8 pairs of one building, 57 queries",
@@ -89,7 +91,7 @@ SETS: Mapping[str, Set] = {
     ),
     "rooms": Set(
         f"rooms {UNSEEN[0]} to {UNSEEN[-1]}",
-        f"slgaussian benchmark --rooms {UNSEEN[0]}-{UNSEEN[-1]} --seed K",
+        f"slgaussian benchmark --rooms {UNSEEN[0]}-{UNSEEN[-1]} --set seed=K",
         False,
         3,
         lambda _: [room_scene(seed) for seed in UNSEEN],

@@ -1,10 +1,10 @@
-"""What ``--seed`` changes.
+"""Scores with several seeds.
 
     python -m benches.scores.seed_spread DATA [-o docs/measured] [--rows FILE]
 
 DATA holds ``office`` and ``places``. Every set of scenes is done with several seeds, as
-``slgaussian benchmark --seed`` does it. The page says the mean over scenes, and of that the mean,
-deviation and extremes over seeds, and what comes out where BLAS uses the kernels of other
+``slgaussian benchmark --set seed=K`` does it. The page says the mean over scenes, and of that the
+mean, deviation and extremes over seeds, and what comes out where BLAS uses the kernels of other
 processors. Rows are kept in FILE as they come, and what it holds is not done again.
 """
 

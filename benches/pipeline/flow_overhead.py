@@ -1,0 +1,88 @@
+"""Cost of orchestration: `slgaussian run` of many small rooms, here and in an earlier checkout.
+
+    python -m benches.pipeline.flow_overhead WORK EARLIER [--scenes 200] [--rounds 3]
+
+By threads, one worker: once from an empty store, then with everything cached, the two checkouts in
+turn. Beside it the library alone builds the same fields, without flow, stages, store and scores.
+Seconds a scene, of the wall clock and of the processors, without those of a run of one scene, which
+are the start; medians over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benches.common.machine import measured
+from benches.common.process_cost import CLI, Cost, costing
+from benches.common.small_rooms import write_rooms
+
+HERE = Path(__file__).resolve().parents[2]
+
+LIBRARY = """
+import sys, tomllib
+from pathlib import Path
+from slgaussian import build_field, datasets
+from slgaussian.components.method import Method
+
+config = Path(sys.argv[1])
+rooms = tomllib.loads(config.read_text())
+for room in rooms["scenes"]:
+    scene = datasets.load("nerfstudio", config.parent / room["path"])
+    sample = scene.sample(room["context"], room["targets"])
+    build_field(sample, Method(replicas=rooms["replicas"]))
+"""
+
+
+def run(tree: Path, config: Path, work: Path) -> Cost:
+    """Run a configuration by a checkout, in its store."""
+    words = ["run", config, "-o", work / "out", "--store", work / "store", "--workers", 1]
+    env = {**os.environ, "PYTHONPATH": str(tree)}
+    return costing([*CLI, *words, "--runner", "threads"], cwd=tree, env=env)
+
+
+def a_scene(many: Sequence[Cost], one: Sequence[Cost], scenes: int) -> str:
+    """Return seconds a scene beyond the first, of wall clock and processors, as cells."""
+    cells = []
+    for name in ("wall", "cpu"):
+        first, last = (statistics.median(getattr(c, name) for c in own) for own in (one, many))
+        cells.append(f"{(last - first) / (scenes - 1):.3f}")
+    return " | ".join(cells)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("work", type=Path, help="folder for photographs and stores")
+    parser.add_argument("earlier", type=Path, help="a checkout of another commit")
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--rounds", type=int, default=3, help="of runs with everything cached")
+    asked = parser.parse_args()
+    work, trees = asked.work.resolve(), {"now": HERE, "earlier": asked.earlier.resolve()}
+    costs: dict[tuple[str, str, int], list[Cost]] = {}
+    for count in (1, asked.scenes):
+        config = write_rooms(work / f"rooms-{count}", count)
+        library = [sys.executable, "-c", LIBRARY, config]
+        for turn in range(asked.rounds + 1):
+            for name, tree in trees.items():
+                place = work / f"{name}-{count}"
+                if not turn:
+                    shutil.rmtree(place, ignore_errors=True)
+                state = "cached" if turn else "computed"
+                costs.setdefault((name, state, count), []).append(run(tree, config, place))
+                print(name, state, count, os.getloadavg()[0], costs[name, state, count][-1].wall,
+                      costs[name, state, count][-1].cpu, file=sys.stderr, flush=True)  # fmt: skip
+        costs["library", "computed", count] = [costing(library, cwd=HERE)]
+    print(f"{measured()}; load {os.getloadavg()[1]:.1f}\n")
+    print("| program | stages | wall, s a scene | processor, s a scene |\n|---|---|--:|--:|")
+    for name, state in dict.fromkeys(key[:2] for key in costs):
+        many, one = (costs[name, state, count] for count in (asked.scenes, 1))
+        print(f"| {name} | {state} | {a_scene(many, one, asked.scenes)} |")
+
+
+if __name__ == "__main__":
+    main()
