@@ -13,7 +13,7 @@ import pytest
 from benches.common import pages, photograph_pairs
 from benches.predict import depth_error
 from benches.views import built_fields, hard_views, outward, spread
-from slgaussian.predict import sweep
+from slgaussian.predict import planesweep as sweep
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
