@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from httpx import HTTPError
 
 from flows.runners.environment import orchestration
+from flows.runners.log_file import log
 from slgaussian.errors import SLGaussianError
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore
+
+if TYPE_CHECKING:  # Prefect is imported once its environment is set
+    from prefect import Flow
 
 FLOWS = {
     "demo": "flows.benchmark:score_scenes",
@@ -39,12 +44,34 @@ def perform(command: str, config: Any, verbose: bool = False) -> Any:
         module, name = FLOWS[command].split(":")
         flow = getattr(import_module(module), name)
         wait_for_server()
-        try:
-            return flow(config, verbose)
-        except HTTPError as error:  # as when it was killed, or its disk is full
-            url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
-            raise SLGaussianError(
-                f"the Prefect server at {url} failed ({error}); start it, or unset PREFECT_API_URL,"
-                f" as none of yours is needed; one of our own may need room on the disk of {home}; "
-                "what was made is in the store, and the same command goes on"
-            ) from error
+        return call_flow(flow, config, verbose)
+
+
+def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
+    """Call a flow that ends in :func:`flows.runners.session.completed`; return its result.
+
+    A server that fails during the work, as when it is killed or its disk is full, costs no more
+    than that it does not learn the end.
+
+    Raises
+    ------
+    SLGaussianError
+        As the flow, and if the server fails before the work is done.
+    """
+    from flows.runners.session import RESULTS
+
+    RESULTS.clear()
+    try:
+        return flow(*arguments)
+    except HTTPError as error:
+        url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+        failed = f"the Prefect server at {url} failed ({error})"
+        if RESULTS:
+            message = f"{failed} when all was done; it may show this run as running for ever"
+            log(logging.WARNING, "server_failed", message)
+            return RESULTS[0]
+        raise SLGaussianError(
+            f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; one of our "
+            f"own may need room on the disk of {home}; what was made is in the store, and the same "
+            "command goes on"
+        ) from error

@@ -24,6 +24,9 @@ from slgaussian.storage.store import ArtifactStore, DamagedError
 
 Result = TypeVar("Result")
 
+RESULTS: list[Any] = []
+"""The result of the last flow of this process, whether its server learnt of it or not."""
+
 NAMED = 50
 """Scenes that the message of a state names at most."""
 
@@ -90,6 +93,7 @@ def completed(
     if names:
         more = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
         message += f"; left out: {', '.join(names[:NAMED])}{more}"
+    RESULTS[:] = [result]
     return Completed(name=name, message=message, data=result)
 
 

@@ -7,7 +7,7 @@ CODE = """
 import sys
 import flows.settings
 import flows.cli.app
-print(*({"torch", "numba", "cv2", "transformers", "prefect", "numpy"} & sys.modules.keys()))
+print(*({"torch", "numba", "cv2", "transformers", "prefect"} & sys.modules.keys()))
 """
 
 
