@@ -123,7 +123,7 @@ class Progress:
     def summary(self) -> None:
         """Print a line a stage with its time, then that of the whole."""
         if self.scenes > 1:
-            for stage in dict.fromkeys([*self.computed, *self.cached]):
+            for stage in self.seconds:
                 computed, cached = self.computed[stage], self.cached[stage]
                 texts = [f"{computed} in {self.seconds[stage]:.1f} s"] if computed else []
                 texts += [f"{cached} cached"] if cached else []
