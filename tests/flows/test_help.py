@@ -35,7 +35,7 @@ COMMANDS = {
     ).items()
 }  # fmt: skip
 """Every command by its words, such as ``("store", "gc")``."""
-GROUPS = [(), *{words[:-1] for words in COMMANDS if len(words) > 1}]
+GROUPS = [(), *dict.fromkeys(words[:-1] for words in COMMANDS if len(words) > 1)]
 EACH = pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 
 
