@@ -100,7 +100,7 @@ class Stage:
         given = dict(arguments)
         refs = list(refs_in(given))
         edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
-        result = self.task(edges, quote(refs), quote(given))
+        result = self.task(edges, quote(refs), quote(given))  # type: ignore[call-overload]
         cached = isinstance(result, State)
         made = result.result() if cached else result
         run.refs[self.name] = ref = made.ref

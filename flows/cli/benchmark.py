@@ -39,10 +39,11 @@ def benchmark_settings(
         values["format"] = rule["format"]
     settings = make_settings(values, "benchmark")
     if settings.data is not None and settings.pairs is None:
-        settings = settings.model_copy(update={"pairs": _indexed(settings, rule)})
-    elif rule := rule.keys() - {"format"}:
+        pairs = _indexed(settings, settings.data, rule)
+        settings = settings.model_copy(update={"pairs": pairs})
+    elif given := rule.keys() - {"format"}:
         raise InputError(
-            f"benchmark: {min(rule)}: context views are chosen only of --data without --pairs; "
+            f"benchmark: {min(given)}: context views are chosen only of --data without --pairs; "
             "leave it out"
         )
     if not photos and cameras is None:
@@ -60,7 +61,7 @@ def benchmark_settings(
     return settings.model_copy(update={"scenes": [*settings.scenes, scene]})
 
 
-def _indexed(settings: Settings, rule: dict[str, Any]) -> Path:
+def _indexed(settings: Settings, data: Path, rule: dict[str, Any]) -> Path:
     """Choose context views for the labelled frames of the data; return the index file."""
     chosen = checked(IndexSettings, rule, "benchmark")
     check_bounds(chosen, "benchmark")
@@ -74,7 +75,7 @@ def _indexed(settings: Settings, rule: dict[str, Any]) -> Path:
     check_format(chosen.format)
     check_folder(settings.out)
     file = settings.out / "pairs.json"
-    index = build_index(settings.data, settings.labels, chosen, file)
+    index = build_index(data, settings.labels, chosen, file)
     for name, reason in index.left_out.items():
         print(f"left out: {name}: {reason}", file=sys.stderr)
     print(f"{len(index.pairs)} pairs  {file}", file=sys.stderr)

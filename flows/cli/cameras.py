@@ -56,7 +56,7 @@ def estimate_cameras(photos: Sequence[str], out: str | None) -> FoundCameras:
 def pairs_table(estimate: FoundCameras) -> str:
     """Return a row for each pair: matches, what agrees, angles and a verdict."""
     place = {name: number for number, name in enumerate([*estimate.cameras, *estimate.left_out])}
-    rows = [("pair", "matches", "agree", "angle", "off by", "verdict")]
+    rows: list[tuple[str, ...]] = [("pair", "matches", "agree", "angle", "off by", "verdict")]
     for pair in sorted(estimate.pairs, key=lambda pair: [place[name] for name in pair.views]):
         angles = (f"{a:.1f}" if np.isfinite(a) else "" for a in (pair.angle, pair.uncertainty))
         verdict = pair.verdict + (f": {pair.said}" if pair.said else "")

@@ -34,7 +34,8 @@ class Group(TyperGroup):
         width = max(map(len, self.commands))
         formatter.write_paragraph()
         # Commands of one heading are declared one after another.
-        for heading, commands in groupby(self.commands.values(), lambda c: c.rich_help_panel):
+        all_commands: Any = self.commands.values()  # Typer's have a heading, click's have not
+        for heading, commands in groupby(all_commands, lambda c: c.rich_help_panel):
             formatter.write_heading(heading or "Commands")
             with formatter.indentation():
                 rows = [(c.name.ljust(width), c.get_short_help_str(1000)) for c in commands]

@@ -8,7 +8,7 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from typing import TextIO
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn
@@ -59,7 +59,7 @@ class Progress:
         self.active: dict[str, str] = {}
         self.message = ""
         self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self.computed: Counter[str] = Counter()
         self.cached: Counter[str] = Counter()
         self.over = threading.Event()
@@ -166,7 +166,8 @@ class Progress:
         texts += [f"{rest} stages cached"] if rest else []
         text = f"{scene}  {' · '.join(filter(None, texts))}"
         seconds = round(sum(one.seconds for one in events), 3)
-        facts = {"scene": scene, "seconds": seconds, "computed": len(computed), "cached": rest}
+        facts: dict[str, Any] = {"scene": scene, "seconds": seconds, "cached": rest}
+        facts["computed"] = len(computed)
         log(logging.INFO, "done", text, **facts)
         self.done += 1
         if not self.verbose and self.scenes > 1:
@@ -176,7 +177,7 @@ class Progress:
         scene, stage = event.scene, event.stage
         text = f"{scene}  left out at {stage}: {event.message}"
         more = {"traceback": event.traceback} if event.traceback else {}
-        facts = {"scene": scene, "stage": stage, "reason": event.message, **more}
+        facts: dict[str, Any] = {"scene": scene, "stage": stage, "reason": event.message, **more}
         log(logging.ERROR, "failed", text, **facts)
         self.active.pop(scene, None)
         self.failed += 1
@@ -206,7 +207,7 @@ class Progress:
                 self.line(f"{self.counts()}  {self._working()}".rstrip())
 
     def _log_counts(self) -> None:
-        facts = {"done": self.done, "failed": self.failed, "scenes": self.scenes}
+        facts: dict[str, Any] = {"done": self.done, "failed": self.failed, "scenes": self.scenes}
         facts |= {"computed": self.computed.total(), "cached": self.cached.total()}
         log(logging.INFO, "progress", self.counts(), **facts, working=dict(self.active))
 
@@ -230,8 +231,9 @@ class Waiting:
 
 def console(stream: TextIO | None = None) -> Console:
     """Return a console that prints text as it is on a stream, standard error if left out."""
-    plain = {"markup": False, "highlight": False, "emoji": False, "soft_wrap": True}
-    return Console(file=stream or sys.stderr, **plain)
+    return Console(
+        file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
+    )
 
 
 def duration(seconds: float) -> str:
