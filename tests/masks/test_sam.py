@@ -260,7 +260,7 @@ def test_a_damaged_folder_is_one_sentence(folders, tmp_path, capfd, how, says):
 @pytest.mark.parametrize(
     ("name", "settings", "says"),
     [
-        ("sam", {}, "sam model: none given; .* --sam-model facebook/sam-vit-base"),
+        ("sam", {}, "sam model: none given; .* --set sam.model=facebook/sam-vit-base"),
         ("sam", {"model": "sam2"}, "is of type 'sam2', but sam needs 'sam', such as facebook"),
         ("sam2", {"model": "sam"}, "is of type 'sam', but sam2 needs 'sam2' or 'sam2_video'"),
         ("sam", {"model": "no/such/folder"}, "there is no such folder; expected one with config"),
