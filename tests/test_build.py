@@ -33,9 +33,9 @@ NAMES = {
     ("settings", "sentence"),
     [
         ({"mvsplat": {}}, "found some of 'mvsplat', expected none but .* 'planesweep'"),
-        ({"planesweep": {"nearest": 1.0}}, "settings of 'planesweep': .*'nearest'"),
-        ({"planesweep": {"near": -1.0}}, "plane sweep near: found -1.0"),
-        ({"separated": {"dimension": 4}}, "code dimension: found 4"),
+        ({"planesweep": {"nearest": 1.0}}, "unknown key 'planesweep.nearest'"),
+        ({"planesweep": {"near": -1.0}}, "planesweep near: found -1.0"),
+        ({"separated": {"dimension": 4}}, "separated dimension: found 4"),
     ],
 )
 def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):

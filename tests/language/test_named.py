@@ -142,7 +142,7 @@ def test_no_code_of_a_table_is_run(tmp_path):
 
 
 def test_without_a_table_it_says_what_to_give():
-    with pytest.raises(InputError, match=r"named table: none given; .* --named-table FILE"):
+    with pytest.raises(InputError, match=r"named table: none given; .* --set named.table=FILE"):
         load_encoder("named")
 
 
