@@ -467,7 +467,7 @@ class SemanticField:
         if row == len(self.bank) or self.bank.ids[row] != object_id:
             raise InputError(
                 f"object {object_id}: is not in the field, which has {len(self.bank)} objects; "
-                "`slgaussian objects` lists them"
+                "`slgaussian objects list` has them"
             )
         return row
 

@@ -2,6 +2,8 @@
 
 import sys
 import warnings
+from collections.abc import Callable
+from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -14,7 +16,6 @@ from flows.cli import (
     upkeep_commands,
 )
 from flows.cli.help import Group, usage_sentence
-from flows.runners.progress import Waiting
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling
@@ -52,11 +53,19 @@ def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
     typer.echo(f"warning: {message}", err=True)
 
 
+@cache
+def _waiting() -> Callable[[str], None]:
+    """Return what shows that kernels are compiled; its imports are heavy, and seldom needed."""
+    from flows.runners.progress import Waiting
+
+    return Waiting(sys.stderr)
+
+
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
     warnings.showwarning = _show_warning
     try:
-        with compiling.told_to(Waiting(sys.stderr)):
+        with compiling.told_to(lambda text: _waiting()(text)):
             status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
         typer.echo(f"error: {usage_sentence(error)}", err=True)
