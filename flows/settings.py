@@ -409,9 +409,14 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
         if isinstance(values.get(name), str):
             check_url(values[name], f"{source}: {name}")
     try:
-        return model(**values)
+        config = model(**values)
     except ValidationError as error:
         raise InputError(f"{source}: {_sentence(error, model)}") from error
+    if isinstance(config, MethodSettings):
+        for kind, name in config.component_names().items():
+            if name != AUTO:
+                find_config(kind, name)  # refuses a name that nobody knows before any work
+    return config
 
 
 def _validated(values: dict[str, Any], source: str) -> Settings:
