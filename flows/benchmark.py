@@ -64,6 +64,9 @@ from tasks.report import Scored, report
 BUILDING = ("geometry", "masks", "supervision", "field")
 """The stages that make a field of a sample."""
 
+REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report, numerics)]
+"""The stages that a run may compute anew."""
+
 SWEPT = len(STAGES) - 1
 """Stages of a scene with other settings: all but attribution."""
 
@@ -141,19 +144,24 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     return completed(message, result, result.failures)
 
 
-def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
-    scenes, notes = scenes_of(config)
-    variants = combinations(config)
-    method = config.built_by
-    for one in (method, *(variant.settings.built_by for variant in variants)):
+def check(config: Settings, store: ArtifactStore) -> None:
+    """Raise InputError if a run cannot begin: as :func:`score_scenes`, without the work."""
+    scenes, _ = scenes_of(config)
+    for one in (config.built_by, *(variant.settings.built_by for variant in combinations(config))):
         one.check()
     Rules(**config.rules())
     chosen_baselines(config.against)
+    stages_to_refresh(config, REFRESHABLE)
     store.check_writable()
     check_folder(config.out)
     kept.check_places([scene.name for scene in scenes], config.out)
-    stages = [stage.name for stage in (*STAGES, baselines, report, numerics)]
-    refresh = stages_to_refresh(config, stages)
+
+
+def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
+    check(config, store)
+    scenes, notes = scenes_of(config)
+    variants, method = combinations(config), config.built_by
+    refresh = stages_to_refresh(config, REFRESHABLE)
     with open_workers(config.runner, config.workers, store, refresh) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):

@@ -122,6 +122,17 @@ def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method)
     lessons(samples, predicted, chunk, framing, *components)
 
 
+def check(config: CorpusSettings, store: ArtifactStore) -> None:
+    """Raise InputError if chunks cannot be prepared, before anything is begun."""
+    if not re10k.chunk_names(config.chunks):
+        raise InputError(
+            f"{config.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some of scenes"
+        )
+    config.withdrawn_clips()
+    store.check_writable()
+    check_folder(config.out)
+
+
 def _prepare(
     config: CorpusSettings,
     store: ArtifactStore,
@@ -134,14 +145,8 @@ def _prepare(
 
     It is called with the place of a chunk, the bounds of its samples, and ``more``.
     """
-    chunks = re10k.chunk_names(config.chunks)
-    if not chunks:
-        raise InputError(
-            f"{config.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some of scenes"
-        )
-    withdrawn = config.withdrawn_clips()
-    store.check_writable()
-    check_folder(config.out)
+    check(config, store)
+    chunks, withdrawn = re10k.chunk_names(config.chunks), config.withdrawn_clips()
     folder, bounds = config.chunks.rstrip("/"), Bounds(**config.bounds())
     tasks = [
         SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *more), first="views")

@@ -91,15 +91,21 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)
 
 
+def check(config: DatasetSettings, store: ArtifactStore) -> None:
+    """Raise InputError if a set cannot be made, before anything is begun."""
+    config.built_by.check()
+    sources_of(config.sources, PackSettings())
+    config.withdrawn_clips()
+    store.check_writable()
+    check_folder(config.out)
+
+
 def build(
     config: DatasetSettings, store: ArtifactStore, verbose: bool = False
 ) -> TrainingSetResult:
     """Do the work of :func:`make_training_set`, within any flow."""
-    config.built_by.check()
-    sources = sources_of(config.sources, PackSettings())
-    withdrawn = config.withdrawn_clips()
-    store.check_writable()
-    check_folder(config.out)
+    check(config, store)
+    sources, withdrawn = sources_of(config.sources, PackSettings()), config.withdrawn_clips()
     places = Places()
     failures: list[Failure] = []
     stages = (packed, views, choices, *SAMPLES)

@@ -39,12 +39,15 @@ def perform(command: str, config: Any, verbose: bool = False) -> Any:
     SLGaussianError
         As the flow, and if the Prefect server fails.
     """
-    with orchestration(ArtifactStore(config.store)) as wait_for_server:
+    store = ArtifactStore(config.store)
+    with orchestration(store) as wait_for_server:
         # Its imports take as long as the server needs to come up.
-        module, name = FLOWS[command].split(":")
-        flow = getattr(import_module(module), name)
+        place, name = FLOWS[command].split(":")
+        module = import_module(place)
+        if hasattr(module, "check"):
+            module.check(config, store)
         wait_for_server()
-        return call_flow(flow, config, verbose)
+        return call_flow(getattr(module, name), config, verbose)
 
 
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
