@@ -126,7 +126,7 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
             "preset: found 'x'",
         ),
         (["--set", "sam.points=4"], "settings of 'sam' are given, but no part is 'sam'"),
-        (["--set", "proposer=sam", "--set", "sam.points=few"], "sam.points: found 'few'"),
+        (["--set", "proposer=sam", "--set", "sam.points=few"], "sam points: found 'few'"),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(
