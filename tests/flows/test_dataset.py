@@ -68,6 +68,10 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in kept}
 
 
+def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
+    return dataset.make_training_set(settings.model_copy(update={"store": store.root}))
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, server):
     """Two chunks of a clip and a folder, as a set; the folder is of the place of the first."""
@@ -79,7 +83,7 @@ def made(tmp_path_factory, server):
     kitchen = folder_of(room(2), folder / "kitchen")
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, folder / "chunks", f"here={kitchen}")
-    return folder, store, settings, dataset.dataset(settings, store)
+    return folder, store, settings, made_set(settings, store)
 
 
 def test_files_say_where_photographs_are_from_and_their_licence(made):
@@ -192,14 +196,14 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(made, tmp_path):
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_of(tmp_path / "set")
     again = settings_for(tmp_path, *settings.sources)
-    assert dataset.dataset(again, store).new_shards == 0
+    assert made_set(again, store).new_shards == 0
     assert files_of(tmp_path / "set") == before
     afresh = settings_for(tmp_path / "other", *settings.sources)
-    dataset.dataset(afresh, store)
+    made_set(afresh, store)
     assert files_of(tmp_path / "other/set") == before
 
     more = folder_of(room(6), tmp_path / "hall")
-    grown = dataset.dataset(settings_for(tmp_path, *settings.sources, more), store)
+    grown = made_set(settings_for(tmp_path, *settings.sources, more), store)
     after = files_of(tmp_path / "set")
     shards = {name for name in before if name.endswith(".tar")}
     assert grown.samples == 4 and grown.new_shards == 1
@@ -221,7 +225,7 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, har
     )
     shard = tmp_path / "set" / row["shard"]
     shard.write_bytes(harm(shard.read_bytes()))
-    dataset.dataset(settings_for(tmp_path, settings.sources[0]), store)
+    made_set(settings_for(tmp_path, settings.sources[0]), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     assert "kitchen" not in {own["clip"] for own in rows} and len(rows) == 2
     found = {own["sample"]: own for own in rows}[row["sample"]]
@@ -241,7 +245,7 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(made, t
     (bad / "transforms.json").write_text("{")
     few = folder_of(room(4, 2), tmp_path / "few")
     picky = {"min_confirmed": 0.999}
-    said = dataset.dataset(settings_for(tmp_path, *settings.sources, bad, few), store)
+    said = made_set(settings_for(tmp_path, *settings.sources, bad, few), store)
     assert said.samples == 3
     table = {
         row["scene"]: row for row in pq.read_table(tmp_path / "set/failures.parquet").to_pylist()
@@ -254,14 +258,14 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(made, t
     )
     assert str(tmp_path) not in card.replace(table["bad"]["reason"], "")
     with pytest.raises(InputError, match="no sample is left of 3 sources; the reasons are in"):
-        dataset.dataset(settings_for(tmp_path / "none", *settings.sources, **picky), store)
+        made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
     reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()
     assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
 
 
 def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made, tmp_path):
     _, store, settings, _ = made
-    dataset.dataset(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
+    made_set(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
     samples = TrainingSet(tmp_path / "set")
     batch = TrainingSet.collate([samples[i] for i in range(3)])
     rows = samples.rows.to_pylist()
@@ -274,10 +278,10 @@ def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made
 def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(made, tmp_path):
     _, store, settings, _ = made
     made_of = {"gaussians": True, "held_out": 0.1}  # which holds out both chunks
-    dataset.dataset(settings_for(tmp_path, *settings.sources, **made_of), store)
+    made_set(settings_for(tmp_path, *settings.sources, **made_of), store)
     given = {"lessons": tmp_path / "set", "out": tmp_path / "out", "steps": 2, "batch": 2}
     given |= {"store": store.root, "widths": "4,8", "hidden": 8}
-    trained = training.train(checked(TrainSettings, given, "test"), store)
+    trained = training.train_branch(checked(TrainSettings, given, "test"))
     told = provenance(tmp_path / "out/branch.safetensors")
     card = hashlib.sha256((tmp_path / "set/README.md").read_bytes()).hexdigest()
     assert told["data"]["card"] == card
@@ -291,7 +295,7 @@ def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(made, tmp_path):
     ious = [r["iou"] for r in rows if (r["labels"], r["lifting"]) == ("as found", "filled")]
     assert found["filled"] == pytest.approx(np.mean(ious))
     with pytest.raises(InputError, match="which is split already"):
-        training.train(checked(TrainSettings, {**given, "held_out": 0.3}, "test"), store)
+        training.train_branch(checked(TrainSettings, {**given, "held_out": 0.3}, "test"))
 
 
 def test_what_is_damaged_or_not_there_is_one_sentence(made, tmp_path):

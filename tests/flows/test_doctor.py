@@ -157,12 +157,12 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
 def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch, capsys):
     pytest.importorskip("transformers")
     words = ["--store", tmp_path, "--predictor", "mvsplat", "--encoder", "clip"]
-    words += ["--set", "clip.model=no-such-owner/no-such-model", "--set", "lifting=soft"]
+    words += ["--set", "clip.model=no-such-owner/no-such-model", "--set", "lifting=branch"]
     status, told = examined(monkeypatch, capsys, *words)
     mvsplat, clip, lifting = told["BAD"]
     assert status == 1
-    assert "unknown lifting 'soft'" in lifting and "branch, filled, hard" in lifting
-    assert mvsplat == "mvsplat its checkpoint is not given; give --set mvsplat.checkpoint=PLACE"
+    assert "no weights are given" in lifting and "--set branch.weights=" in lifting
+    assert "none given" in mvsplat and "--set mvsplat.checkpoint=" in mvsplat
     assert "`hf download no-such-owner/no-such-model`" in clip
 
 

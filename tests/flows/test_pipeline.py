@@ -90,12 +90,12 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
 
 def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     folder, missing, _ = first
-    before = files_below(folder / "out")
+    before = files_below(folder / "out", ("log",))
     score(settings_for(folder, missing), ArtifactStore(folder / "store"))
     table = pq.read_table(folder / "out" / "artifacts.parquet")
     assert set(table["cached"].to_pylist()) == {True}
     del before["artifacts.parquet"]  # which says just that
-    after = files_below(folder / "out")
+    after = files_below(folder / "out", ("log",))
     assert {name: after[name] for name in after if name != "artifacts.parquet"} == before
     told = capsys.readouterr().err
     assert "room  8 stages cached" in told
@@ -179,7 +179,7 @@ def test_another_store_and_worker_count_give_the_same_bytes(first, tmp_path):
     # Times differ, in a section of the report, in marked numbers, and in their own file.
     marked = r'<span class="took">[^<]*</span>'
     mine, theirs = (
-        files_below(place / "out", ("times", "artifacts")) for place in (tmp_path, folder)
+        files_below(place / "out", ("times", "artifacts", "log")) for place in (tmp_path, folder)
     )
     for name in ("report.html", "report.md"):
         pages = (
