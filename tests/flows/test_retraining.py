@@ -157,7 +157,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
     assert record(tmp_path, 9)["changes"]["arrived"]["count"] == 0
-    files = sorted(file.name for file in (tmp_path / "corpus" / "nights").glob("*.parquet"))
+    files = sorted(file.name for file in (tmp_path / "corpus" / "history").glob("*.parquet"))
     assert files == ["000009.clips.parquet"]
 
 
