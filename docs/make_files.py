@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from slgaussian.storage.specs import UNITS, Column, Field, Key, Spec, load_spec, spec_names
+from slgaussian.storage.specs import UNITS, Entry, Spec, load_spec, spec_names
 
 PAGE = Path(__file__).parent / "reference" / "files.md"
 
@@ -21,8 +21,8 @@ is written and when it is read.
 content), the specs of what it was made of, and the versions of software: nothing of when or where.
 A file says its spec as `slgaussian/labels@1`: a version is raised when older files are no longer
 what the spec says. A file of a later version is refused, and so is an older one that does not
-pass; files from before specs were named are read if they pass. `slgaussian inspect FILE` shows all
-of this of a file.
+pass; files from before specs were named are read if they pass. `slgaussian inspect FILE` checks a
+file and shows its spec, what made it and its digest.
 How to read it without this program:
 [storage](../guides/storage.md#a-file-by-itself)."""
 
@@ -54,9 +54,9 @@ def _section(spec: Spec) -> Iterator[str]:
     called = f", `{spec.file}`" if spec.file else ""
     yield f"### {spec.name}@{spec.version}{called}"
     yield spec.doc
-    entries: Mapping[str, Field | Column | Key] = spec.fields or spec.columns or spec.keys
+    entries: Mapping[str, Entry] = spec.fields or spec.columns or spec.keys
     if entries:
-        rows = [_row(name, entry) for name, entry in entries.items()]
+        rows = [_row(name, entry, bool(spec.fields)) for name, entry in entries.items()]
         yield "\n".join(
             ["| name | type | unit | values | |", "| --- | --- | --- | --- | --- |", *rows]
         )
@@ -64,22 +64,17 @@ def _section(spec: Spec) -> Iterator[str]:
         yield "Axes: " + "; ".join(f"{letter}: {said}" for letter, said in spec.axes.items()) + "."
 
 
-def _row(name: str, entry: Field | Column | Key) -> str:
-    if isinstance(entry, Field):
-        kind = f"{entry.dtype} [{', '.join(map(str, entry.shape))}]"
-    else:
-        kind = entry.type
-    notes = []
-    if getattr(entry, "nullable", False):
-        notes.append("may be empty")
-    if getattr(entry, "optional", False):
-        notes.append("may be missing")
+def _row(name: str, entry: Entry, has_shape: bool) -> str:
+    kind = entry.type
+    if has_shape:
+        kind += f" [{', '.join(map(str, entry.shape))}]"
+    notes = ["may be empty"] * entry.nullable + ["may be missing"] * entry.optional
     kind = ", ".join([kind, *notes])
     doc = entry.doc.replace("|", "\\|").replace("<", "&lt;")
     return f"| `{name}` | {kind} | {entry.unit} | {_values(entry)} | {doc} |"
 
 
-def _values(entry: Field | Column | Key) -> str:
+def _values(entry: Entry) -> str:
     if entry.values:
         return ", ".join(map(str, entry.values))
     low, high = ("" if end is None else f"{end:g}" for end in (entry.low, entry.high))

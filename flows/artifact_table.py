@@ -13,8 +13,9 @@ import pyarrow as pa
 
 from flows.runners.batches import Outcome
 from slgaussian.io import write_atomic
+from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, encode_table
+from slgaussian.storage.store import ArtifactStore
 
 FILE = "artifacts.parquet"
 SPEC = "artifacts"

@@ -20,8 +20,8 @@ from flows.runners.publishing import publish_markdown
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
+from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_table, encode_table
 
 ARTIFACT = "slgaussian-retraining"
 """Key of the Prefect artifact of a retraining; a server keeps those of all."""

@@ -28,8 +28,9 @@ from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
 from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
+from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, held
-from slgaussian.storage.store import ArtifactStore, table_digest
+from slgaussian.storage.store import ArtifactStore
 from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")

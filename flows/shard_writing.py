@@ -15,8 +15,9 @@ from slgaussian.datasets.shards import END
 from slgaussian.datasets.training_set import ANEW, INDEX
 from slgaussian.errors import SpecError
 from slgaussian.io import atomic_path, write_atomic
+from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode_table, encode_table
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 
 @dataclass(frozen=True)

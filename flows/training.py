@@ -29,8 +29,9 @@ from slgaussian.semantic.branch import Architecture, find_weights, load_branch, 
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.training import found_device
 from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, decode_table, encode_table
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.judge import judge
 from tasks.learning import branch_from_arrays
 from tasks.train import train as train_stage

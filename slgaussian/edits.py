@@ -15,8 +15,8 @@ import numpy as np
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.language.taught import TaughtWords
+from slgaussian.storage.encoding import decode_arrays, packed
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_arrays, packed
 
 WORDS = "words.npz"
 EDITS = "edits.npz"

@@ -36,10 +36,10 @@ from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.scene import Camera
 from slgaussian.semantic.fringe import fringe
 from slgaussian.storage import field_folder
+from slgaussian.storage.encoding import Arrays, arrays_digest, packed
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import Arrays, arrays_digest, packed
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -19,9 +19,10 @@ from slgaussian.formats.images import opened
 from slgaussian.formats.resampling import Window
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
+from slgaussian.storage.encoding import Arrays
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.provenance import current, making
-from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore, address
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
 
 TARGET = "target_"
 """What the arrays of target views begin with."""

@@ -8,7 +8,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore
+from slgaussian.storage.encoding import Arrays
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 Value = TypeVar("Value")
 

@@ -16,7 +16,8 @@ from slgaussian.datasets.shards import pack
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
-from slgaussian.storage.store import Arrays, ArtifactRef, packed
+from slgaussian.storage.encoding import Arrays, packed
+from slgaussian.storage.store import ArtifactRef
 from tasks.all_masks import read_everywhere
 from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
 from tasks.context import RunContext

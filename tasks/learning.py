@@ -11,7 +11,8 @@ import pyarrow as pa
 
 from slgaussian.semantic.branch import Branch, load_branch, save_branch
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.storage.store import Arrays, ArtifactRef, ArtifactStore
+from slgaussian.storage.encoding import Arrays
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 
 class StoredLessons(Sequence[Lesson]):

@@ -59,8 +59,8 @@ from slgaussian.scene import Camera, Scene, View
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
 from slgaussian.semantic.versions import Versions
+from slgaussian.storage.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_arrays, decode_table, encode_arrays, encode_table
 
 W, H = 24, 16
 ROOM = 2**30

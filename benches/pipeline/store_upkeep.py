@@ -18,17 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from benches.common.machine import measured
+from slgaussian.storage.encoding import arrays_digest, decode_arrays, encode_arrays
 from slgaussian.storage.housekeeping import collect, usage, verify
 from slgaussian.storage.records import FOLDER
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
-    address,
-    arrays_digest,
-    decode_arrays,
-    encode_arrays,
-)
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
 
 
 def fill(root: Path, count: int) -> None:

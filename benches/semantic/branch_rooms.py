@@ -21,8 +21,8 @@ from slgaussian.predict import load_predictor
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
 from slgaussian.semantic.lesson import Lesson
+from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import encode_arrays
 
 SIZE = 256
 VIEWS = 6

@@ -20,9 +20,9 @@ from slgaussian.formats.ply import save_ply
 from slgaussian.io import write_file
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules, ask
+from slgaussian.storage.encoding import packed
 from slgaussian.storage.field_folder import check_target
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import packed
 from slgaussian.things import Thing
 
 UNITS = {

@@ -74,7 +74,7 @@ def inspect(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to inspect.")],
     as_json: options.AsJson = False,
 ) -> None:
-    """Show the data spec, fields, units and origin of a file.
+    """Show the data spec, origin and digest of a file, and check it.
 
     Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON or Gaussians (.ply, .spz), or
     a folder, such as a field or the results of a run, file by file. The exit status is 1 if a file
@@ -83,14 +83,13 @@ def inspect(
     \b
     slgaussian inspect results/samples.parquet
     slgaussian inspect results/fields/kitchen --json
-    slgaussian inspect scene.spz
     """
     import json
     from dataclasses import asdict
 
-    from slgaussian.storage.inspection import inspect as look
+    from slgaussian.storage.inspection import inspect as inspect_files
 
-    files = look(path)
+    files = inspect_files(path)
     if as_json:
         typer.echo(json.dumps([asdict(file) for file in files], indent=1, ensure_ascii=False))
     for file in [] if as_json else files:
@@ -98,7 +97,4 @@ def inspect(
         typer.echo(f"  {file.problem or file.meaning}")
         for name, value in file.made.items():
             typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
-        for row in file.fields:
-            unit = f" ({row['unit']})" if row["unit"] else ""
-            typer.echo(f"    {row['name']} {row['type']}{unit}: {row['meaning']}".rstrip(": "))
     raise typer.Exit(any(file.problem for file in files))

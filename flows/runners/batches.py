@@ -26,8 +26,9 @@ from prefect.task_runners import TaskRunner
 from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers, last_line
 from slgaussian.errors import SLGaussianError, one_line
+from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError, encode_table
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_context
 
 MAX_BATCH = 16

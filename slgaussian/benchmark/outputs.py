@@ -20,8 +20,8 @@ import pyarrow as pa
 from slgaussian.benchmark.scores import score_table
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
+from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import encode_table
 from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]

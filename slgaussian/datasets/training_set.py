@@ -28,9 +28,9 @@ from slgaussian.datasets.shards import unpack
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened
+from slgaussian.storage.encoding import Arrays, decode_arrays, decode_table
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import Arrays, decode_arrays, decode_table
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem

@@ -18,7 +18,7 @@ from pydantic import PrivateAttr
 
 from slgaussian.errors import InputError
 from slgaussian.language.configs import NamedConfig
-from slgaussian.storage.store import unpacked
+from slgaussian.storage.encoding import unpacked
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings

@@ -32,8 +32,8 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import short_repr, write_atomic
 from slgaussian.language.relevancy import UNIT_TOLERANCE
+from slgaussian.storage.encoding import decode_arrays, packed
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_arrays, packed
 
 SPEC = "words"
 

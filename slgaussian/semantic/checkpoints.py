@@ -13,8 +13,8 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.semantic.branch import Branch, branch_of, encode_tensors, read_tensors
+from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_table, encode_table
 
 CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 

@@ -27,9 +27,9 @@ import pyarrow as pa
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import file_sha256, write_atomic
+from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.locks import held
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import decode_table, encode_table
 
 POINTER = "current.json"
 

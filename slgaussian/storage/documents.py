@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 from slgaussian.formats import strict_json
-from slgaussian.storage.specs import Key, Spec, check_bounds, mismatch
+from slgaussian.storage.specs import Entry, Spec, check_bounds, mismatch
 
 TYPES: Mapping[str, Any] = {
     "text": str,
@@ -21,7 +21,7 @@ TYPES: Mapping[str, Any] = {
 
 
 def read_document(data: bytes, spec: Spec, file: str) -> Any:
-    """What a JSON file holds, or the list of its lines; SpecError if it is not what ``spec`` says.
+    """Read a JSON file, or the list of its lines; SpecError if it is not what ``spec`` says.
 
     Of a log of a run that was killed, the last line may be cut short: it counts as not written.
     """
@@ -31,75 +31,68 @@ def read_document(data: bytes, spec: Spec, file: str) -> Any:
         else:
             content = [strict_json.parse(line) for line in data.split(b"\n")[:-1]]
     except ValueError as error:
-        raise mismatch(
-            file, "file", f"no JSON ({error})", f"a {spec.name} of {spec.label}"
-        ) from None
+        expected = f"a {spec.name} of {spec.label}"
+        raise mismatch(file, "file", f"no JSON ({error})", expected) from None
     check_document(content, spec, file)
     return content
 
 
 def check_document(content: Any, spec: Spec, file: str) -> None:
     """Raise :class:`SpecError` at the first value that is not what ``spec`` says."""
-    tree = _tree(spec)
-    for number, one in enumerate(content if spec.lines else [content]):
-        place = f"{file}: line {number + 1}" if spec.lines else file
-        if not isinstance(one, dict):
-            raise mismatch(place, "file", type(one).__name__, "an object")
-        _check_keys(one, tree, "", place)
+    for number, entry in enumerate(content if spec.lines else [content], 1):
+        place = f"{file}: line {number}" if spec.lines else file
+        if not isinstance(entry, dict):
+            raise mismatch(place, "file", type(entry).__name__, "an object")
+        _Checker(spec, place).check_object(entry, "", "")
 
 
-class _Node:
-    """A key and those below it."""
+class _Checker:
+    """A check of values by the places of their keys.
 
-    def __init__(self) -> None:
-        self.key: Key | None = None
-        self.below: dict[str, _Node] = {}
+    ``shown`` is a place with the names and numbers that stand for ``*`` and ``[]``.
+    """
 
+    def __init__(self, spec: Spec, file: str) -> None:
+        self.keys, self.file = spec.keys, file
+        self.below: dict[str, dict[str, str]] = {}
+        for place in spec.keys:
+            is_entry = place.endswith("[]")
+            above, name = (place[:-2], "[]") if is_entry else place.rpartition(".")[::2]
+            self.below.setdefault(above, {})[name] = place
 
-def _tree(spec: Spec) -> _Node:
-    root = _Node()
-    for place, key in spec.keys.items():
-        node = root
-        for part in place.replace("[]", ".[]").split("."):
-            node = node.below.setdefault(part, _Node())
-        node.key = key
-    return root
+    def check_object(self, content: Mapping[str, Any], place: str, shown: str) -> None:
+        places = self.below[place]
+        for name, own in places.items():
+            if name != "*" and name not in content and not self.keys[own].optional:
+                self.refuse(f"{shown}{name}", "nothing", _type_text(self.keys[own]))
+        for name, value in content.items():
+            known = places.get(name, places.get("*"))
+            if known is None:
+                self.refuse(f"{shown}{name}", "an unknown key", f"only {', '.join(places)}")
+            self.check_value(value, known, f"{shown}{name}")
 
+    def check_value(self, value: Any, place: str, shown: str) -> None:
+        key = self.keys[place]
+        if value is None and key.nullable:
+            return
+        fits = isinstance(value, TYPES[key.type])
+        fits &= not isinstance(value, bool) or key.type in ("bool", "any")
+        if not fits or (isinstance(value, float) and not math.isfinite(value)):
+            self.refuse(shown, f"{value!r:.80}", _type_text(key))
+        if key.values and value not in key.values:
+            self.refuse(shown, f"{value!r:.80}", f"one of {list(key.values)}")
+        if isinstance(value, (int, float)):
+            check_bounds(value, value, key, shown, self.file)
+        if isinstance(value, dict) and place in self.below:
+            self.check_object(value, place, f"{shown}.")
+        if isinstance(value, list) and place in self.below:
+            for number, entry in enumerate(value):
+                self.check_value(entry, self.below[place]["[]"], f"{shown}[{number}]")
 
-def _check_keys(content: Mapping[str, Any], node: _Node, place: str, file: str) -> None:
-    known = node.below
-    for name, child in known.items():
-        if name == "*" or name in content or child.key is None or child.key.optional:
-            continue
-        raise mismatch(file, f"{place}{name}", "nothing", _described(child.key))
-    for name, value in content.items():
-        own = known.get(name, known.get("*"))
-        if own is None:
-            raise mismatch(file, f"{place}{name}", "an unknown key", f"only {', '.join(known)}")
-        _check(value, own, f"{place}{name}", file)
-
-
-def _check(value: Any, node: _Node, place: str, file: str) -> None:
-    key = node.key
-    if key is None or (value is None and key.nullable):
-        return
-    found = f"{value!r:.80}"
-    fits = isinstance(value, TYPES[key.type])
-    if isinstance(value, bool) and key.type not in ("bool", "any"):
-        fits = False
-    if not fits or (isinstance(value, float) and not math.isfinite(value)):
-        raise mismatch(file, place, found, _described(key))
-    if key.values and value not in key.values:
-        raise mismatch(file, place, found, f"one of {list(key.values)}")
-    if isinstance(value, (int, float)):
-        check_bounds(value, value, key, place, file)
-    if node.below and isinstance(value, dict):
-        _check_keys(value, node, f"{place}.", file)
-    if isinstance(value, list) and "[]" in node.below:
-        for number, entry in enumerate(value):
-            _check(entry, node.below["[]"], f"{place}[{number}]", file)
+    def refuse(self, place: str, found: str, expected: str) -> NoReturn:
+        raise mismatch(self.file, place, found, expected)
 
 
-def _described(key: Key) -> str:
+def _type_text(key: Entry) -> str:
     article = "an" if key.type[0] in "aio" else "a"
     return f"{article} {key.type}" if key.type != "any" else "a value"

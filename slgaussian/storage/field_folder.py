@@ -22,8 +22,9 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import atomic_folder
 from slgaussian.scene import Camera, Estimated
+from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays
 from slgaussian.storage.specs import load_spec, mismatch
-from slgaussian.storage.store import Arrays, arrays_digest, decode_arrays, is_digest
+from slgaussian.storage.store import is_digest
 
 FORMAT = 1
 """Version of the folder: what its files are and mean. One without a number was made before."""
@@ -54,7 +55,7 @@ class About:
     cameras : mapping str -> Camera
         The context cameras by view name.
     digests : {spec: SHA-256}
-        Of what the other files hold, as :func:`slgaussian.storage.store.packed` gives it.
+        Of what the other files hold, as :func:`slgaussian.storage.encoding.packed` gives it.
     """
 
     settings: Mapping[str, Any]

@@ -1,4 +1,8 @@
-"""Copies of a remote store's files on the local disk, no more of them than a bound allows."""
+"""Copies of a remote store's files on the local disk, no more of them than a bound allows.
+
+fsspec's own ``filecache`` has no bound, and keeps an index of all copies that processes which share
+the folder write over each other.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,8 @@ import io
 import os
 import re
 import time
-import uuid
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.io import write_atomic
 
 DEFAULT_BOUND = "10 GB"
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
@@ -47,7 +51,7 @@ class LocalCache:
 
     @classmethod
     def from_environment(cls) -> LocalCache | None:
-        """The one of ``SLGAUSSIAN_CACHE`` and ``SLGAUSSIAN_CACHE_SIZE``; None for a size of 0.
+        """Return the one of ``SLGAUSSIAN_CACHE`` and ``SLGAUSSIAN_CACHE_SIZE``; None of size 0.
 
         By default the folder ``slgaussian/objects`` of the user's cache, and
         :data:`DEFAULT_BOUND`.
@@ -57,7 +61,7 @@ class LocalCache:
         return cls(Path(folder), bound) if bound else None
 
     def get(self, uri: str) -> bytes | None:
-        """The file at ``uri``, or None if there is no copy."""
+        """Return the file at ``uri``, or None if there is no copy."""
         path = self.folder / uri
         try:
             data = path.read_bytes()
@@ -73,11 +77,9 @@ class LocalCache:
         if self._written is None or self._written + len(data) > self.bound // 16:
             self._make_room(len(data))
         path = self.folder / uri
-        unfinished = path.with_name(f".{uuid.uuid4().hex}.tmp")
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.write_bytes(data)
-            unfinished.replace(path)
+            write_atomic(path, data)
             self._written = (self._written or 0) + len(data)
 
     def drop(self, uri: str) -> None:
@@ -86,20 +88,25 @@ class LocalCache:
             (self.folder / uri).unlink()
 
     def _make_room(self, size: int) -> None:
-        files = sorted(_files_below(self.folder), key=lambda file: file[0])
+        files = []
+        for folder, _, names in os.walk(self.folder):
+            for path in (Path(folder, name) for name in names):
+                with suppress(OSError):  # gone meanwhile
+                    state = path.lstat()
+                    files.append((state.st_mtime, state.st_size, path))
         total = size + sum(length for _, length, _ in files)
-        fits = self.bound * 7 // 8
-        for used, length, path in files:
-            abandoned = path.endswith(".tmp") and time.time() - used > ABANDONED
-            if abandoned or (total > fits and not path.endswith(".tmp")):
+        for used, length, path in sorted(files):
+            is_unfinished = path.suffix == ".tmp"
+            abandoned = is_unfinished and time.time() - used > ABANDONED
+            if abandoned or (total > self.bound * 7 // 8 and not is_unfinished):
                 with suppress(OSError):
-                    os.unlink(path)
+                    path.unlink()
                 total -= length
         self._written = 0
 
 
 def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
-    """Arrays by name as ``make`` makes them, or as it did before: kept in the user's cache.
+    """Return arrays by name as ``make`` makes them, once: they are kept in the user's cache.
 
     ``uri`` names all that they depend on. What is kept in a damaged file is made anew.
     """
@@ -121,25 +128,13 @@ def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mappi
 
 
 def user_cache() -> Path:
-    """The folder of this program in the user's cache: ``$XDG_CACHE_HOME``, or ``~/.cache``."""
+    """Return the folder of this program in the user's cache: ``$XDG_CACHE_HOME``, ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slgaussian"
 
 
 def parse_size(text: str) -> int:
-    """Bytes of a text such as ``10 GB``, ``500M`` or ``0``; InputError if it is none."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)B?\s*", text, re.IGNORECASE)
-    if not found:
+    """Return the bytes of ``10 GB``, ``500M``, ``0`` and the like; InputError of anything else."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)B?\s*", text, re.IGNORECASE)
+    if not match:
         raise InputError(f"SLGAUSSIAN_CACHE_SIZE: found {text!r}, expected a size such as '10 GB'")
-    return int(float(found[1]) * _UNITS[found[2].upper()])
-
-
-def _files_below(folder: str | os.PathLike[str]) -> Iterator[tuple[float, int, str]]:
-    """Time of last use, size and path of every file that is still there when looked at."""
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.is_dir(follow_symlinks=False):
-                yield from _files_below(entry.path)
-                continue
-            with suppress(OSError):
-                found = entry.stat(follow_symlinks=False)
-                yield found.st_mtime, found.st_size, entry.path
+    return int(float(match[1]) * _UNITS[match[2].upper()])

@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -61,71 +61,52 @@ def column_types() -> Mapping[str, pa.DataType]:
     """Arrow's types by what specs call them."""
     import pyarrow as pa
 
-    plain = {
-        "string": pa.string(),
-        "int64": pa.int64(),
-        "int32": pa.int32(),
-        "uint8": pa.uint8(),
-        "float64": pa.float64(),
-        "float32": pa.float32(),
-        "bool": pa.bool_(),
-        "binary": pa.binary(),
-    }
+    numbers = ("int64", "int32", "uint8", "float64", "float32")
+    plain = {name: getattr(pa, name)() for name in (*numbers, "string", "binary")}
+    plain["bool"] = pa.bool_()
     return plain | {f"{name} list": pa.list_(kind) for name, kind in plain.items()}
 
 
 @dataclass(frozen=True)
-class Field:
-    """One array of an artifact.
+class Entry:
+    """One array of an artifact, one column of a table or one value of a JSON file.
 
-    ``shape`` mixes numbers and letters; ``low`` and ``high`` are inclusive bounds of the values,
-    and ``values`` are all that there may be. Floats are finite. ``dtype`` is a NumPy name, or
-    ``str`` for text of any length; what is no text and no bool has a ``unit`` of :data:`UNITS`.
-    """
-
-    dtype: str
-    shape: tuple[int | str, ...]
-    doc: str
-    optional: bool = False
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
-    values: tuple[str | int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table; a column that is not ``nullable`` has a value in every row.
-
-    ``unit``, ``low``, ``high`` and ``values`` as of a :class:`Field`; of lists, each entry.
+    Attributes
+    ----------
+    type : str
+        Of an array a NumPy name, or ``str`` for text of any length; of a column one of
+        :func:`column_types`; of a value one of :data:`slgaussian.storage.documents.TYPES`.
+    doc : str
+    shape : tuple of int and str
+        Of an array: numbers, and letters of ``Spec.axes``.
+    nullable, optional : bool
+        Whether a value may be empty, and whether it may be missing.
+    unit : str
+        One of :data:`UNITS`; empty for text, truth values and objects.
+    low, high : float or None
+        Inclusive bounds of the values, in lists of each entry. Floats are finite.
+    values : tuple
+        All values that there may be; empty for any.
     """
 
     type: str
     doc: str
-    nullable: bool = False
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
-    values: tuple[str | int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Key:
-    """A value of a JSON file, at a place as ``data.*.context``, where ``*`` is any key.
-
-    ``[]`` stands for each entry of a list. What has a ``*`` or keys below it has these alone; other
-    objects may hold anything. ``type`` is one of :data:`slgaussian.storage.documents.TYPES`; the
-    rest is as of a :class:`Column`.
-    """
-
-    type: str
-    doc: str
+    shape: tuple[int | str, ...] = ()
     nullable: bool = False
     optional: bool = False
     unit: str = ""
     low: float | None = None
     high: float | None = None
     values: tuple[str | int, ...] = ()
+
+    def describe(self, plain: bool = False) -> dict[str, Any]:
+        """Return meaning, unit, bounds and values: plain data, or text as Arrow's metadata are."""
+        entries: dict[str, Any] = {"meaning": self.doc, "unit": self.unit}
+        entries |= {"low": self.low, "high": self.high, "values": list(self.values)}
+        stated = {name: value for name, value in entries.items() if value not in (None, "", [])}
+        if plain:
+            return stated
+        return {n: v if isinstance(v, str) else json.dumps(v) for n, v in stated.items()}
 
 
 @dataclass(frozen=True)
@@ -159,9 +140,9 @@ class Spec:
     file: str = ""
     lines: bool = False
     axes: Mapping[str, str] = field(default_factory=dict)
-    fields: Mapping[str, Field] = field(default_factory=dict)
-    columns: Mapping[str, Column] = field(default_factory=dict)
-    keys: Mapping[str, Key] = field(default_factory=dict)
+    fields: Mapping[str, Entry] = field(default_factory=dict)
+    columns: Mapping[str, Entry] = field(default_factory=dict)
+    keys: Mapping[str, Entry] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -183,7 +164,7 @@ class Spec:
         types = column_types()
         return pa.schema(
             [
-                pa.field(name, types[column.type], column.nullable, _said_of(column))
+                pa.field(name, types[column.type], column.nullable, column.describe())
                 for name, column in self.columns.items()
             ],
             {"spec": self.label, "meaning": self.doc},
@@ -198,7 +179,7 @@ class Spec:
             "meaning": self.doc,
             "axes": {letter: said for letter, said in self.axes.items() if letter in letters},
             "fields": {
-                name: {"axes": list(own.shape), **_said_of(own, plain=True)}
+                name: {"axes": list(own.shape), **own.describe(plain=True)}
                 for name, own in known.items()
             },
         }
@@ -229,25 +210,17 @@ class Spec:
             if name in arrays:
                 _check_array(arrays[name], own, name, file, sizes)
             elif not own.optional:
-                raise mismatch(file, name, "no such field", _describe(own))
+                raise mismatch(file, name, "no such field", _shape_text(own))
 
     def check_table(self, table: pa.Table, file: str) -> None:
         """Raise :class:`SpecError` at the first column that is not what this spec says."""
         for name, column in self.columns.items():
             if name not in table.column_names:
                 raise mismatch(file, name, "no such column", f"a {column.type} column")
-            data = table.column(name)
-            if data.type != column_types()[column.type]:
-                raise mismatch(file, name, f"{data.type}", f"{column_types()[column.type]}")
-            if data.null_count and not column.nullable:
-                raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
-            _check_column(data, column, name, file)
+            _check_column(table.column(name), column, name, file)
         unknown = [name for name in table.column_names if name not in self.columns]
         if unknown:
             raise mismatch(file, unknown[0], "an unknown column", f"only {list(self.columns)}")
-
-
-Entry = Field | Column | Key
 
 
 @cache
@@ -262,10 +235,18 @@ def load_spec(name: str) -> Spec:
     if name not in spec_names():
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")
     raw = tomllib.loads((files("data_specs") / f"{name}.toml").read_text("utf-8"))
-    fields = {n: Field(**_tuples(own)) for n, own in raw.pop("fields", {}).items()}
-    columns = {n: Column(**_tuples(own)) for n, own in raw.pop("columns", {}).items()}
-    keys = {n: Key(**_tuples(own)) for n, own in raw.pop("keys", {}).items()}
-    return Spec(name=name, fields=fields, columns=columns, keys=keys, **raw)
+    raw |= {part: _entries(raw.get(part, {})) for part in ("fields", "columns", "keys")}
+    return Spec(name=name, **raw)
+
+
+def _entries(tables: Mapping[str, dict[str, Any]]) -> dict[str, Entry]:
+    entries = {}
+    for name, table in tables.items():
+        own: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+        if "dtype" in own:
+            own["type"] = own.pop("dtype")
+        entries[name] = Entry(**own)
+    return entries
 
 
 @cache
@@ -286,28 +267,14 @@ def mismatch(file: str, field: str, found: str, expected: str) -> SpecError:
     return SpecError(f"{file}: {field}: found {found}, expected {expected}")
 
 
-def _tuples(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: tuple(own) if isinstance(own, list) else own for name, own in table.items()}
-
-
-def _said_of(entry: Entry, plain: bool = False) -> dict[str, Any]:
-    """Meaning, unit, bounds and values of a field or column: text as Arrow has it, or plain."""
-    said: dict[str, Any] = {"meaning": entry.doc, "unit": entry.unit}
-    said |= {"low": entry.low, "high": entry.high, "values": list(entry.values)}
-    known = {name: value for name, value in said.items() if value not in (None, "", [])}
-    if plain:
-        return known
-    return {n: v if isinstance(v, str) else json.dumps(v) for n, v in known.items()}
-
-
-def _describe(field: Field) -> str:
-    return f"{field.dtype} [{', '.join(map(str, field.shape))}]"
-
-
-def _check_column(data: pa.ChunkedArray, column: Column, name: str, file: str) -> None:
+def _check_column(data: pa.ChunkedArray, column: Entry, name: str, file: str) -> None:
     import pyarrow as pa
     import pyarrow.compute as pc
 
+    if data.type != column_types()[column.type]:
+        raise mismatch(file, name, f"{data.type}", f"{column_types()[column.type]}")
+    if data.null_count and not column.nullable:
+        raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
     if pa.types.is_list(data.type):
         data = pc.list_flatten(data)
     if pa.types.is_floating(data.type) and not pc.all(pc.is_finite(data), min_count=0).as_py():
@@ -317,14 +284,14 @@ def _check_column(data: pa.ChunkedArray, column: Column, name: str, file: str) -
         for value in strange.drop_null()[:1].to_pylist():
             raise mismatch(file, name, f"{value!r:.80}", f"one of {list(column.values)}")
     if column.low is not None or column.high is not None:
-        found = pc.min_max(data).as_py()
-        check_bounds(found["min"], found["max"], column, name, file, ROUNDING)
+        ends = pc.min_max(data).as_py()
+        check_bounds(ends["min"], ends["max"], column, name, file, ROUNDING)
 
 
 def check_bounds(
     least: Any, most: Any, entry: Entry, name: str, file: str, slack: float = 0.0
 ) -> None:
-    """``least`` and ``most`` are None where there is no value."""
+    """Raise :class:`SpecError` for values out of bounds; both ends are None of no values."""
     if entry.low is not None and least is not None and least < entry.low - slack:
         raise mismatch(file, name, f"{least:g}", f"values of at least {entry.low:g}")
     if entry.high is not None and most is not None and most > entry.high + slack:
@@ -332,25 +299,29 @@ def check_bounds(
 
 
 def _check_array(
-    array: np.ndarray, field: Field, name: str, file: str, sizes: dict[str, tuple[int, str]]
+    array: np.ndarray, field: Entry, name: str, file: str, sizes: dict[str, tuple[int, str]]
 ) -> None:
-    found = f"{array.dtype} {list(array.shape)}"
-    dtype_fits = array.dtype.kind == "U" if field.dtype == "str" else array.dtype == field.dtype
-    if not dtype_fits or array.ndim != len(field.shape):
-        raise mismatch(file, name, found, _describe(field))
-    for size, expected in zip(array.shape, _resolve(field.shape, array.shape, sizes), strict=True):
-        if size != expected[0]:
-            raise mismatch(file, name, found, f"{_describe(field)} with {expected[1]}")
-    for letter, size in zip(field.shape, array.shape, strict=True):
-        if isinstance(letter, str):
-            sizes.setdefault(letter, (size, f"{letter} = {size} as in {name}"))
+    """``sizes`` has the size of each letter so far, and the array that it is from."""
+    found, expected = f"{array.dtype} {list(array.shape)}", _shape_text(field)
+    fits = array.dtype.kind == "U" if field.type == "str" else array.dtype == field.type
+    if not fits or array.ndim != len(field.shape):
+        raise mismatch(file, name, found, expected)
+    for axis, size in zip(field.shape, array.shape, strict=True):
+        if isinstance(axis, int):
+            needed, reason = axis, f"{axis} entries"
+        else:
+            needed, first = sizes.get(axis, (size, name))
+            reason = f"{axis} = {needed} as in {first}"
+        if size != needed:
+            raise mismatch(file, name, found, f"{expected} with {reason}")
+    for axis, size in zip(field.shape, array.shape, strict=True):
+        sizes.setdefault(str(axis), (size, name))
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise mismatch(file, name, "NaN or infinity", "finite numbers")
     if field.values and array.size:
         strange = np.setdiff1d(array, np.array(field.values))
         if strange.size:
-            found = f"{strange[0].item()!r:.80}"
-            raise mismatch(file, name, found, f"one of {list(field.values)}")
+            raise mismatch(file, name, f"{strange[0].item()!r:.80}", f"one of {list(field.values)}")
     if array.size and array.dtype.kind in "iuf":
         # One pass for each bound that there is: arrays may be large.
         least = array.min() if field.low is not None else None
@@ -358,11 +329,5 @@ def _check_array(
         check_bounds(least, most, field, name, file)
 
 
-def _resolve(
-    shape: Sequence[int | str], found: Sequence[int], sizes: Mapping[str, tuple[int, str]]
-) -> list[tuple[int, str]]:
-    """The size that each axis must have and why; a letter not seen yet takes what was found."""
-    return [
-        (axis, f"{axis} entries") if isinstance(axis, int) else sizes.get(axis, (size, axis))
-        for axis, size in zip(shape, found, strict=True)
-    ]
+def _shape_text(field: Entry) -> str:
+    return f"{field.type} [{', '.join(map(str, field.shape))}]"

@@ -6,7 +6,8 @@ from tiny_run import run_tiny, tiny
 
 from flows.runners.batches import failures_table
 from flows.runners.progress import Progress
-from slgaussian.storage.store import ArtifactStore, table_digest
+from slgaussian.storage.encoding import table_digest
+from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 

@@ -27,7 +27,8 @@ from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.branch import provenance
-from slgaussian.storage.store import ArtifactStore, stated
+from slgaussian.storage.encoding import stated
+from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 

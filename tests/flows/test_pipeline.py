@@ -22,11 +22,12 @@ from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.documents import read_document
+from slgaussian.storage.encoding import stated
 from slgaussian.storage.housekeeping import verify
 from slgaussian.storage.inspection import inspect
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, stated
+from slgaussian.storage.store import ArtifactStore
 from tasks.benchmark import benchmark
 from tasks.ingest import ingest
 

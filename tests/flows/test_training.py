@@ -27,8 +27,9 @@ from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_b
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.split import held_out
 from slgaussian.semantic.versions import Versions
+from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, encode_table
+from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 

@@ -13,8 +13,8 @@ from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask
 from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity, normal
+from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import encode_arrays
 from tests.language.drawn import (
     BLUE,
     GREEN,

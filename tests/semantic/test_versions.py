@@ -9,8 +9,8 @@ import pytest
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.semantic.versions import Versions
+from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import encode_table
 
 
 @pytest.fixture

@@ -20,8 +20,8 @@ def test_every_spec_is_complete(name):
     assert parse_label(spec.label) == (name, spec.version)
     assert sum(map(bool, (spec.fields, spec.columns, spec.keys, spec.open))) == 1
     for field in spec.fields.values():
-        assert field.dtype == "str" or np.dtype(field.dtype).name == field.dtype
-        assert bool(field.unit) == (field.dtype not in ("str", "bool"))
+        assert field.type == "str" or np.dtype(field.type).name == field.type
+        assert bool(field.unit) == (field.type not in ("str", "bool"))
     for column in spec.columns.values():
         assert column.type in column_types()
         assert bool(column.unit) == (column.type.split()[0] not in ("string", "bool", "binary"))

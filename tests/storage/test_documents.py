@@ -5,19 +5,19 @@ import pytest
 from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.errors import SpecError
 from slgaussian.storage.documents import TYPES, check_document, read_document
-from slgaussian.storage.specs import Key, Spec, load_spec, spec_names
+from slgaussian.storage.specs import Entry, Spec, load_spec, spec_names
 
 SPEC = Spec(
     "own",
     "Own.",
     keys={
-        "name": Key("text", "A name."),
-        "count": Key("integer", "How many.", unit="count", low=0, nullable=True),
-        "kind": Key("text", "A kind.", optional=True, values=("a", "b")),
-        "parts": Key("object", "Parts."),
-        "parts.*": Key("list", "Sizes."),
-        "parts.*[]": Key("number", "A size.", unit="pixel"),
-        "free": Key("object", "Anything.", optional=True),
+        "name": Entry("text", "A name."),
+        "count": Entry("integer", "How many.", unit="count", low=0, nullable=True),
+        "kind": Entry("text", "A kind.", optional=True, values=("a", "b")),
+        "parts": Entry("object", "Parts."),
+        "parts.*": Entry("list", "Sizes."),
+        "parts.*[]": Entry("number", "A size.", unit="pixel"),
+        "free": Entry("object", "Anything.", optional=True),
     },
 )
 GOOD = {"name": "x", "count": 3, "parts": {"p": [1, 2.5]}, "free": {"any": ["thing"]}}

@@ -13,11 +13,8 @@ from contents import failures, labels
 
 from slgaussian import __version__
 from slgaussian.errors import SpecError
-from slgaussian.storage import store as stores
-from slgaussian.storage.provenance import Made, making, software, statement
-from slgaussian.storage.specs import UNITS, load_spec
-from slgaussian.storage.store import (
-    ArtifactStore,
+from slgaussian.storage import encoding
+from slgaussian.storage.encoding import (
     arrays_digest,
     decode_arrays,
     decode_table,
@@ -25,6 +22,9 @@ from slgaussian.storage.store import (
     encode_table,
     stated,
 )
+from slgaussian.storage.provenance import Made, making, software, statement
+from slgaussian.storage.specs import UNITS, load_spec
+from slgaussian.storage.store import ArtifactStore
 
 MADE = Made(
     "masks",
@@ -105,7 +105,7 @@ def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):
         ref = store.put("labels", labels())
         bytes_then = store.read(ref.uri)
         monkeypatch.setattr(
-            stores, "statement", lambda digest: {"made": {"program": "slgaussian 99"}}
+            encoding, "statement", lambda digest: {"made": {"program": "slgaussian 99"}}
         )
         later = store.put("labels", labels(4))
     assert plain == ref and plain.uri == ref.uri

@@ -14,16 +14,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.specs import Spec, load_spec
-from slgaussian.storage.store import (
-    ArtifactRef,
-    ArtifactStore,
+from slgaussian.storage.encoding import (
     arrays_digest,
     decode_arrays,
     encode_arrays,
     encode_table,
     table_digest,
 )
+from slgaussian.storage.specs import Spec, load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 
 @pytest.fixture(params=["local", "memory", "s3"])

@@ -1,0 +1,183 @@
+"""Files of arrays and tables: their bytes, their digests, and what they say of themselves.
+
+A digest is over the content and not over the file, whose bytes also depend on the versions of
+NumPy, zlib and Arrow, and say what made it (:mod:`slgaussian.storage.provenance`): the digest
+outlives all of these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slgaussian.formats import strict_json
+from slgaussian.storage.provenance import speaking, statement
+from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
+from slgaussian.storage.tables import MOST_UNPACKED, read_table
+
+if TYPE_CHECKING:  # a field is read without Arrow, which takes long to import
+    import pyarrow as pa
+
+Arrays = dict[str, np.ndarray]
+
+REPAIR = "delete the file and run again to have it made anew"
+"""What to do about a damaged artifact."""
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold; now would change the bytes
+
+
+def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the SHA-256 over (name, dtype, shape, C-order bytes) of arrays in order of names."""
+    sha = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name], order="C")
+        sha.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode())
+        sha.update(array.reshape(-1).view(np.uint8).data)
+    return sha.hexdigest()
+
+
+def table_digest(table: pa.Table) -> str:
+    """Return the SHA-256 over names, types and values of the columns, whatever their chunks."""
+    # Parquet calls what a list holds "element", Arrow "item".
+    types = [str(f.type).replace("list<element:", "list<item:") for f in table.schema]
+    named = zip(table.schema.names, types, strict=True)
+    columns = [[name, kind, table.column(name).to_pylist()] for name, kind in named]
+    return hashlib.sha256(json.dumps(columns, ensure_ascii=True).encode()).hexdigest()
+
+
+def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -> tuple[str, bytes]:
+    """Return the digest of an artifact and the bytes of its file.
+
+    SpecError, which names ``file``, if the content is not what ``data_specs/<spec>.toml`` says.
+    """
+    rules = load_spec(spec)
+    if rules.columns:
+        rules.check_table(content, file)
+        digest = table_digest(content)
+        return digest, encode_table(content, rules, digest)
+    arrays = {name: np.asarray(array, order="C") for name, array in content.items()}
+    rules.check_arrays(arrays, file)
+    digest = arrays_digest(arrays)
+    return digest, encode_arrays(arrays, rules, digest)
+
+
+def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = "") -> bytes:
+    """Return an ``.npz`` file whose bytes depend on the arrays and what made them alone.
+
+    That is not said of what only passed through (:attr:`slgaussian.storage.provenance.Made.given`).
+    """
+    buffer = io.BytesIO()
+    method = zipfile.ZIP_DEFLATED if spec.compress else zipfile.ZIP_STORED
+    about = json.dumps({**spec.about(sorted(arrays)), **statement(digest)}, ensure_ascii=False)
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(_member(ABOUT), about, zipfile.ZIP_DEFLATED, compresslevel=9)
+        for name in sorted(arrays):
+            member = io.BytesIO()
+            np.lib.format.write_array(member, arrays[name], allow_pickle=False)
+            archive.writestr(_member(f"{name}.npy"), member.getbuffer(), method, compresslevel=1)
+    return buffer.getvalue()
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.external_attr = 0o644 << 16
+    return info
+
+
+def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
+    """Return a Parquet file of the table, which says what it is and what made it.
+
+    Its own metadata are those of the spec in any case; ``digest`` as :func:`encode_arrays` has it.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    known = spec.schema
+    schema = pa.schema([known.field(name) for name in table.column_names], known.metadata)
+    table = pa.Table.from_arrays(table.columns, schema=speaking(schema, digest)).combine_chunks()
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, compression="zstd")
+    return buffer.getvalue()
+
+
+def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
+    """Read what :func:`encode_table` wrote, or wrote before files said what they are.
+
+    Raises
+    ------
+    SpecError
+        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, are of
+        another spec or a later version of it, or do not hold what ``spec`` says.
+    """
+    with _whole(data, file, spec, repair):
+        table = read_table(data)
+        table.validate(full=True)
+        label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
+    spec.check_stated(label, file, repair)
+    spec.check_table(table, file)
+    return table
+
+
+def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
+    """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
+    with _whole(data, file, spec, repair):
+        arrays, about = unpacked(data)
+        label = about.get("spec")
+    spec.check_stated(label, file, repair)
+    spec.check_arrays(arrays, file)
+    return arrays
+
+
+def unpacked(data: bytes) -> tuple[Arrays, dict[str, Any]]:
+    """Return the arrays of what :func:`encode_arrays` wrote and what they say of themselves.
+
+    Nothing of files from before they did. Almost any error if it is something else.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archived:
+        if sum(member.file_size for member in archived.infolist()) > MOST_UNPACKED:
+            raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
+    # Not np.load, which takes whatever is no zip file for a pickle and says so.
+    with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
+        members: dict[str, Any] = {name: archive[name] for name in archive.files}
+    about = strict_json.parse(members.pop(ABOUT, b"{}"))
+    if any(isinstance(array, bytes) for array in members.values()):
+        raise ValueError("a member is no array")
+    if not isinstance(about, dict) or not isinstance(about.get("spec", ""), str):
+        raise ValueError(f"{ABOUT} says no spec")
+    return members, about
+
+
+def stated(data: bytes) -> dict[str, Any]:
+    """Return what the bytes of a Parquet or NPZ file say of themselves, without its content.
+
+    Plain data: ``spec``, ``meaning``, ``made`` ...; nothing where they say nothing. Almost any
+    error if they are no such file.
+    """
+    if data[:4] != b"PAR1":
+        with zipfile.ZipFile(io.BytesIO(data)) as members:
+            text = members.read(ABOUT) if ABOUT in members.namelist() else b"{}"
+        about: dict[str, Any] = strict_json.parse(text)
+        return about
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    metadata = pq.read_schema(pa.BufferReader(data)).metadata or {}
+    known = {name.decode(): text.decode() for name, text in metadata.items()}
+    return {n: strict_json.parse(text) if n == "made" else text for n, text in known.items()}
+
+
+@contextmanager
+def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # a damaged file raises almost anything
+        why = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        found = f"{len(data)} bytes that cannot be read ({why})"
+        raise mismatch(file, "file", found, f"a whole {spec.suffix} file; {repair}") from error
