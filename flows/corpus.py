@@ -25,7 +25,7 @@ from flows.runners.task_runners import open_workers
 from flows.settings import settled
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pairs import Bounds
+from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.provenance import speaking

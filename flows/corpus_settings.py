@@ -45,7 +45,7 @@ class PackSettings(BaseModel):
 BOUNDS = {
     "min_overlap", "max_overlap", "min_baseline", "max_baseline", "max_blur", "max_clipped", "most",
 }  # fmt: skip
-"""The settings that are the fields of :class:`slgaussian.datasets.pairs.Bounds`, which is not
+"""The settings that are fields of :class:`slgaussian.datasets.pair_selection.Bounds`, which is not
 imported here as it takes OpenCV with it."""
 
 
@@ -80,7 +80,7 @@ class PairSettings(BaseModel):
     )
 
     def bounds(self) -> dict[str, Any]:
-        """What is asked of a pair, as :class:`slgaussian.datasets.pairs.Bounds` takes it."""
+        """Return the fields of :class:`slgaussian.datasets.pair_selection.Bounds`."""
         return self.model_dump(include=BOUNDS)
 
 

@@ -26,8 +26,8 @@ from flows.runners.task_runners import Workers, open_workers
 from flows.settings import settled
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
-from slgaussian.datasets.pairs import Bounds
-from slgaussian.datasets.places import Places
+from slgaussian.datasets.pair_selection import Bounds
+from slgaussian.datasets.scene_grouping import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, write_atomic

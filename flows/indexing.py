@@ -13,8 +13,7 @@ from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.datasets import lerf_ovs, ovs3d
-from slgaussian.datasets.around import Around, Rule, surround
-from slgaussian.datasets.pairs import Bounds, Pair, Views
+from slgaussian.datasets.pair_selection import Bounds, Pair, Rule, Surrounding, Views, surround
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
@@ -135,7 +134,7 @@ def _views_of(
     return views, out
 
 
-def _measured(found: Around, pair: Pair) -> dict[str, float]:
+def _measured(found: Surrounding, pair: Pair) -> dict[str, float]:
     values = {
         "overlap": pair.overlap,
         "baseline": pair.baseline,

@@ -25,7 +25,7 @@ from flows.settings import settled
 from flows.training import Parted, parted, read_lessons, train_on
 from flows.training_settings import GrowingSet, RetrainSettings, Training
 from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
-from slgaussian.datasets.arrivals import Changes, changes, clips_of, drift
+from slgaussian.datasets.new_clips import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.encoding import table_digest

@@ -25,7 +25,7 @@ from flows.settings import (
 )
 from slgaussian import datasets
 from slgaussian.benchmark.baselines import Row
-from slgaussian.datasets import further
+from slgaussian.datasets import context_views
 from slgaussian.errors import InputError, did_you_mean
 
 VIEWS, PRESET = "views", "preset"
@@ -74,7 +74,7 @@ class Combination:
             raise InputError(f"scene {scene.name!r}: has no targets to compare numbers of views at")
         paths = [] if scene.path is None else [scene.path]
         known = datasets.load(scene.format, *paths, **scene.options)
-        context = further.context_of(known, scene.context, scene.targets, self.views)
+        context = context_views.context_of(known, scene.context, scene.targets, self.views)
         return scene.model_copy(update={"context": list(context)})
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from slgaussian.datasets.pairs import Bounds, choose
+from slgaussian.datasets.pair_selection import Bounds, choose
 from slgaussian.datasets.shards import key_of
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pairs import Bounds, Views, choose
+from slgaussian.datasets.pair_selection import Bounds, Views, choose
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef

@@ -32,7 +32,7 @@ from flows.corpus import SUPERVISE
 from flows.corpus_settings import CorpusSettings, make_corpus_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pairs import Bounds
+from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.io import SETTLED
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec

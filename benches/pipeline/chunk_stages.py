@@ -12,7 +12,7 @@ from flows.runners.progress import Progress
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pairs import Bounds
+from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk

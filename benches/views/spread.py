@@ -8,7 +8,7 @@ target between them). Every number is asked at the same targets:
 - fern: three photographs, a quarter, half and three quarters along its widest direction. Context
   views are spread evenly over the others, without the two at either end of that direction.
 - places: those that have more than three photographs, from the pairs of ``pairs.json`` on, by the
-  rule of ``slgaussian/datasets/further.py``, as many as there are.
+  rule of ``slgaussian/datasets/context_views.py``, as many as there are.
 - rooms: made-up ones with exact depth, on an arc 1.6 m long, 3.3 m from the middle; three targets
   in gaps that all numbers leave. Context views are spread evenly over the arc.
 
@@ -34,7 +34,7 @@ from benches.views.built_fields import (
 )
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
-from slgaussian.datasets.further import context_of
+from slgaussian.datasets.context_views import context_of
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.scene import Scene

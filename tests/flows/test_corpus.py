@@ -19,7 +19,7 @@ from flows.corpus_settings import make_corpus_settings
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pairs import Bounds
+from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactRef, ArtifactStore

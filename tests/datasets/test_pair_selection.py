@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets.pairs import Bounds, Pair, Views, beside_each_other, choose, overlaps
+from slgaussian.datasets.pair_selection import Bounds, Pair, Views, choose, overlaps, schedule
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, shared_view
 
@@ -112,7 +112,7 @@ def test_no_other_choice_scores_more(found):
         for chosen in combinations(pairs, count)
         if apart(chosen)
     )
-    got = beside_each_other(pairs)
+    got = schedule(pairs)
     assert apart(got)
     assert sum(pair.score for pair in got) == pytest.approx(best)
 

@@ -5,7 +5,7 @@ import hashlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.datasets.places import Places
+from slgaussian.datasets.scene_grouping import Places
 
 
 def digest(name) -> str:

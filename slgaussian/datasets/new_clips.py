@@ -1,7 +1,7 @@
-"""What came, changed and went between two looks at a corpus, and whether what came is different.
+"""Compare two looks at a corpus: clips that came, changed and went, and drift of their quality.
 
-A clip is known by its key, and what it shows by its content. A clip is one place: whatever is said
-of new places is said of keys that were not there before.
+A clip is known by its key, and its content by a digest. A clip is one place: whatever is said of
+new places is said of keys that were not there before.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.stats import ks_2samp
 from slgaussian.storage.specs import load_spec
 
 MEASURES = {"blur": "blur", "mean": "exposure", "clipped": "black or white"}
-"""What is compared of clips, by column of spec ``clips``."""
+"""Measures that are compared of clips, by column of spec ``clips``."""
 
 SURE = 0.01
 """Probability, in a world without drift, below which a difference is called one."""
@@ -68,7 +68,7 @@ class Drift:
 
 
 def clips_of(views: pa.Table) -> pa.Table:
-    """The clips of a table of spec ``views``: spec ``clips``, by key."""
+    """Summarise a table of spec ``views`` as one of spec ``clips``, by key."""
     table = views.sort_by([("clip", "ascending"), ("frame", "ascending")])
     names = np.array(table["clip"].to_pylist(), object)
     starts = [i for i in range(len(names)) if not i or names[i] != names[i - 1]]
@@ -82,25 +82,14 @@ def clips_of(views: pa.Table) -> pa.Table:
     for start, end in zip(starts, [*starts, len(names)][1:], strict=True):
         content = hashlib.sha256("".join(digests[start:end]).encode())
         content.update(np.ascontiguousarray(numbers[start:end]).tobytes())
-        rows.append(
-            {
-                "clip": names[start],
-                "chunk": chunks[start] or "",
-                "content": content.hexdigest(),
-                "views": end - start,
-                **{name: float(of[start:end].mean()) for name, of in measured.items()},
-            }
-        )
+        row = {"clip": names[start], "chunk": chunks[start] or "", "views": end - start}
+        row |= {name: float(of[start:end].mean()) for name, of in measured.items()}
+        rows.append({**row, "content": content.hexdigest()})
     return pa.Table.from_pylist(rows, schema=load_spec("clips").schema)
 
 
-def contents(clips: pa.Table) -> dict[str, str]:
-    """The content of each clip by its key."""
-    return dict(zip(clips["clip"].to_pylist(), clips["content"].to_pylist(), strict=True))
-
-
 def changes(before: pa.Table, now: pa.Table, failed: Collection[str] = ()) -> Changes:
-    """What came, changed and went between two tables of spec ``clips``.
+    """Compare two tables of spec ``clips``.
 
     ``failed`` are the names of the clips and chunks that could not be read now. A clip that is
     gone with such a chunk is damaged and not withdrawn: nobody took it away.
@@ -108,26 +97,31 @@ def changes(before: pa.Table, now: pa.Table, failed: Collection[str] = ()) -> Ch
     was, has = contents(before), contents(now)
     chunk_of = dict(zip(before["clip"].to_pylist(), before["chunk"].to_pylist(), strict=True))
     gone = sorted(was.keys() - has.keys())
-    broken = {clip for clip in gone if clip in failed or chunk_of[clip] in failed}
+    damaged = {clip for clip in gone if clip in failed or chunk_of[clip] in failed}
     return Changes(
         arrived=tuple(sorted(has.keys() - was.keys())),
         changed=tuple(sorted(clip for clip in was.keys() & has.keys() if was[clip] != has[clip])),
-        withdrawn=tuple(clip for clip in gone if clip not in broken),
-        damaged=tuple(clip for clip in gone if clip in broken),
+        withdrawn=tuple(clip for clip in gone if clip not in damaged),
+        damaged=tuple(clip for clip in gone if clip in damaged),
     )
 
 
+def contents(clips: pa.Table) -> dict[str, str]:
+    """Return the digest of each clip's content by its key."""
+    return dict(zip(clips["clip"].to_pylist(), clips["content"].to_pylist(), strict=True))
+
+
 def drift(known: pa.Table, come: pa.Table) -> list[Drift]:
-    """Each measure of the clips of two tables of spec ``clips``; none if either is empty."""
-    found = []
+    """Compare each measure of the clips of two tables of spec ``clips``; none if one is empty."""
+    drifts = []
     if not known.num_rows or not come.num_rows:
         return []
     enough = min(known.num_rows, come.num_rows) >= LEAST
-    for name, called in MEASURES.items():
+    for name, measure in MEASURES.items():
         before, after = known[name].to_numpy(), come[name].to_numpy()
         low, middle, high = map(float, np.quantile(before, (0.25, 0.5, 0.75)))
         median = float(np.median(after))
-        outside = not low <= median <= high
-        told = enough and outside and ks_2samp(before, after).pvalue < SURE / len(MEASURES)
-        found.append(Drift(called, (low, middle, high), median, bool(told)))
-    return found
+        drifted = enough and not low <= median <= high
+        drifted = drifted and ks_2samp(before, after).pvalue < SURE / len(MEASURES)
+        drifts.append(Drift(measure, (low, middle, high), median, bool(drifted)))
+    return drifts

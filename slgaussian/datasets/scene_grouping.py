@@ -1,4 +1,4 @@
-"""Which clips show one place: what is learnt from and what is judged by must not share any."""
+"""Group clips that show one place: training and test samples must not share any."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 KINDS = ("said", "video", "clip")
-"""What a place may be called by, the best first."""
+"""Kinds of names of a place, the best first."""
 
 
 class Places:
@@ -28,7 +28,7 @@ class Places:
         self._owners: list[np.ndarray] = []
 
     def add(self, clip: str, photographs: Iterable[str] = (), place: str = "") -> None:
-        """Know a clip by the SHA-256 of its photographs and, if that was said, its place."""
+        """Add a clip with the SHA-256 of its photographs and, if somebody said it, its place."""
         node = self._node("clip", clip)
         # Sixteen digits of sixty-four: of ten million photographs no two are taken for one.
         known = np.array([int(digest[:16], 16) for digest in photographs], np.uint64)
@@ -38,12 +38,12 @@ class Places:
             self._joined.append((node, self._node("said", place)))
 
     def seen_in(self, clip: str, url: str) -> None:
-        """Know the video that a clip is from, if there is one."""
+        """Add the video that a clip is from, if there is one."""
         if url:
             self._joined.append((self._node("clip", clip), self._node("video", url)))
 
     def by_clip(self) -> dict[str, str]:
-        """The name of the place of every clip."""
+        """Return the name of the place of every clip."""
         count = len(self._nodes)
         if not count:
             return {}
@@ -58,7 +58,7 @@ class Places:
         return {clip: names[place[node]][1] for clip, node in clips}
 
     def _sharing(self) -> list[tuple[int, int]]:
-        """Clips that share a photograph."""
+        """Return the pairs of clips that share a photograph."""
         photographs = np.concatenate([np.zeros(0, np.uint64), *self._photographs])
         owners = np.concatenate([np.zeros(0, np.int64), *self._owners])
         order = np.argsort(photographs, kind="stable")

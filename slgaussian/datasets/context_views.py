@@ -36,7 +36,7 @@ or the place from elsewhere."""
 def context_of(
     scene: Scene, context: Sequence[str], targets: Sequence[str], count: int
 ) -> tuple[str, ...]:
-    """So many context views for the targets, from those that an index names.
+    """Choose so many context views for the targets, from those that an index names.
 
     Fewer than are named are the first, the last and some evenly between them in the list. More are
     all that are named and further ones of the scene by the rule ``further``, version 1, whose
@@ -63,66 +63,43 @@ def context_of(
     InputError
         If a name is none of the scene's, or there are not so many views.
     """
-    named = [scene.find(name) for name in context]
-    if count <= len(named):
-        places = [round(i * (len(named) - 1) / (count - 1)) for i in range(count)]
-        return tuple(named[place] for place in places)
-    found = _Further(scene, named, [scene.find(name) for name in targets])
-    while len(found.taken) < count:
-        if not found.take_one():
+    taken = [scene.find(name) for name in context]
+    if count <= len(taken):
+        places = [round(i * (len(taken) - 1) / (count - 1)) for i in range(count)]
+        return tuple(taken[place] for place in places)
+    first, last = (scene.cameras[name] for name in (taken[0], taken[-1]))
+    baseline = max(float(np.linalg.norm(first.center - last.center)), 1e-12)
+    middle = (first.center + last.center) / 2
+    sights = np.stack([first.c2w[:3, 2], last.c2w[:3, 2]])
+    centers = {name: (c.center - middle) / baseline for name, c in scene.cameras.items()}
+    held_out = [centers[scene.find(name)] for name in targets]  # at no distance from themselves
+    left = [
+        name
+        for name, camera in scene.cameras.items()
+        if name not in taken
+        and (sights @ camera.c2w[:3, 2]).max() >= np.cos(np.radians(TURNED))
+        and _least_distance(centers[name], held_out) >= APART
+    ]
+    while len(taken) < count:
+        # Rounded, so that views at equal distances are equal on every machine.
+        radii = {name: round(float(np.linalg.norm(centers[name])), 6) for name in left}
+        others = [centers[name] for name in taken]
+        gaps = {name: round(_least_distance(centers[name], others), 6) for name in left}
+        within = [name for name in left if radii[name] <= 0.5 and gaps[name] >= WITHIN]
+        beyond = [name for name in left if radii[name] > 0.5 and gaps[name] >= BEYOND]
+        if not (within or beyond):
             raise InputError(
-                f"scene {scene.name!r}: found {len(found.taken)} context views around its targets, "
+                f"scene {scene.name!r}: found {len(taken)} context views around its targets, "
                 f"expected {count}; ask for fewer, or add photographs"
             )
-    return tuple(found.taken)
-
-
-class _Further:
-    """The views that are taken, and those that may yet be, lengths as shares of the baseline."""
-
-    def __init__(self, scene: Scene, named: Sequence[str], targets: Sequence[str]) -> None:
-        self.scene, self.taken = scene, list(named)
-        first, last = (scene.cameras[name] for name in (named[0], named[-1]))
-        baseline = max(float(np.linalg.norm(first.center - last.center)), 1e-12)
-        middle = (first.center + last.center) / 2
-        sights = np.stack([first.c2w[:3, 2], last.c2w[:3, 2]])
-        self.places = {name: (c.center - middle) / baseline for name, c in scene.cameras.items()}
-        # A target is at no distance from itself.
-        held_out = [self.places[name] for name in targets]
-        self.left = [
-            name
-            for name, camera in scene.cameras.items()
-            if name not in named
-            and (sights @ camera.c2w[:3, 2]).max() >= np.cos(np.radians(TURNED))
-            and _least_distance(self.places[name], held_out) >= APART
-        ]
-
-    def take_one(self) -> bool:
-        """Take the next view; False if there is none."""
-        while (name := self._next()) is not None:
-            self.left.remove(name)
-            if self._is_readable(name):
-                self.taken.append(name)
-                return True
-        return False
-
-    def _next(self) -> str | None:
-        taken = [self.places[name] for name in self.taken]
-        # Rounded, so that views at equal distances are equal on every machine.
-        gaps = {name: round(_least_distance(self.places[name], taken), 6) for name in self.left}
-        radii = {name: round(float(np.linalg.norm(self.places[name])), 6) for name in self.left}
-        within = [name for name in self.left if radii[name] <= 0.5 and gaps[name] >= WITHIN]
-        if within:
-            return max(within, key=gaps.__getitem__)
-        beyond = [name for name in self.left if radii[name] > 0.5 and gaps[name] >= BEYOND]
-        return min(beyond, key=radii.__getitem__, default=None)
-
-    def _is_readable(self, name: str) -> bool:
+        chosen = max(within, key=gaps.__getitem__) if within else min(beyond, key=radii.__getitem__)
+        left.remove(chosen)
         try:
-            self.scene.read(name)
+            scene.read(chosen)
         except InputError:
-            return False
-        return True
+            continue
+        taken.append(chosen)
+    return tuple(taken)
 
 
 def _least_distance(place: np.ndarray, others: Sequence[np.ndarray]) -> float:

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.datasets.around import Rule, surround
-from slgaussian.datasets.pairs import Bounds, Views
+from slgaussian.datasets.pair_selection import Bounds, Rule, Views, surround
 from slgaussian.scene import Camera, shared_view
 
 DEPTH = 3.0

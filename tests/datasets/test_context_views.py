@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
-from slgaussian.datasets.further import APART, BEYOND, TURNED, WITHIN, context_of
+from slgaussian.datasets.context_views import APART, BEYOND, TURNED, WITHIN, context_of
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 

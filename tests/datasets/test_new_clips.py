@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from slgaussian.datasets.arrivals import LEAST, changes, clips_of, contents, drift
+from slgaussian.datasets.new_clips import LEAST, changes, clips_of, contents, drift
 from slgaussian.storage.specs import load_spec
 
 

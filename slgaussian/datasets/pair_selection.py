@@ -1,0 +1,358 @@
+"""Choose the views of samples: two context views and the targets that they are judged on.
+
+Two context views should share enough to be matched and differ enough to show depth; neither they
+nor the targets may be blurred or badly exposed. There is no chance in it: equal scores go to the
+earlier views.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.scene import Camera
+
+TARGETS = 3
+"""Targets of a sample."""
+
+CANDIDATES = 200
+"""Most views of a clip that are considered: of each stretch of frames the sharpest."""
+
+DARK, BRIGHT = 0.08, 0.92
+"""Mean grey, as a fraction of white, outside of which a photograph is badly exposed."""
+
+NAME, VERSION = "around", 1
+"""Name and version of :class:`Rule` in index files: within a version it chooses the same."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of a pair.
+
+    Attributes
+    ----------
+    min_overlap, max_overlap : float
+        Fraction of each context view that the other sees, the smaller of the two, if all of it lies
+        at the view's typical depth.
+    min_baseline, max_baseline : float
+        Distance between the two cameras as a fraction of that depth. Too far apart, and what
+        overlaps in space may be hidden, or seen from another side.
+    max_blur : float
+        By how much a view may be more blurred than the median view of its clip, on the scale of
+        :func:`slgaussian.datasets.sharpness.blur`.
+    max_clipped : float
+        Fraction of pixels that may be black or white.
+    most : int
+        Samples of a clip at most, 0 for as many as there are.
+    """
+
+    min_overlap: float = 0.6
+    max_overlap: float = 1.0
+    min_baseline: float = 0.08
+    max_baseline: float = 0.4
+    max_blur: float = 0.16
+    max_clipped: float = 0.4
+    most: int = 0
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Bounds of two context views and the target that they surround.
+
+    Attributes
+    ----------
+    bounds : Bounds
+        Of the two.
+    min_cover : float
+        Least fraction of the target that at least one of the two sees, if all of it lies at the
+        target's typical depth.
+    max_aside : float
+        How far the target may be from the middle between the two, as a fraction of their distance;
+        below 0.5, so that it is between them, and nearer to none than the rest of that.
+    """
+
+    bounds: Bounds = field(default_factory=Bounds)
+    min_cover: float = 0.9
+    max_aside: float = 0.3
+
+    def described(self) -> dict[str, Any]:
+        """Return the rule and its settings, for an index file."""
+        bounds = {name: value for name, value in asdict(self.bounds).items() if name != "most"}
+        own = {"min_cover": self.min_cover, "max_aside": self.max_aside}
+        return {"name": NAME, "version": VERSION, **bounds, **own}
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Measures of the N views of a clip.
+
+    Attributes
+    ----------
+    cameras : sequence of N Camera
+    depths : float64 [N]
+        Typical z-depth of each view, scene units; NaN where it is not known.
+    blur, mean, clipped : float64 [N]
+        See :mod:`slgaussian.datasets.sharpness`.
+    """
+
+    cameras: Sequence[Camera]
+    depths: np.ndarray
+    blur: np.ndarray
+    mean: np.ndarray
+    clipped: np.ndarray
+
+    def usable(self, bounds: Bounds) -> np.ndarray:
+        """Tell of each view whether it is sharp and well exposed, bool [N]."""
+        sharp = self.blur <= np.median(self.blur) + bounds.max_blur
+        exposed = (self.mean >= DARK) & (self.mean <= BRIGHT)
+        return sharp & exposed & (self.clipped <= bounds.max_clipped)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A sample: views by their place in the clip.
+
+    Attributes
+    ----------
+    context : (int, int)
+        In order.
+    targets : tuple of int
+        In order.
+    overlap, baseline : float
+        As :class:`Bounds` has them.
+    depth : float
+        Mean of the typical depths of the context views, scene units.
+    score : float
+        What pairs are compared by, from 0, poor, to 1.
+    """
+
+    context: tuple[int, int]
+    targets: tuple[int, ...]
+    overlap: float
+    baseline: float
+    depth: float
+    score: float
+
+
+@dataclass(frozen=True)
+class Surrounding:
+    """Two context views around a target, or why there are none.
+
+    Attributes
+    ----------
+    pair : Pair or None
+    cover, aside : float
+        As :class:`Rule` has them; 0 without a pair.
+    reason : str
+        Empty with a pair.
+    """
+
+    pair: Pair | None
+    cover: float = 0.0
+    aside: float = 0.0
+    reason: str = ""
+
+
+def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
+    """Choose the samples of a film that together score most, no two of which share a frame.
+
+    A pair scores by how far its overlap is from the bounds and how sharp it is, from 0.25 to 1, so
+    that more samples mostly beat better ones. Targets lie between the two. Every view between must
+    overlap one of the two by half of the least overlap: a camera may come back from elsewhere. The
+    targets are those nearest to equal parts of the way: three to its quarters.
+
+    Raises
+    ------
+    InputError
+        If there is none; the message says what was found, for the caller to name the clip.
+    """
+    usable = np.flatnonzero(clip.usable(bounds))
+    count = len(clip.cameras)
+    if len(usable) < targets + 2:
+        raise InputError(
+            f"{len(usable)} of its {count} views are sharp and well exposed, too few for a sample "
+            f"of 2 context views and {targets} targets between them"
+        )
+    if np.isnan(clip.depths).any():
+        raise InputError(
+            "its views show no parallax that a depth could be found from: too few matches agree "
+            "with the poses, or the camera stood still"
+        )
+    stretches = np.array_split(usable, min(CANDIDATES, len(usable)))
+    frames = np.array([stretch[clip.blur[stretch].argmin()] for stretch in stretches])
+    seen = overlaps([clip.cameras[i] for i in frames], clip.depths[frames])
+    shared, baselines, fits = _compare(clip, frames, seen, bounds)
+    pairs = []
+    for a, b in np.argwhere(np.triu(fits, 1)):
+        between = np.maximum(shared[a, a + 1 : b], shared[b, a + 1 : b])
+        if len(between) < targets or between.min() < bounds.min_overlap / 2:
+            continue
+        pair = _pair(clip, frames[[a, b]], shared[a, b], baselines[a, b], bounds)
+        pairs.append(replace(pair, targets=_part(frames[a : b + 1], targets)))
+    if not pairs:
+        apart = np.triu(np.ones_like(fits), 1)
+        raise InputError(
+            f"no two of its views have an overlap of {bounds.min_overlap:g} to "
+            f"{bounds.max_overlap:g}, a baseline of {bounds.min_baseline:g} to "
+            f"{bounds.max_baseline:g} depths and {targets} usable views between them; found "
+            f"overlaps of {shared[apart].min():.2f} to {shared[apart].max():.2f} and baselines "
+            f"of {baselines[apart].min():.2f} to {baselines[apart].max():.2f}"
+        )
+    best = schedule(pairs)
+    if bounds.most:
+        best = sorted(sorted(best, key=lambda p: -p.score)[: bounds.most], key=lambda p: p.context)
+    return best
+
+
+def surround(
+    clip: Views, targets: Sequence[int], barred: Collection[int], rule: Rule
+) -> list[Surrounding]:
+    """Choose the best two context views of each target, none of them barred or a target.
+
+    Of the pairs that fit the rule the one that scores most: its score (overlap near the middle of
+    its bounds, sharp views) times the cover, less up to a half for a target aside. The views need
+    no order.
+    """
+    out = set(targets) | set(barred)
+    usable = [int(i) for i in np.flatnonzero(clip.usable(rule.bounds)) if int(i) not in out]
+    if len(usable) < 2:
+        few = f"{len(usable)} of {len(clip.cameras)} views are sharp, well exposed and not held out"
+        return [Surrounding(None, reason=few) for _ in targets]
+    if np.isnan(clip.depths).any():
+        flat = "the views show no parallax that a depth could be found from"
+        return [Surrounding(None, reason=flat) for _ in targets]
+    count, shown = len(usable), [*usable, *targets]
+    sights = list(sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
+    seen = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
+    shared, baselines, fits = _compare(clip, np.array(usable), seen, rule.bounds)
+    places = np.argwhere(np.triu(fits & (baselines > 0), 1))
+    pairs = [
+        _pair(clip, np.array(usable)[[a, b]], shared[a, b], baselines[a, b], rule.bounds)
+        for a, b in places
+    ]
+    a, b = np.array([pair.context for pair in pairs], np.int64).reshape(-1, 2).T
+    centers = np.stack([camera.center for camera in clip.cameras])
+    apart = np.linalg.norm(centers[a] - centers[b], axis=1)
+    scores = np.array([pair.score for pair in pairs])
+    surroundings = []
+    for target, sight in zip(targets, sights[count:], strict=True):
+        aside = np.linalg.norm((centers[a] + centers[b]) / 2 - centers[target], axis=1) / apart
+        cover = (sight[places[:, 0]] | sight[places[:, 1]]).mean(1)
+        between = aside <= rule.max_aside
+        good = between & (cover >= rule.min_cover)
+        if good.any():
+            values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
+            k = int(np.where(good, values, -1).argmax())
+            pair = replace(pairs[k], targets=(target,), score=float(values[k]))
+            surroundings.append(Surrounding(pair, float(cover[k]), float(aside[k])))
+            continue
+        reason = (
+            f"{len(pairs)} pairs of views fit by overlap and baseline and are not held out; "
+            f"{between.sum() or 'none'} of them have it between them"
+        )
+        reason += f", but see less than {rule.min_cover:g} of it" if between.any() else ""
+        surroundings.append(Surrounding(None, reason=reason))
+    return surroundings
+
+
+def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
+    """Compute :func:`slgaussian.scene.shared_view` of N views in every other, float64 [N, N].
+
+    Row a, column b: the fraction of a's image that lands inside b if it all lies at ``depths[a]``.
+    """
+    return np.stack([s.mean(-1) for s in sightings(cameras, depths)])
+
+
+def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield for one view after the other where in it every view looks, bool [N, 81].
+
+    Row b: which pixels of a regular grid over the image land inside b if all of it lies at its
+    depth.
+    """
+    grid = (np.arange(9) + 0.5) / 9
+    fractions = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
+    ends = np.array([(c.width, c.height) for c in cameras], np.float64)
+    w2c = np.stack([c.w2c for c in cameras])
+    K = np.stack([c.K for c in cameras])
+    for camera, end, depth in zip(cameras, ends, depths, strict=True):
+        pixels = np.concatenate([fractions * end, np.ones((len(fractions), 1))], 1)
+        local = depth * pixels @ np.linalg.inv(camera.K).T
+        world = local @ camera.c2w[:3, :3].T + camera.center
+        there = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
+        image = there @ K.mT
+        z = image[..., 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = image[..., :2] / z
+        yield (z[..., 0] > 0) & (xy >= 0).all(-1) & (xy < ends[:, None]).all(-1)
+
+
+def schedule(pairs: Sequence[Pair]) -> list[Pair]:
+    """Choose the pairs that together score most and of which no two share a frame, in order.
+
+    Weighted interval scheduling (Kleinberg and Tardos, "Algorithm Design", section 6.1).
+    """
+    pairs = sorted(pairs, key=lambda pair: (pair.context[1], pair.context[0]))
+    ends = [pair.context[1] for pair in pairs]
+    best = [0.0]
+    for index, pair in enumerate(pairs):
+        before = bisect_left(ends, pair.context[0])
+        best.append(max(best[index], best[before] + pair.score))
+    chosen, index = [], len(pairs)
+    while index:
+        if best[index] > best[index - 1]:
+            chosen.append(pairs[index - 1])
+            index = bisect_left(ends, pairs[index - 1].context[0])
+        else:
+            index -= 1
+    return chosen[::-1]
+
+
+def _compare(
+    clip: Views, frames: np.ndarray, seen: np.ndarray, bounds: Bounds
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return overlap, baseline and whether both are within the bounds, of all frames, [N, N].
+
+    Row a, column b of ``seen``: the fraction of the one that the other sees.
+    """
+    centers = np.stack([clip.cameras[i].center for i in frames])
+    depths = clip.depths[frames]
+    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    baselines = apart / ((depths[:, None] + depths) / 2)
+    shared = np.minimum(seen, seen.T)
+    fits = (shared >= bounds.min_overlap) & (shared <= bounds.max_overlap)
+    fits &= (baselines >= bounds.min_baseline) & (baselines <= bounds.max_baseline)
+    return shared, baselines, fits
+
+
+def _pair(
+    clip: Views, context: np.ndarray, overlap: float, baseline: float, bounds: Bounds
+) -> Pair:
+    """Return a pair without targets.
+
+    Half of its score is its overlap, most in the middle of the bounds, and half the blur of the
+    worse view.
+    """
+    middle = (bounds.min_overlap + bounds.max_overlap) / 2
+    half = max((bounds.max_overlap - bounds.min_overlap) / 2, 1e-9)
+    central = 1 - 0.5 * abs(float(overlap) - middle) / half
+    worst = float(clip.blur[context].max() - np.median(clip.blur)) / max(bounds.max_blur, 1e-9)
+    score = central * (1 - 0.5 * float(np.clip(worst, 0, 1)))
+    depth = float(clip.depths[context].mean())
+    first, second = context.tolist()
+    return Pair((first, second), (), float(overlap), float(baseline), depth, score)
+
+
+def _part(frames: np.ndarray, count: int) -> tuple[int, ...]:
+    """Return frames, of two more at least in ascending order, near equal parts of the way."""
+    between = frames[1:-1]
+    chosen: list[int] = []
+    for mark in np.linspace(frames[0], frames[-1], count + 2)[1:-1]:
+        nearest = np.abs(between - mark).argmin()
+        chosen.append(int(between[nearest]))
+        between = np.delete(between, nearest)
+    return tuple(sorted(chosen))
