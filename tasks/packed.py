@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian import datasets
-from slgaussian.datasets import licences, re10k
+from slgaussian.datasets import licences, re10k, re10k_text
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
@@ -54,7 +54,7 @@ class PosedFolder:
     def url(self) -> str:
         """Address of the video that it is from, if it says so."""
         format, place = recognise(self.path)
-        return re10k.read_cameras(place)[0] if format == "re10k_text" else ""
+        return re10k_text.read_cameras(place)[0] if format == "re10k_text" else ""
 
     def origin(self) -> tuple[str, str]:
         """Where it is from, and its licence, as far as they are known."""

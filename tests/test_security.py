@@ -23,7 +23,7 @@ from slgaussian.benchmark.annotations import read_labels, read_truth
 from slgaussian.benchmark.outputs import file_name, mask_place, write_predictions
 from slgaussian.components.pretrained import OPEN_CLIP_CONFIG, find_model
 from slgaussian.datasets import nerfstudio, re10k
-from slgaussian.datasets.photographs import open_rgb, stored_size
+from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import tensorfile
@@ -149,7 +149,7 @@ class TestLargeImages:
         file.write_bytes(huge_png(*size))
         (tmp_path / "classes.txt").write_text("cup\n")
         said = r"cup\.png: .*it has .* pixels"
-        for read in (open_rgb, read_ids, lambda _: class_masks.read(tmp_path, "0", 8, 8)):
+        for read in (open_photograph, read_ids, lambda _: class_masks.read(tmp_path, "0", 8, 8)):
             with pytest.raises(InputError, match=said):
                 read(file)
         assert stored_size(file) is None

@@ -20,11 +20,10 @@ from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.lens import OUTSIDE, Maps
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
-    absent,
     image_folder,
     is_there,
     name_in,
-    posed_view,
+    scene_of,
     stored_size,
 )
 from slgaussian.datasets.sparse import (
@@ -36,7 +35,7 @@ from slgaussian.datasets.sparse import (
 )
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Scene
 
 PLACES = ("sparse", "colmap/sparse", ".")
 """Where in the folder of a scene its model is looked for, or models in folders called 0, 1, ..."""
@@ -105,21 +104,23 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     files = {name: _file(path, folder, name) for name in names}
     lenses = _lenses(source, model, files)
     ranges = _depth_ranges(model)
-    cameras, by_view = {}, {}
+    cameras = {}
     for name, number in names.items():
         image = model.images[number]
-        lens = by_view[name] = lenses[image.camera]
+        lens = lenses[image.camera]
         near, far = ranges.get(number, (None, None))
+        c2w = np.eye(4)
+        c2w[:3, :3] = image.w2c[:3, :3].T
+        c2w[:3, 3] = -image.w2c[:3, :3].T @ image.w2c[:3, 3]
         try:
-            camera = checked_camera(Camera(lens.K, _inverse(image.w2c), *lens.size, near, far))
+            cameras[name] = checked_camera(Camera(lens.K, c2w, *lens.size, near, far))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
-        cameras[name] = camera
     if not cameras:
         raise InputError(f"{source}: has no posed image; reconstruct again")
-    reader = _Reader(source, folder, files, cameras, by_view)
+    maps = {name: lenses[model.images[number].camera].maps for name, number in names.items()}
     name = path.resolve().name or "scene"
-    return Scene(name, cameras, reader.read, sources=reader.sources)
+    return scene_of(name, cameras, files, source, model_files(source), maps)
 
 
 def models_in(path: Path) -> list[Path]:
@@ -132,12 +133,12 @@ def models_in(path: Path) -> list[Path]:
 
 
 def largest(models: Sequence[Path]) -> Path:
-    """The model with most images, the first of equal ones."""
+    """Return the model with most images, the first of equal ones."""
     return models[0] if len(models) == 1 else max(models, key=count_images)
 
 
 def scene_folder(path: Path) -> Path:
-    """The folder of the scene that a model, or a folder of models, is in; else the folder itself.
+    """Return the folder of the scene that a model or a folder of models is in; else this folder.
 
     Of two folders that may be it, as above ``colmap/sparse``, it is the one with photographs.
     """
@@ -152,14 +153,15 @@ def scene_folder(path: Path) -> Path:
     return next(with_images, above[-1] if above else path)
 
 
-def _file(scene: Path, folder: Path, name: str) -> Path | None:
+def _file(scene: Path, folder: Path, name: str) -> Path:
+    """Return the photograph of a name, or the place where it should be."""
     # Some tools write shrunk photographs with another extension.
     for start in (folder / name, scene / name):
         others = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
         for file in (start, *others):
             if is_there(file):
                 return file
-    return None
+    return folder / name
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +174,7 @@ class _Lens:
     straight: bool
 
     def maps(self) -> Maps | None:
-        """As :mod:`slgaussian.datasets.lens` has them; None for a pinhole camera."""
+        """Compute maps as :mod:`slgaussian.datasets.lens` has them; None for a pinhole camera."""
         if self.straight:
             return None
         width, height = self.size
@@ -189,64 +191,32 @@ class _Lens:
         return maps[0], maps[1]
 
 
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    source: Path
-    folder: Path
-    files: Mapping[str, Path | None]
-    cameras: Mapping[str, Camera]
-    lenses: Mapping[str, _Lens]
-
-    def read(self, name: str) -> View:
-        """Open and straighten one view."""
-        if name not in self.cameras:
-            raise InputError(f"{self.source}: has no image {name!r}")
-        file = self.files[name]
-        if file is None:
-            gone = (o for o, found in self.files.items() if found is None and o != name)
-            raise absent(self.folder / name, str(self.source), gone, len(self.files))
-        return posed_view(file, name, self.cameras[name], self.lenses[name].maps)
-
-    def sources(self, name: str) -> list[Path]:
-        """List the files of the model and the photograph of a view, if it is there."""
-        file = self.files[name]
-        return [*model_files(self.source), *([] if file is None else [file])]
-
-
-def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path | None]) -> dict[int, _Lens]:
-    """The lens of each camera that took an image, at the size of the first one that is there."""
+def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict[int, _Lens]:
+    """Return the lens of each camera, at the size of the first of its photographs that is there."""
     lenses: dict[int, _Lens] = {}
     for image in sorted(model.images.values(), key=lambda image: image.name):
-        file = files[image.name]
         lens = lenses.get(image.camera)
         if lens is None:
             stored = model.cameras[image.camera]
             K, straight = _pinhole(stored, f"{source}: camera {image.camera}")
             lens = _Lens(stored, (0, 0), K, straight)
-        if lens.size == (0, 0) and file is not None:
-            size = _shrunk(lens.stored, stored_size(file, (lens.stored.width, lens.stored.height)))
-            scale = np.array([size[0] / lens.stored.width, size[1] / lens.stored.height, 1])
+        own, file = (lens.stored.width, lens.stored.height), files[image.name]
+        if lens.size == (0, 0) and is_there(file):
+            size = stored_size(file, own)
+            # Shrunk, if it has the camera's own shape up to whole pixels.
+            if size is None or abs(size[0] / own[0] - size[1] / own[1]) > 1 / own[0] + 1 / own[1]:
+                size = own
+            scale = np.array([size[0] / own[0], size[1] / own[1], 1])
             lens = replace(lens, size=size, K=scale[:, None] * lens.K)
         lenses[image.camera] = lens
-    return {
-        number: replace(lens, size=(lens.stored.width, lens.stored.height))
-        if lens.size == (0, 0)
-        else lens
-        for number, lens in lenses.items()
-    }
-
-
-def _shrunk(camera: SparseCamera, found: tuple[int, int] | None) -> tuple[int, int]:
-    """The size found if it is the camera's own shape, up to whole pixels; else the camera's."""
-    own = camera.width, camera.height
-    if found is None:
-        return own
-    wide, high = found[0] / own[0], found[1] / own[1]
-    return found if abs(wide - high) <= 1 / own[0] + 1 / own[1] else own
+    for number, lens in lenses.items():
+        if lens.size == (0, 0):
+            lenses[number] = replace(lens, size=(lens.stored.width, lens.stored.height))
+    return lenses
 
 
 def _pinhole(camera: SparseCamera, where: str) -> tuple[np.ndarray, bool]:
-    """Intrinsics [3, 3] of the straight view, and whether the lens is that already."""
+    """Return intrinsics [3, 3] of the straight view, and whether the lens is that already."""
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         fx, fy, cx, cy = (
             camera.params if len(camera.params) == 4 else camera.params[:1] + camera.params
@@ -290,7 +260,7 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
 
 
 def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
-    """Near and far of the images that see enough points, by id; see :func:`read`."""
+    """Compute near and far of the images that see enough points, by id; see :func:`read`."""
     seen = np.unique(model.seen, axis=0)  # an image may show a point twice
     lengths = np.bincount(seen[:, 0], minlength=len(model.points))
     seen = seen[lengths[seen[:, 0]] >= TRACK]
@@ -306,10 +276,3 @@ def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
         if len(depths) >= POINTS:
             ranges[int(own[0, 1])] = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
     return ranges
-
-
-def _inverse(w2c: np.ndarray) -> np.ndarray:
-    c2w = np.eye(4)
-    c2w[:3, :3] = w2c[:3, :3].T
-    c2w[:3, 3] = -w2c[:3, :3].T @ w2c[:3, 3]
-    return c2w

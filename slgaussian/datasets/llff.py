@@ -9,17 +9,15 @@ principal point in the middle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from slgaussian.datasets.intrinsics import checked_camera
-from slgaussian.datasets.photographs import image_folder, photographs_in, posed_view, stored_size
+from slgaussian.datasets.photographs import image_folder, photographs_in, scene_of, stored_size
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_npy
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Scene
 
 FILE = "poses_bounds.npy"
 ROW = 17
@@ -57,30 +55,13 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     files, cameras = {}, {}
     for photograph, row in zip(photographs, rows, strict=True):
         files[photograph.name] = photograph
+        height, width = row[[4, 9]]
+        size = stored_size(photograph, (width, height) if width >= 1 and height >= 1 else None)
         try:
-            cameras[photograph.name] = _camera(row, _size(row, photograph))
+            cameras[photograph.name] = _camera(row, size)
         except InputError as bad:
             raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
-    name = file.resolve().parent.name or "scene"
-    reader = _Reader(file, files, cameras)
-    return Scene(name, cameras, reader.read, sources=reader.sources)
-
-
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    file: Path
-    files: Mapping[str, Path]
-    cameras: Mapping[str, Camera]
-
-    def read(self, name: str) -> View:
-        """Open one view."""
-        if name not in self.files:
-            raise InputError(f"{self.file}: no photograph is called {name!r}")
-        return posed_view(self.files[name], name, self.cameras[name])
-
-    def sources(self, name: str) -> list[Path]:
-        """List the poses and the photograph of a view."""
-        return [self.file, self.files[name]]
+    return scene_of(file.resolve().parent.name or "scene", cameras, files, file, [file])
 
 
 def _rows(file: Path) -> np.ndarray:
@@ -98,13 +79,8 @@ def _rows(file: Path) -> np.ndarray:
     return rows.astype(np.float64)
 
 
-def _size(row: np.ndarray, photograph: Path) -> tuple[int, int] | None:
-    height, width = row[[4, 9]]
-    return stored_size(photograph, (width, height) if width >= 1 and height >= 1 else None)
-
-
 def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
-    """The camera of a row, for a photograph stored at that width and height."""
+    """Return the camera of a row, for a photograph stored at that width and height."""
     if not np.isfinite(row).all():
         raise InputError("holds NaN or infinity")
     matrix, (near, far) = row[:15].reshape(3, 5), row[15:]

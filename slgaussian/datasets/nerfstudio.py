@@ -16,7 +16,7 @@ import warnings
 from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -98,7 +98,7 @@ def read(path: str | Path) -> Scene:
 
     Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
     black, and known as such in ``View.opaque``; an EXIF orientation is applied only where w and h
-    are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_rgb`.
+    are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_photograph`.
     ``mask_path`` is one more alpha channel, black where nothing is seen.
     Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor`` and, as poses
     were, by ``applied_scale``, resampled at the image's pixel centres, and 0 where it is not a
@@ -135,9 +135,35 @@ def read(path: str | Path) -> Scene:
         frames[name] = _Frame.of(file, name, entry, shared)
     size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
+
     name = file.resolve().parent.name or "scene"
-    reader = _Reader(file, frames, cameras)
-    return Scene(name, cameras, reader.read, found=found, sources=reader.sources)
+    read_view, sources = partial(_read_view, frames, cameras), partial(_sources, frames)
+    return Scene(name, cameras, read_view, found=found, sources=sources)
+
+
+def _read_view(frames: Mapping[str, _Frame], cameras: Mapping[str, Camera], name: str) -> View:
+    """Open and undistort a frame."""
+    if name not in frames:
+        file = next(iter(frames.values())).file
+        raise InputError(f"{file}: no frame has the file_path {name!r}")
+    frame, camera = frames[name], cameras[name]
+    if frame.image_path is None:
+        photographs = {n: f.image_path or f.file.parent / n for n, f in frames.items()}
+        raise absent(photographs[name], frame.file.name, photographs)
+    image, opaque = frame.image(frame.image_path, camera)
+    depth = frame.depth(camera)
+    maps = frame.undistortion(camera)
+    if maps is not None:
+        opaque = straight_mask(opaque, maps)
+        image, depth = straightened(image, depth, maps)
+    return View(name, camera, image, depth, opaque=opaque)
+
+
+def _sources(frames: Mapping[str, _Frame], name: str) -> list[Path]:
+    """List the camera file, the photograph of a frame and all else that is named for it."""
+    frame = frames[name]
+    named = [frame.place(value) for key, value in frame.values.items() if key.endswith("_path")]
+    return [frame.file, *([] if frame.image_path is None else [frame.image_path]), *named]
 
 
 def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> None:
@@ -215,47 +241,6 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
         name = str(content.get("file_path") or file.name)
         return {name: _Frame.of(file, name, content).camera(None)}
     return dict(read(path).cameras)
-
-
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    file: Path
-    frames: Mapping[str, _Frame]
-    cameras: Mapping[str, Camera]
-
-    def read(self, name: str) -> View:
-        """Open and undistort one view."""
-        if name not in self.frames:
-            raise InputError(f"{self.file}: no frame has the file_path {name!r}")
-        frame, camera = self.frames[name], self.cameras[name]
-        path = frame.image_path
-        if path is None:
-            raise self._missing(name)
-        image, opaque = frame.image(path, camera)
-        depth = frame.depth(camera)
-        maps = frame.undistortion(camera)
-        if maps is not None:
-            opaque = straight_mask(opaque, maps)
-            image, depth = straightened(image, depth, maps)
-        return View(name, camera, image, depth, opaque=opaque)
-
-    def sources(self, name: str) -> list[Path]:
-        """List the camera file, the photograph of a view and all else that is named for it."""
-        frame = self.frames[name]
-        places = [
-            frame.place(value) for key, value in frame.values.items() if key.endswith("_path")
-        ]
-        photograph = [] if frame.image_path is None else [frame.image_path]
-        return [self.file, *photograph, *places]
-
-    def _missing(self, name: str) -> InputError:
-        gone = [other for other, frame in self.frames.items() if frame.image_path is None]
-        return absent(
-            self.file.parent / name,
-            self.file.name,
-            (other for other in gone if other != name),
-            len(self.frames),
-        )
 
 
 @dataclass(frozen=True, eq=False)

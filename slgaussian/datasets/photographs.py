@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -13,7 +15,7 @@ from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, straight_mask, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.images import mask_levels, opened, unreadable
-from slgaussian.scene import Camera, View
+from slgaussian.scene import Camera, Scene, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
 """Endings of photographs, tried in this order where a name leaves its own out."""
@@ -25,7 +27,7 @@ _ROWS = 256  # looked at a time: copies of a whole image in other forms take too
 
 
 def rgb(image: Image.Image) -> np.ndarray:
-    """Pixels of an opened image as uint8 [H, W, 3], transparent ones over black.
+    """Return the pixels of an opened image, uint8 [H, W, 3], transparent ones over black.
 
     Grey is repeated, 16 bits are scaled. ValueError for floating-point pixels.
     """
@@ -46,7 +48,7 @@ def rgb(image: Image.Image) -> np.ndarray:
 
 
 def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """``colour`` of some rows as float64 after the other, rounded: uint8 [H, W, 3]."""
+    """Map some rows after the other, as float64, by ``colour``; round to uint8 [H, W, 3]."""
     found = np.empty((*pixels.shape[:2], 3), np.uint8)
     for top in range(0, len(pixels), _ROWS):
         part = pixels[top : top + _ROWS].astype(np.float64)
@@ -54,15 +56,10 @@ def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> 
     return found
 
 
-def open_rgb(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Pixels of a file as uint8 [H, W, 3], as :func:`open_photograph` gives them."""
-    return open_photograph(path, size)[0]
-
-
 def open_photograph(
     path: Path, size: tuple[int, int] | None = None, upright: bool = False
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Pixels of a file as :func:`rgb` gives them, and which are opaque: bool [H, W].
+    """Read the pixels of a file, as :func:`rgb` has them, and which are opaque: bool [H, W].
 
     None if all are; a pixel counts as transparent from half on.
 
@@ -126,7 +123,7 @@ def masked(
 
 
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
-    """Width and height that :func:`open_rgb` gives a photograph; None if it cannot be opened."""
+    """Return width and height of an :func:`open_photograph`; None if it cannot be opened."""
     try:
         with opened(path) as image:
             return image.size[::-1] if _is_turned(image, size) else image.size
@@ -135,20 +132,20 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 
 def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
-    """Whether a camera of that size saw the photograph as its EXIF orientation turns it."""
+    """Tell whether a camera of that size saw the photograph as its EXIF orientation turns it."""
     if size is None or orientation_of(image) not in SIDEWAYS:
         return False
     return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
 
 
 def _has_shape(found: tuple[int, int], size: tuple[int, int]) -> bool:
-    """Whether one size is the other's shape, up to whole pixels."""
+    """Tell whether one size is the other's shape, up to whole pixels."""
     (w, h), (width, height) = found, size
     return abs(w / width - h / height) <= 1 / width + 1 / height
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is such a file; no name is refused, as files say what they like."""
+    """Tell whether there is such a file; no name is refused, as files say what they like."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -156,7 +153,7 @@ def is_there(path: Path) -> bool:
 
 
 def name_in(folder: Path, name: str) -> str:
-    """The name of a photograph below a folder, as a camera file gives it, with slashes.
+    """Return the name of a photograph below a folder, as a camera file gives it, with slashes.
 
     Backslashes, as Windows writes them, and blanks at the ends are part of it only if there is such
     a file.
@@ -165,19 +162,19 @@ def name_in(folder: Path, name: str) -> str:
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """The photographs that lie in a folder, sorted by name; none if there is no such folder."""
+    """List the photographs in a folder, sorted by name; none if there is no such folder."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if path.suffix in EXTENSIONS)
 
 
 def photographs_of(scene: Path) -> list[Path]:
-    """The photographs in a folder or, if it has none, in its :func:`image_folder`, by name."""
+    """List the photographs in a folder or, if it has none, in its :func:`image_folder`, by name."""
     return photographs_in(scene) or photographs_in(image_folder(scene))
 
 
 def image_folder(scene: Path, name: str | None = None) -> Path:
-    """Where the photographs of a scene lie: ``images``, or of ``images_2`` ... the least shrunk.
+    """Return a scene's folder of photographs: ``images``, or of ``images_2`` ... the least shrunk.
 
     ``name`` says which instead. The folder may not be there, for the caller to say.
     """
@@ -190,47 +187,75 @@ def image_folder(scene: Path, name: str | None = None) -> Path:
     return min(shrunk, key=lambda path: int(path.name[7:]))
 
 
-def posed_view(
-    path: Path,
+def scene_of(
     name: str,
-    camera: Camera,
-    maps: Callable[[], Maps | None] = lambda: None,
+    cameras: Mapping[str, Camera],
+    photographs: Mapping[str, Path],
+    named_by: str | Path,
+    files: Sequence[Path] = (),
+    lenses: Mapping[str, Callable[[], Maps | None]] | None = None,
     upright: bool = False,
-) -> View:
-    """The view of a stored photograph, straightened if there are maps, which are asked for last.
+    found: Mapping[str, Any] | None = None,
+) -> Scene:
+    """Make a scene of stored photographs, which are opened and straightened when they are read.
 
-    ``upright`` if the camera is certainly that of the upright photograph, see
-    :func:`open_photograph`.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is not of its camera's size.
+    Parameters
+    ----------
+    name : str
+    cameras, photographs : mapping
+        Cameras and photographs by view name; a photograph may not be there.
+    named_by : str or path
+        What names the photographs, for messages.
+    files : sequence of Path
+        Those that the cameras are from.
+    lenses : mapping str -> callable, optional
+        Makes the maps of a view's lens, see :mod:`slgaussian.datasets.lens`; None for a pinhole.
+    upright : bool
+        Whether cameras are those of the upright photographs, see :func:`open_photograph`.
+    found : mapping, optional
+        How the cameras were found.
     """
-    pixels, opaque = open_photograph(path, (camera.width, camera.height), upright)
+    read = partial(_read_view, cameras, photographs, named_by, lenses or {}, upright)
+    sources = {view: [*files, photograph] for view, photograph in photographs.items()}
+    return Scene(name, cameras, read, found=found or {}, sources=sources.__getitem__)
+
+
+def _read_view(
+    cameras: Mapping[str, Camera],
+    photographs: Mapping[str, Path],
+    named_by: str | Path,
+    lenses: Mapping[str, Callable[[], Maps | None]],
+    upright: bool,
+    name: str,
+) -> View:
+    if name not in cameras:
+        raise InputError(f"{named_by}: has no view {name!r}")
+    file, camera = photographs[name], cameras[name]
+    if not is_there(file):
+        raise absent(file, named_by, photographs)
+    pixels, opaque = open_photograph(file, (camera.width, camera.height), upright)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
-            f"{path}: is {width}x{height}, but by its pose file {camera.width}x{camera.height}; "
+            f"{file}: is {width}x{height}, but by its pose file {camera.width}x{camera.height}; "
             "bring it to that size and orientation"
         )
-    bent = maps()
-    if bent is not None:
-        opaque = straight_mask(opaque, bent)
-        pixels, _ = straightened(pixels, None, bent)
+    maps = lenses[name]() if name in lenses else None
+    if maps is not None:
+        opaque = straight_mask(opaque, maps)
+        pixels, _ = straightened(pixels, None, maps)
     return View(name, camera, pixels, opaque=opaque)
 
 
-def absent(path: Path, named_by: str, gone: Iterable[str], count: int) -> InputError:
-    """The error that says of a photograph that it is not there, and how many others are not.
+def absent(path: Path, named_by: str | Path, photographs: Mapping[str, Path]) -> InputError:
+    """Return the error about a photograph that is not there, which counts the others.
 
-    ``named_by`` is the file that names it, ``gone`` the names of all that are missing, this one
-    left out, and ``count`` how many photographs there should be.
+    ``named_by`` is the file that names all ``photographs``.
     """
-    others: Sequence[str] = list(gone)
-    also = f" ({len(others)} more of its {count} photographs missing"
-    also += f": {', '.join(others[:3])}{', ...' if len(others) > 3 else ''})" if others else ""
+    gone = [name for name, file in photographs.items() if file != path and not is_there(file)]
+    also = f" ({len(gone)} more of its {len(photographs)} photographs missing: "
+    also += f"{', '.join(gone[:3])}{', ...' if len(gone) > 3 else ''})"
     return InputError(
-        f"{path}: no such photograph, though {named_by} names it{also if others else ''}; put the "
+        f"{path}: no such photograph, though {named_by} names it{also if gone else ''}; put the "
         "file there or choose another view"
     )

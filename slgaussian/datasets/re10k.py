@@ -4,9 +4,8 @@ A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
 row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
-axes; the intrinsics are fractions of width and height. The raw camera files of
-https://google.github.io/realestate10k/ have the clip's address in their first line, then a row a
-frame: the timestamp and the same 18 numbers.
+axes; the intrinsics are fractions of width and height. Raw camera files, with the same 18 numbers
+a frame, are read by :mod:`slgaussian.datasets.re10k_text`.
 
 Chunks are read with PyTorch's restricted unpickler, so a chunk from anywhere cannot run code.
 """
@@ -15,9 +14,8 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +29,6 @@ from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
-from slgaussian.formats.text import read_lines
 from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explained, open_place, troubles
@@ -73,7 +70,7 @@ class Clip:
     images: tuple[bytes, ...]
 
     def view(self, number: int) -> View:
-        """One frame, decoded, whatever the others are.
+        """Decode one frame, whatever the others are.
 
         Raises
         ------
@@ -93,7 +90,7 @@ class Clip:
         return View(str(number), camera, pixels)
 
     def scene(self, source: str = "") -> Scene:
-        """The clip as a scene named by its key, with views "0" to "N - 1", decoded when read.
+        """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
 
         ``source`` is the file that it is from, for messages.
 
@@ -103,7 +100,8 @@ class Clip:
             If it has no frame, no image can be decoded, or a camera is none. A single damaged image
             is an error of its own view only.
         """
-        label = f"{source}: clip {self.key!r}" if source else f"clip {self.key!r}"
+        prefix = f"{source}: " if source else ""
+        label = f"{prefix}clip {self.key!r}"
         if not self.images:
             raise InputError(f"{label}: has no frame")
         sizes = [_size(data) for data in self.images]
@@ -116,27 +114,20 @@ class Clip:
                 cameras[str(number)] = camera_of(row, *(size or usual))
             except InputError as error:
                 raise InputError(f"{label}, frame {number}: {error}") from None
-        return Scene(self.key, cameras, _Frames(self, cameras, source).read)
 
+        def read(name: str) -> View:
+            if name not in cameras:
+                raise InputError(f"{label}: has no frame {name!r}")
+            try:
+                return self.view(int(name))
+            except InputError as error:
+                raise InputError(f"{prefix}{error}") from None
 
-@dataclass(frozen=True, eq=False)
-class _Frames:
-    clip: Clip
-    cameras: Mapping[str, Camera]
-    source: str
-
-    def read(self, name: str) -> View:
-        """Decode one image."""
-        if name not in self.cameras:
-            raise InputError(f"clip {self.clip.key!r}: has no frame {name!r}")
-        try:
-            return self.clip.view(int(name))
-        except InputError as error:
-            raise InputError(f"{self.source}: {error}" if self.source else str(error)) from None
+        return Scene(self.key, cameras, read)
 
 
 def read(path: str | Path, key: str) -> Scene:
-    """One clip of a split as a scene; see :meth:`Clip.scene`.
+    """Read one clip of a split as a scene; see :meth:`Clip.scene`.
 
     Parameters
     ----------
@@ -170,12 +161,12 @@ def _chunk_of(path: str | Path, key: str) -> str:
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """The clips of a split, each with what :func:`read` takes besides the path."""
+    """List the clips of a split, each with what :func:`read` takes besides the path."""
     return {key: {"key": key} for key in read_index(path)}
 
 
 def read_index(path: str | Path) -> dict[str, str]:
-    """The chunk file of every clip of a split, by key, from its ``index.json``."""
+    """Read the chunk file of every clip of a split, by key, from its ``index.json``."""
     file = f"{path}/{INDEX}"
     index = _json(file)
     names = index.values()
@@ -185,7 +176,7 @@ def read_index(path: str | Path) -> dict[str, str]:
 
 
 def chunk_names(path: str | Path) -> list[str]:
-    """File names of the chunks of a split, in order, whether its index knows them or not."""
+    """List the names of the chunks of a split, in order, whether its index knows them or not."""
     fs, folder = open_place(path, "chunks")
     try:
         found = fs.ls(folder, detail=False)
@@ -197,7 +188,7 @@ def chunk_names(path: str | Path) -> list[str]:
 
 
 def read_chunk(file: str | Path) -> list[Clip]:
-    """All clips of a chunk, still encoded.
+    """Read all clips of a chunk, still encoded.
 
     Raises
     ------
@@ -217,7 +208,7 @@ def read_chunk(file: str | Path) -> list[Clip]:
 
 
 def clips_in(data: bytes, file: str | Path) -> list[Clip]:
-    """The clips of what a chunk file holds, still encoded; InputError, which names ``file``."""
+    """Parse the clips in the bytes of a chunk, still encoded; InputError, which names ``file``."""
     try:
         found = tensorfile.load(data)
     except tensorfile.CodeError as code:
@@ -241,7 +232,7 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
 
 
 def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
-    """The clip of an entry, whose images have ``most`` bytes at most."""
+    """Parse the clip of an entry, whose images have ``most`` bytes at most."""
 
     def wrong(what: str) -> InputError:
         return InputError(f"{file}: clip {number}: {what}")
@@ -280,7 +271,7 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
 
 
 def _is_plain(tensor: torch.Tensor) -> bool:
-    """Whether all its numbers are stored, each once."""
+    """Tell whether all its numbers are stored, each once."""
     import torch
 
     if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
@@ -290,7 +281,7 @@ def _is_plain(tensor: torch.Tensor) -> bool:
 
 
 def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
-    """The camera of a row of 18 numbers; InputError if it is none, as for a pose no rotation."""
+    """Return the camera of a row of 18 numbers; InputError if it is none."""
     row = np.asarray(row, np.float64)
     if row.shape != (ROW,) or not np.isfinite(row).all():
         raise InputError(f"camera row: found {row.tolist()}, expected {ROW} finite numbers")
@@ -311,7 +302,7 @@ def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
 
 
 def row_of(camera: Camera) -> np.ndarray:
-    """Inverse of :func:`camera_of`, float32 [18]; a skew of K is not kept."""
+    """Invert :func:`camera_of`: float32 [18], without the skew of K."""
     K, size = camera.K, (camera.width, camera.height)
     fractions = [K[0, 0] / size[0], K[1, 1] / size[1], K[0, 2] / size[0], K[1, 2] / size[1]]
     return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
@@ -320,7 +311,7 @@ def row_of(camera: Camera) -> np.ndarray:
 def clip_of(
     scene: Scene, url: str = "", passed_over: Callable[[InputError], None] | None = None
 ) -> Clip:
-    """All views of a scene as a clip, in their order; truths are not kept.
+    """Encode all views of a scene as a clip, in their order; truths are not kept.
 
     Parameters
     ----------
@@ -374,44 +365,39 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     """
     path = Path(path)
     names: list[str] = []
+    batch: list[Clip] = []
     try:
         path.mkdir(parents=True, exist_ok=True)
         index = _json(path / INDEX) if (path / INDEX).exists() else {}
-        for batch in _batches(clips, chunk_bytes):
-            taken = next((clip.key for clip in batch if clip.key in index), None)
-            if taken is not None:
-                raise InputError(
-                    f"{path}: has a clip {taken!r} already; give the new one its own key"
-                )
+
+        def write_chunk() -> None:
             number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
-            name = f"{number:06d}.torch"
-            write_atomic(path / name, encoded(batch))
-            index |= {clip.key: name for clip in batch}
+            names.append(f"{number:06d}.torch")
+            write_atomic(path / names[-1], encoded(batch))
+            index.update({clip.key: names[-1] for clip in batch})
             write_atomic(path / INDEX, json.dumps(index, indent=1).encode())
-            names.append(name)
+            batch.clear()
+
+        for clip in clips:
+            if clip.key in index:
+                raise InputError(
+                    f"{path}: has a clip {clip.key!r} already; give the new one its own key"
+                )
+            batch.append(clip)
+            if sum(len(image) for clip in batch for image in clip.images) >= chunk_bytes:
+                write_chunk()
+        if batch:
+            write_chunk()
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
     return names
 
 
-def _batches(clips: Iterable[Clip], chunk_bytes: int) -> Iterator[list[Clip]]:
-    batch: list[Clip] = []
-    size = 0
-    for clip in clips:
-        batch.append(clip)
-        size += sum(map(len, clip.images))
-        if size >= chunk_bytes:
-            yield batch
-            batch, size = [], 0
-    if batch:
-        yield batch
-
-
 def encoded(clips: Sequence[Clip]) -> bytes:
-    """What a chunk file of these clips holds."""
-    buffer = io.BytesIO()
+    """Return the content of a chunk file of these clips."""
     import torch
 
+    buffer = io.BytesIO()
     entries = [
         {
             "url": clip.url,
@@ -426,55 +412,8 @@ def encoded(clips: Sequence[Clip]) -> bytes:
     return buffer.getvalue()
 
 
-def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
-    """Read a raw camera file: the clip's address, timestamps int64 [N], rows float32 [N, 18].
-
-    A file may lack the line of the address, which is empty then.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a line is no camera; the message names the line.
-    """
-
-    try:
-        lines = read_lines(file)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read ({error})") from None
-    has_address = len(lines[0].split()) != 1 + ROW
-    address = lines[0].strip() if has_address else ""
-    times, rows = [], []
-    for number, line in enumerate(lines, 1):
-        if number == 1 and has_address:
-            continue
-        words = line.split()
-        if not words:
-            continue
-        try:
-            values = [float(word) for word in words[1:]]
-            times.append(int(words[0]))
-        except ValueError:
-            values = []
-        times_fit = not times or abs(times[-1]) < 2**63
-        if len(values) != ROW or not times_fit or not all(map(math.isfinite, values)):
-            raise InputError(
-                f"{file}, line {number}: found {line[:60]!r}, expected a time and {ROW} numbers"
-            )
-        rows.append(values)
-    if not rows:
-        raise InputError(f"{file}: holds no camera; expected an address, then a line a frame")
-    return address, np.array(times, np.int64), np.array(rows, np.float32)
-
-
-def write_cameras(file: str | Path, clip: Clip) -> None:
-    """Write the raw camera file of a clip."""
-    rows = zip(clip.timestamps, clip.cameras, strict=True)
-    lines = [f"{time} {' '.join(f'{value:.9f}' for value in row)}" for time, row in rows]
-    write_atomic(file, "\n".join([clip.url, *lines, ""]).encode())
-
-
 def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
-    """The published evaluation index: context and target views by key, clips without any left out.
+    """Read the published evaluation index: context and target views by key, where there are any.
 
     Raises
     ------
@@ -485,18 +424,18 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
     for key, entry in _json(file).items():
         if entry is None:
             continue
-        context, target = (_frames(entry, name) for name in ("context", "target"))
-        if not (context and target):
+        frames = [_frames(entry, name) for name in ("context", "target")]
+        if not all(frames):
             raise InputError(
                 f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
                 '{"context": [0, 40], "target": [10, 20, 30]}, or null'
             )
-        found[key] = context, target
+        found[key] = frames[0], frames[1]
     return found
 
 
 def _frames(entry: Any, name: str) -> list[str]:
-    """The frame numbers of an entry, as text; none if they are not given as they should."""
+    """Return the frame numbers of an entry as text; none if they have another form."""
     frames = entry.get(name) if isinstance(entry, dict) else None
     if not isinstance(frames, list) or not all(type(f) is int and f >= 0 for f in frames):
         return []
@@ -515,7 +454,7 @@ def _json(file: str | Path) -> dict[str, Any]:
 
 
 def _size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of an encoded image, None if not even that can be read."""
+    """Return width and height of an encoded image, None if not even that can be read."""
     try:
         with opened(io.BytesIO(data)) as image:
             return image.size

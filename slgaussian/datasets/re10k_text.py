@@ -1,30 +1,33 @@
 """RealEstate10K as it is published: a camera file a clip, and frames that lie at hand.
 
-The files of https://google.github.io/realestate10k/ name a video and, a row a frame, the time and
-the camera (:func:`slgaussian.datasets.re10k.read_cameras`). The frames are everybody's own to get.
-Here they are photographs called after their time in microseconds, as ``45979267.jpg``, in a folder
-called as the camera file is: ``train/000c3ab189999a83.txt`` and ``train/000c3ab189999a83/``, or
-``cameras/...txt`` and ``frames/...``. Frames that are not there are left out.
+The files of https://google.github.io/realestate10k/ have the address of a video in their first line
+and, a row a frame, the time and the 18 numbers of a camera (:mod:`slgaussian.datasets.re10k`).
+Frames are everybody's own to get. Here they are photographs called after their time in
+microseconds, as ``45979267.jpg``, in a folder called as the camera file is:
+``train/000c3ab189999a83.txt`` and ``train/000c3ab189999a83/``, or ``cameras/...txt`` and
+``frames/...``. Frames that are not there are left out.
 """
 
 from __future__ import annotations
 
 import codecs
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
 from pathlib import Path
 
+import numpy as np
+
 from slgaussian.datasets import re10k
-from slgaussian.datasets.photographs import EXTENSIONS, open_rgb, stored_size
+from slgaussian.datasets.photographs import EXTENSIONS, scene_of, stored_size
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.formats.text import read_lines
+from slgaussian.scene import Scene
 
 CAMERAS, FRAMES = "cameras", "frames"
 """Folders beside each other that hold the camera files and, under the same names, the frames."""
 
 
 def read(path: str | Path) -> Scene:
-    """A clip as a scene called by its file; views are called by their photographs.
+    """Read a clip as a scene called by its file; views are called by their photographs.
 
     Raises
     ------
@@ -32,7 +35,7 @@ def read(path: str | Path) -> Scene:
         If the camera file cannot be read, a camera is none, or fewer than two frames are there.
     """
     file = Path(path)
-    _, times, rows = re10k.read_cameras(file)
+    _, times, rows = read_cameras(file)
     folder = frames_of(file)
     photographs, cameras = {}, {}
     for time, row in zip(times.tolist(), rows, strict=True):
@@ -50,12 +53,49 @@ def read(path: str | Path) -> Scene:
             f"{file}: found {len(cameras)} of its {len(times)} frames in {folder}, expected two or "
             f"more, called by their times, as {times[0]}.jpg"
         )
-    reader = _Reader(file, photographs, cameras)
-    return Scene(file.stem, cameras, reader.read, sources=reader.sources)
+    return scene_of(file.stem, cameras, photographs, file, [file])
+
+
+def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
+    """Read a raw camera file: the clip's address, timestamps int64 [N], rows float32 [N, 18].
+
+    A file may lack the line of the address, which is empty then.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a line is no camera; the message names the line.
+    """
+    try:
+        lines = read_lines(file)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read ({error})") from None
+    has_address = len(lines[0].split()) != 1 + re10k.ROW
+    address = lines[0].strip() if has_address else ""
+    times, rows = [], []
+    for number, line in enumerate(lines, 1):
+        if number == 1 and has_address:
+            continue
+        words = line.split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words[1:]]
+            times.append(int(words[0]))
+        except ValueError:
+            values = []
+        times_fit = not times or abs(times[-1]) < 2**63
+        if len(values) != re10k.ROW or not times_fit or not all(map(math.isfinite, values)):
+            expected = f"a time and {re10k.ROW} numbers"
+            raise InputError(f"{file}, line {number}: found {line[:60]!r}, expected {expected}")
+        rows.append(values)
+    if not rows:
+        raise InputError(f"{file}: holds no camera; expected an address, then a line a frame")
+    return address, np.array(times, np.int64), np.array(rows, np.float32)
 
 
 def frames_of(file: Path) -> Path:
-    """The folder of the frames of a camera file, whether it is there or not."""
+    """Return the folder of the frames of a camera file, whether it is there or not."""
     beside = file.with_suffix("")
     parts = list(file.parts)
     if not beside.is_dir() and CAMERAS in parts:
@@ -65,25 +105,10 @@ def frames_of(file: Path) -> Path:
 
 
 def is_camera_file(file: Path) -> bool:
-    """Whether it begins with the address of a video, as these do."""
+    """Tell whether it begins with the address of a video, as these do."""
     try:
         with file.open("rb") as stream:
             start = stream.read(11).removeprefix(codecs.BOM_UTF8)
             return file.suffix == ".txt" and start.startswith((b"https://", b"http://"))
     except OSError:
         return False
-
-
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    file: Path
-    photographs: Mapping[str, Path]
-    cameras: Mapping[str, Camera]
-
-    def read(self, name: str) -> View:
-        """Open one frame."""
-        return View(name, self.cameras[name], open_rgb(self.photographs[name]))
-
-    def sources(self, name: str) -> list[Path]:
-        """List the camera file and the photograph of a frame."""
-        return [self.file, self.photographs[name]]

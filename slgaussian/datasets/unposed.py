@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -23,7 +23,7 @@ from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, told_by, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
-from slgaussian.datasets.photographs import photographs_of, posed_view, rgb
+from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
 from slgaussian.scene import Camera, Sample, Scene, Size, View
@@ -186,12 +186,15 @@ def photograph(file: Path, name: str) -> Photograph:
 
 
 def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
-    """The scene of photographs by name, and of the cameras that were found for them.
+    """Return the scene of photographs by name, and of the cameras that were found for them.
 
     Views are straight where a lens distortion was found.
     """
+
+    maps = {name: partial(_lens, found.cameras[name], k1) for name, k1 in found.k1.items() if k1}
     name = folder_of(files).name or "photographs"
-    return Scene(name, found.cameras, _Reader(files, found).read, found=found.as_json())
+    about = found.as_json()
+    return scene_of(name, found.cameras, files, "photographs", (), maps, True, about)
 
 
 def refined(
@@ -243,23 +246,6 @@ def _of_view(view: View, file: Path | None) -> Photograph:
 
 def _lens(camera: Camera, k1: float) -> Maps:
     return perspective_maps(camera.K, (camera.width, camera.height), np.array([k1, 0, 0, 0, 0]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    files: Mapping[str, Path]
-    found: FoundCameras
-
-    def read(self, name: str) -> View:
-        """Open and straighten one view."""
-        if name not in self.files:
-            raise InputError(f"photographs: none is called {name!r}")
-        camera, k1 = self.found.cameras[name], self.found.k1[name]
-
-        def maps() -> Maps | None:
-            return _lens(camera, k1) if k1 else None
-
-        return posed_view(self.files[name], name, camera, maps, upright=True)
 
 
 def is_turned(file: Path) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_model
+from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_cameras, write_model
 
 from slgaussian.datasets import re10k
 
@@ -244,7 +244,7 @@ def _re10k_text(root: Path) -> Folder:
         rows = np.stack([_row(xs[number]) for number in order])
         times = np.array([100 * (number + 1) for number in order])
         clip = re10k.Clip("clip", "https://example.org/x", times, rows, ())
-        re10k.write_cameras(root / "clip.txt", clip)
+        write_cameras(root / "clip.txt", clip)
 
     write([0, 0.1, 0.2, 0.3], [0, 1, 2, 3])
     moved: Change = lambda _: (root / "clip").rename(root / "clip_2")  # noqa: E731

@@ -219,7 +219,7 @@ class TestLenses:
         # 8 bits round by 0.5; the bend between four pixels adds a little.
         assert np.abs(error[seen]).max() < 0.56
         # The reader's own maps, finer than 8 bits: back through pycolmap's lens.
-        maps = read.read.__self__.lenses["a.png"].maps()
+        maps = read.read.args[3]["a.png"]()
         there = np.stack(maps, -1).reshape(-1, 2) + 0.5
         known = ((there >= 0) & (there <= (width, height))).all(1)
         back = made.cameras[1].cam_from_img(there[known].astype(np.float64))

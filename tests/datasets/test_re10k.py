@@ -16,10 +16,6 @@ from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
-ROW = "0.482334223 0.857483078 0.5 0.5 0 0 0.999946535 0.001759072 -0.010192509 -0.024142185 "
-ROW += "-0.001751103 0.999998152 0.000790767 0.009485262 0.010193882 -0.000772876 0.999947727 "
-ROW += "-0.347580573"
-
 
 @pytest.fixture(scope="module")
 def rooms():
@@ -94,21 +90,6 @@ def test_cameras_survive_the_row(turn, place, focal, middle):
     back = re10k.camera_of(re10k.row_of(Camera(K, c2w, 640, 360)), 640, 360)
     np.testing.assert_allclose(back.K, K, rtol=1e-6)
     np.testing.assert_allclose(back.c2w, c2w, atol=1e-5)  # float32 of places up to 10
-
-
-def test_a_raw_camera_file(tmp_path, split):
-    file = tmp_path / "000c3ab189999a83.txt"
-    file.write_text(f"https://example.org/watch?v=1\n45979267 {ROW}\n46012633 {ROW}\n")
-    address, times, rows = re10k.read_cameras(file)
-    assert address == "https://example.org/watch?v=1" and times.tolist() == [45979267, 46012633]
-    camera = re10k.camera_of(rows[0], 640, 360)
-    assert camera.K[0, 0] == pytest.approx(0.482334223 * 640)
-    assert camera.w2c[2, 3] == pytest.approx(-0.347580573)
-    clip = re10k.read_chunk(split / "000001.torch")[0]
-    re10k.write_cameras(file, clip)
-    _, times, rows = re10k.read_cameras(file)
-    np.testing.assert_array_equal(times, clip.timestamps)
-    np.testing.assert_allclose(rows, clip.cameras, atol=1e-9)
 
 
 def test_an_evaluation_index(tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image
+from posed_folders import write_cameras
 
 from slgaussian import datasets
 from slgaussian.datasets import re10k, re10k_text
@@ -10,6 +11,11 @@ from slgaussian.datasets.recognise import EXPECTED, posed_scene, recognise
 from slgaussian.errors import InputError
 
 URL = "https://www.youtube.com/watch?v=x"
+
+
+ROW = "0.482334223 0.857483078 0.5 0.5 0 0 0.999946535 0.001759072 -0.010192509 -0.024142185 "
+ROW += "-0.001751103 0.999998152 0.000790767 0.009485262 0.010193882 -0.000772876 0.999947727 "
+ROW += "-0.347580573"
 
 
 @pytest.fixture
@@ -21,7 +27,7 @@ def clip(tmp_path):
     rows[:, 9] = np.arange(4) / 10
     times = np.arange(4) * 33_333 + 100
     made = re10k.Clip("0123abcd", URL, times, rows, ())
-    re10k.write_cameras(tmp_path / "0123abcd.txt", made)
+    write_cameras(tmp_path / "0123abcd.txt", made)
     (tmp_path / "0123abcd").mkdir()
     for time in times[[0, 1, 3]]:
         pixels = np.full((20, 40, 3), time % 251, np.uint8)
@@ -78,3 +84,13 @@ def test_too_few_frames_are_one_sentence(clip):
         file.unlink()
     with pytest.raises(InputError, match=r"found 1 of its 4 frames in .*called by their times"):
         re10k_text.read(clip)
+
+
+def test_a_raw_camera_file(tmp_path):
+    file = tmp_path / "000c3ab189999a83.txt"
+    file.write_text(f"https://example.org/watch?v=1\n45979267 {ROW}\n46012633 {ROW}\n")
+    address, times, rows = re10k_text.read_cameras(file)
+    assert address == "https://example.org/watch?v=1" and times.tolist() == [45979267, 46012633]
+    camera = re10k.camera_of(rows[0], 640, 360)
+    assert camera.K[0, 0] == pytest.approx(0.482334223 * 640)
+    assert camera.w2c[2, 3] == pytest.approx(-0.347580573)

@@ -12,7 +12,7 @@ from flows.cli.benchmark import scene_of_photographs
 from flows.cli.load_views import listed_photographs
 from slgaussian import datasets
 from slgaussian.cameras.found import FoundCameras
-from slgaussian.datasets.photographs import open_rgb, stored_size
+from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.scene import Sample
@@ -157,17 +157,17 @@ def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):
     exif[0x0112] = 6  # to be turned clockwise
     file = tmp_path / "a.png"
     Image.fromarray(stored).save(file, exif=exif)
-    np.testing.assert_array_equal(open_rgb(file, (60, 40)), stored)
-    np.testing.assert_array_equal(open_rgb(file), stored)
+    np.testing.assert_array_equal(open_photograph(file, (60, 40))[0], stored)
+    np.testing.assert_array_equal(open_photograph(file)[0], stored)
     upright = np.rot90(stored, -1)
-    np.testing.assert_array_equal(open_rgb(file, (40, 60)), upright)
+    np.testing.assert_array_equal(open_photograph(file, (40, 60))[0], upright)
     assert stored_size(file, (80, 120)) == (40, 60) and stored_size(file) == (60, 40)
     Image.fromarray(stored).save(file)  # without the tag nothing is guessed
-    np.testing.assert_array_equal(open_rgb(file, (40, 60)), stored)
+    np.testing.assert_array_equal(open_photograph(file, (40, 60))[0], stored)
 
 
 def test_a_photograph_of_a_telephone_is_named(tmp_path):
     file = tmp_path / "IMG_1.heic"
     file.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
     with pytest.raises(InputError, match=r"in HEIC.*magick IMG_1\.heic IMG_1\.jpg"):
-        open_rgb(file)
+        open_photograph(file)
