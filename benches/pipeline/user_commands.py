@@ -285,8 +285,7 @@ def questions(
     ask("render", "render", folder, *between[:-1], file="middle.png")
     for suffix in ("html", "ply", "spz"):
         ask(f"export {suffix}", "export", folder, file=f"scene.{suffix}")
-    for file in (f"{out}/scene.ply", f"{out}/scene.spz", f"{folder}/gaussians.npz"):
-        ask(f"inspect {Path(file).suffix}", "inspect", file)
+    ask("inspect", "inspect", f"{folder}/gaussians.npz")
     ask("render ply", "render", f"{out}/scene.ply", "--camera", cameras, file="ply.png")
 
 

@@ -67,7 +67,6 @@ def gc(
         "artifacts that nothing refers to": garbage.artifacts,
         "records that are superseded or unreadable": garbage.records,
         "unfinished files": garbage.unfinished,
-        "unfinished uploads": garbage.uploads,
     }
     some = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
     size = f"; {size_text(garbage.bytes)}" if some else ""

@@ -76,25 +76,25 @@ def inspect(
 ) -> None:
     """Show the data spec, origin and digest of a file, and check it.
 
-    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON or Gaussians (.ply, .spz), or
-    a folder, such as a field or the results of a run, file by file. The exit status is 1 if a file
-    is damaged or not what its spec says.
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors) or JSON, or a folder, such as a
+    field or the results of a run, file by file. The exit status is 1 if a file is damaged or not
+    what its spec says.
 
     \b
     slgaussian inspect results/samples.parquet
     slgaussian inspect results/fields/kitchen --json
     """
     import json
-    from dataclasses import asdict
 
     from slgaussian.storage.inspection import inspect as inspect_files
 
     files = inspect_files(path)
     if as_json:
-        typer.echo(json.dumps([asdict(file) for file in files], indent=1, ensure_ascii=False))
+        typer.echo(json.dumps(files, indent=1, ensure_ascii=False))
     for file in [] if as_json else files:
-        typer.echo(f"{file.path}: {file.problem and 'BAD'}{file.spec} {file.digest[:12]}")
-        typer.echo(f"  {file.problem or file.meaning}")
-        for name, value in file.made.items():
+        state = "BAD" if file["problem"] else file["spec"]
+        typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")
+        typer.echo(f"  {file['problem'] or file['meaning']}")
+        for name, value in file["made"].items():
             typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
-    raise typer.Exit(any(file.problem for file in files))
+    raise typer.Exit(any(file["problem"] for file in files))

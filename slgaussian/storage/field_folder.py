@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -63,25 +63,13 @@ class About:
     digests: Mapping[str, str]
 
     def to_json(self, places: Mapping[str, str] | None = None) -> str:
-        """The text of the file; ``places`` are those of the encoder's files on this machine."""
-        cameras = {
-            name: {
-                "K": camera.K.tolist(),
-                "c2w": camera.c2w.tolist(),
-                "width": camera.width,
-                "height": camera.height,
-                "near": camera.near,
-                "far": camera.far,
-                **({"estimated": asdict(camera.estimated)} if camera.estimated else {}),
-            }
-            for name, camera in self.cameras.items()
-        }
+        """Return the text of the file; ``places`` are those of the encoder's files here."""
         content = {
             "format": FORMAT,
             "what": WHAT,
             "made_by": f"slgaussian {__version__}",
             "settings": json.loads(json.dumps(dict(self.settings), sort_keys=True)),
-            "cameras": cameras,
+            "cameras": {name: _camera_json(camera) for name, camera in self.cameras.items()},
             "files": {FILES[spec]: digest for spec, digest in self.digests.items()},
             "places": {key: str(place) for key, place in (places or {}).items()},
         }
@@ -89,7 +77,7 @@ class About:
 
     @staticmethod
     def from_json(text: str | bytes, file: str) -> tuple[About, dict[str, str]]:
-        """Inverse of :meth:`to_json`, with the places.
+        """Parse what :meth:`to_json` wrote, with the places.
 
         Raises
         ------
@@ -103,10 +91,7 @@ class About:
                 found = "none" if version is None else repr(version)[:40]
                 by = f", made by {maker:.60}" if isinstance(maker, str) else ""
                 raise mismatch(file, "format", f"{found}{by}", f"{FORMAT}; {AGAIN}")
-            cameras = {
-                name: Camera(**{**own, **_converted(own)})
-                for name, own in content["cameras"].items()
-            }
+            cameras = {name: _camera_of(own) for name, own in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
             if not all(isinstance(place, str) for place in places.values()):
@@ -119,11 +104,18 @@ class About:
         return About(settings, cameras, digests), places
 
 
-def _converted(camera: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a camera has another form in the file."""
-    known = {name: np.array(camera[name]) for name in ("K", "c2w")}
-    said = camera.get("estimated")
-    return known if said is None else {**known, "estimated": Estimated.of(said)}
+def _camera_json(camera: Camera) -> dict[str, Any]:
+    own = {field.name: getattr(camera, field.name) for field in fields(camera)}
+    own |= {"K": camera.K.tolist(), "c2w": camera.c2w.tolist()}
+    estimated = own.pop("estimated")
+    return own if estimated is None else {**own, "estimated": asdict(estimated)}
+
+
+def _camera_of(own: Mapping[str, Any]) -> Camera:
+    arrays: dict[str, Any] = {name: np.array(own[name]) for name in ("K", "c2w")}
+    if own.get("estimated") is not None:
+        arrays["estimated"] = Estimated.of(own["estimated"])
+    return Camera(**{**own, **arrays})
 
 
 def write(
@@ -142,7 +134,7 @@ def write(
     fill : callable
         Given a spec of :data:`FILES` and a path, makes that file.
     beside : mapping str -> bytes, optional
-        Further files of the folder by name, as :mod:`slgaussian.storage.origin` has them.
+        Further files of the folder by name, as :mod:`slgaussian.storage.inputs` has them.
 
     Raises
     ------
@@ -159,7 +151,7 @@ def write(
 
 
 def read_about(path: Path) -> tuple[About, dict[str, str]]:
-    """What ``field.json`` in folder ``path`` says, and where the encoder's files are.
+    """Read ``field.json`` of a folder, and where the encoder's files are.
 
     Raises
     ------
@@ -180,7 +172,7 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
 
 
 def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
-    """The arrays of one file of folder ``path``; SpecError if they are not of this digest."""
+    """Read the arrays of one file of a folder; SpecError if they are not of this digest."""
     file, rules = path / FILES[spec], load_spec(spec)
     try:
         data = file.read_bytes()
@@ -211,7 +203,10 @@ def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None
         path.parent.mkdir(parents=True, exist_ok=True)
         os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, "
+            "on a disk with room"
+        ) from error
 
 
 def check_free(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
@@ -219,10 +214,3 @@ def check_free(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
     empty = path.is_dir() and not any(path.iterdir())
     if path.exists() and not (path / marker).is_file() and not empty:
         raise InputError(f"{path}: exists and is not {what}; choose another folder, or remove it")
-
-
-def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, on "
-        "a disk with room"
-    )

@@ -1,4 +1,4 @@
-"""What lies in a store: how much of what, what is damaged, and what nothing refers to any more.
+"""Clean, check and measure a store: ``slgaussian store gc``, ``verify`` and ``du``.
 
 Files are gone through folder by folder, so memory does not go with their number, except for some
 hundred bytes for each artifact that a record names.
@@ -15,7 +15,6 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.records import FOLDER, Record, Records
-from slgaussian.storage.remote import troubles
 from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, File, ref_of
 from slgaussian.storage.tables import read_table
@@ -36,9 +35,9 @@ class Garbage:
 
     Attributes
     ----------
-    artifacts, records, unfinished, uploads : int
+    artifacts, records, unfinished : int
         Artifacts that no record names; records of other versions of a stage, and unreadable ones;
-        files and uploads in parts that a killed program left.
+        files that a killed program left.
     bytes : int
         Of all the files among them.
     kept, young : int
@@ -48,7 +47,6 @@ class Garbage:
     artifacts: int = 0
     records: int = 0
     unfinished: int = 0
-    uploads: int = 0
     bytes: int = 0
     kept: int = 0
     young: int = 0
@@ -86,45 +84,41 @@ def collect(
         If the store cannot be read or written, or a table of ``keep`` is none.
     """
     bound = store.clock() - age
-    found = Garbage()
+    garbage = Garbage()
     kept = {_name(uri) for table in keep for uri in _uris_of(table)}
     for record in _records(store, tell):
-        old = record.file.written < bound
-        other = (versions or {}).get(record.stage, record.version) != record.version
-        if old and (record.ref is None or other):
-            found.records += 1
-            found.bytes += record.file.size
+        if record.file.written < bound and not _is_current(record, versions):
+            garbage.records += 1
+            garbage.bytes += record.file.size
             if delete:
                 store.remove([record.file.uri])
-        elif record.ref is not None:
+        else:
             kept.update(map(_name, record.named))
     for files in store.walk():
         gone = []
         for file in files:
+            old = file.written < bound
             if _UNFINISHED.fullmatch(file.uri) and _top(file) in _OURS:
-                if file.written < bound:
-                    found.unfinished += 1
-                    gone.append(file)
+                garbage.unfinished += old
+                gone += [file] * old
             elif ref_of(file.uri) is None:
                 continue  # nobody knows whose it is
             elif _name(file.uri) in kept:
-                found.kept += 1
-            elif file.written >= bound:
-                found.young += 1
+                garbage.kept += 1
             else:
-                found.artifacts += 1
-                gone.append(file)
-        found.bytes += sum(file.size for file in gone)
+                garbage.artifacts += old
+                garbage.young += not old
+                gone += [file] * old
+        garbage.bytes += sum(file.size for file in gone)
         if delete:
             store.remove([file.uri for file in gone])
         tell("artifacts", len(files), sum(file.size for file in files))
-    found.uploads = _abandoned_uploads(store, bound, delete)
-    return found
+    return garbage
 
 
 @dataclass
 class Damage:
-    """What a look at all artifacts found.
+    """Findings of a look at all artifacts.
 
     Attributes
     ----------
@@ -157,11 +151,11 @@ def verify(
     it again. ``versions`` are those of the stages as they are now, as for :func:`collect`.
     InputError if the store cannot be read, or not written with ``remove``.
     """
-    found = Damage()
+    damage = Damage()
     there: set[bytes] = set()
     in_use: dict[str, bool] = {}
 
-    def look(file: File) -> str | None:
+    def problem_of(file: File) -> str | None:
         ref = ref_of(file.uri)
         if ref is None:
             return None
@@ -174,34 +168,33 @@ def verify(
     for files in store.walk():
         for start in range(0, len(files), SIDE_BY_SIDE):
             some = files[start : start + SIDE_BY_SIDE]
-            for file, bad in zip(some, store.at_once(look, some), strict=True):
-                if bad:
-                    found.damaged[file.uri] = bad
-                elif bad is not None:
-                    found.sound += 1
+            for file, problem in zip(some, store.at_once(problem_of, some), strict=True):
+                if problem:
+                    damage.damaged[file.uri] = problem
+                elif problem is not None:
+                    damage.sound += 1
                     there.add(_name(file.uri))
             tell("artifacts", len(some), sum(file.size for file in some))
     for record in _records(store, tell):
         if record.ref is None:
             place = f"{store.root}/{record.file.uri}"
-            found.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
-        else:
-            missing = (_name(uri) not in there and uri not in found.damaged for uri in record.named)
-            found.missing += sum(missing)
-            current = (versions or {}).get(record.stage, record.version) == record.version
-            for uri in found.damaged.keys() & set(record.named):
-                in_use[uri] = in_use.get(uri, False) or current
+            damage.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
+        for uri in record.named:
+            if uri in damage.damaged:
+                in_use[uri] = in_use.get(uri, False) or _is_current(record, versions)
+            else:
+                damage.missing += _name(uri) not in there
     for uri, used in in_use.items():
         if not used:
-            del found.damaged[uri]
-            found.superseded += 1
+            del damage.damaged[uri]
+            damage.superseded += 1
     if remove:
-        store.remove(found.damaged)
-    return found
+        store.remove(damage.damaged)
+    return damage
 
 
 def usage(store: ArtifactStore, tell: Tell = lambda *_: None) -> dict[tuple[str, str], list[int]]:
-    """Number of files and their bytes, by top folder of a store and by stage.
+    """Count files and their bytes, by top folder of a store and by stage.
 
     A top folder is a spec, or ``keys`` and the like. Of artifacts that several stages made, the
     last by name and version counts; ``""`` stands for none. InputError if the store cannot be read.
@@ -209,8 +202,7 @@ def usage(store: ArtifactStore, tell: Tell = lambda *_: None) -> dict[tuple[str,
     rows: dict[tuple[str, str], list[int]] = {}
     makers: dict[bytes, str] = {}
     for record in _records(store, tell):
-        for uri in record.named:
-            makers[_name(uri)] = f"{record.stage} v{record.version}"
+        makers |= {_name(uri): f"{record.stage} v{record.version}" for uri in record.named}
     for files in store.walk():
         for file in files:
             maker = "" if ref_of(file.uri) is None else makers.get(_name(file.uri), "")
@@ -227,12 +219,18 @@ def _records(store: ArtifactStore, tell: Tell) -> Iterator[Record]:
         tell("records", len(records), sum(record.file.size for record in records))
 
 
+def _is_current(record: Record, versions: Mapping[str, int] | None) -> bool:
+    """Tell whether it can be read, and is of the version of its stage, where that is known."""
+    version = (versions or {}).get(record.stage, record.version)
+    return record.ref is not None and record.version == version
+
+
 def _top(file: File) -> str:
     return file.uri.partition("/")[0] if "/" in file.uri else ""
 
 
 def _name(uri: str) -> bytes:
-    """What tells artifacts apart, in few bytes: there may be millions."""
+    """Return what tells artifacts apart, in few bytes: there may be millions."""
     return uri.rpartition("/")[2].partition(".")[0].encode()
 
 
@@ -243,22 +241,3 @@ def _uris_of(table: Path) -> list[str]:
         raise InputError(
             f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
         ) from error
-
-
-def _abandoned_uploads(store: ArtifactStore, bound: float, delete: bool) -> int:
-    """How many uploads in parts were begun before ``bound`` and are not done; S3 bills for them."""
-    if not hasattr(store.fs, "list_multipart_uploads"):
-        return 0
-    bucket, _, prefix = store.path.partition("/")
-    count = 0
-    try:
-        for upload in store.fs.list_multipart_uploads(bucket):
-            own = upload["Key"].startswith(f"{prefix}/" if prefix else "")
-            if own and upload["Initiated"].timestamp() < bound:
-                count += 1
-                if delete:
-                    named = {"Key": upload["Key"], "UploadId": upload["UploadId"]}
-                    store.fs.call_s3("abort_multipart_upload", Bucket=bucket, **named)
-    except troubles():
-        pass  # a right of its own, which a user of the bucket may not have
-    return count

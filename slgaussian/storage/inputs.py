@@ -27,10 +27,9 @@ def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
     A place is a file by its path from the root, which is read for its digest, or the name of a
     view that a camera file knows, which is left out.
     """
-    known = {
-        name: [place, file_digest(place)] for name, place in places.items() if os.path.isabs(place)
-    }
-    content = {"format": FORMAT, "what": ABOUT, "photographs": known}
+    files = {name: place for name, place in places.items() if os.path.isabs(place)}
+    photographs = {name: [place, file_digest(place)] for name, place in files.items()}
+    content = {"format": FORMAT, "what": ABOUT, "photographs": photographs}
     return {FILE: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()}
 
 

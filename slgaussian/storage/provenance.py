@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator, Mapping, Set
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -75,56 +75,49 @@ def making(made: Made) -> Iterator[None]:
 def saying(source: str, licence: str) -> Iterator[None]:
     """Have the files that are written within the block also say where their data come from."""
     made = current()
-    if made is None:
-        yield
-        return
-    with making(replace(made, source=source, licence=licence)):
+    with nullcontext() if made is None else making(replace(made, source=source, licence=licence)):
         yield
 
 
 def current() -> Made | None:
-    """The work that is being done, as :func:`making` was told."""
+    """Return the work of the innermost :func:`making`."""
     return _made.get()
 
 
 def statement(digest: str = "") -> dict[str, Any]:
-    """What a file with content of this digest says: ``made``, ``source`` and ``licence``.
+    """Return what a file with content of this digest says: ``made``, ``source`` and ``licence``.
 
     The latter where they are known.
     """
     made = current()
     if made is not None and digest in made.given:
         made = None
-    said: dict[str, Any] = {"program": f"slgaussian {__version__}"}
+    about: dict[str, Any] = {"program": f"slgaussian {__version__}"}
+    known = {}
     if made is not None:
-        said["stage"] = made.stage
+        about["stage"] = made.stage
         if made.version is not None:
-            said["stage_version"] = made.version
-        said |= {"settings": dict(made.settings), "of": dict(made.of)}
-    said["software"] = software()
-    stated: dict[str, Any] = {"made": said}
-    if made is not None:
+            about["stage_version"] = made.version
+        about |= {"settings": dict(made.settings), "of": dict(made.of)}
         known = {"source": made.source, "licence": made.licence}
-        stated |= {name: text for name, text in known.items() if text}
-    return stated
+    about["software"] = software()
+    return {"made": about, **{name: text for name, text in known.items() if text}}
 
 
 def speaking(schema: pa.Schema, digest: str = "") -> pa.Schema:
-    """A schema of a data spec that says what makes the table, too: what a Parquet file gets."""
-    said = {
+    """Return a schema of a data spec that says what makes the table, as a Parquet file has it."""
+    entries = {
         name: own if isinstance(own, str) else json.dumps(own, sort_keys=True, ensure_ascii=False)
         for name, own in statement(digest).items()
     }
-    return schema.with_metadata({**(schema.metadata or {}), **said})
+    return schema.with_metadata({**(schema.metadata or {}), **entries})
 
 
 @cache
 def software() -> dict[str, str]:
-    """The versions of Python and of :data:`PACKAGES`."""
-    found = {"python": platform.python_version()}
+    """Return the versions of Python and of :data:`PACKAGES`."""
+    versions = {"python": platform.python_version()}
     for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions

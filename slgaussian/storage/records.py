@@ -31,9 +31,9 @@ class Record:
     ref: ArtifactRef | None
 
     @property
-    def named(self) -> tuple[str, ...]:
+    def named(self) -> list[str]:
         """Paths of the artifacts that it names: the one that was made, and the parts of that."""
-        return () if self.ref is None else (self.ref.uri, *self.ref.meta.get("parts", ()))
+        return [] if self.ref is None else self.ref.uris
 
 
 class Records:
@@ -43,14 +43,15 @@ class Records:
         self.store = store
 
     def find(self, key: str) -> ArtifactRef | None:
-        """What the work of this key made, if that is still there (:meth:`ArtifactStore.check`).
+        """Return what the work of this key made, if it is still there.
 
-        A record or an artifact that is lost or damaged is none: the work is done again. Files
-        whose sizes and times are still those of the record are taken to be as they were; whoever
-        reads one compares its digest anyway. InputError if the store does not answer.
+        A record or an artifact that is lost or damaged (:meth:`ArtifactStore.check`) is none: the
+        work is done again. Files whose sizes and times are still those of the record are taken to
+        be as they were; whoever reads one compares its digest anyway. InputError if the store does
+        not answer.
         """
         try:
-            ref, stamps = self._fetched(_place(key))
+            ref, stamps = self._read(_place(key))
             if stamps is None or stamps != self._stamps(ref):
                 self.store.check(ref)
                 if self.store.local:
@@ -64,36 +65,45 @@ class Records:
         record = {**asdict(ref), "stamp": self._stamps(ref)}
         self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
 
+    def all(self) -> Iterator[list[Record]]:
+        """Yield all records, those of a folder at a time."""
+
+        def record_of(file: File) -> Record:
+            match = _FILE.fullmatch(file.uri)
+            assert match is not None  # only such files are asked for
+            try:
+                ref = self._read(file.uri)[0]
+            except SpecError:
+                ref = None
+            return Record(file, match["stage"], int(match["version"]), ref)
+
+        for files in self.store.walk([FOLDER]):
+            yield self.store.at_once(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
+
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:
-        """Those of the file and of its parts; None if one has none."""
-        stamps = [self.store.stamp(uri) for uri in (ref.uri, *ref.meta.get("parts", ()))]
+        """Return those of the file and of its parts; None if one has none."""
+        stamps = [self.store.stamp(uri) for uri in ref.uris]
         known = [stamp for stamp in stamps if stamp is not None]
         return known if len(known) == len(stamps) else None
 
-    def all(self) -> Iterator[list[Record]]:
-        """All records, those of a folder at a time."""
-        for files in self.store.walk([FOLDER]):
-            found = [(file, _FILE.fullmatch(file.uri)) for file in files]
-            yield self.store.at_once(self._read, [(f, named) for f, named in found if named])
+    def _read(self, uri: str) -> tuple[ArtifactRef, Any]:
+        """Return the ref in a record, and the stamps of its files; SpecError if there is none."""
 
-    def _read(self, file_and_name: tuple[File, re.Match[str]]) -> Record:
-        file, found = file_and_name
-        try:
-            ref, _ = self._fetched(file.uri)
-        except SpecError:
-            ref = None
-        return Record(file, found["stage"], int(found["version"]), ref)
-
-    def _fetched(self, uri: str) -> tuple[ArtifactRef, Any]:
-        """The ref in a record, and the stamps of its files; SpecError if there is none."""
-
-        def understood(data: bytes) -> tuple[ArtifactRef, Any]:
-            ref, stamp = _parse(data)
-            if ref is None:
+        def parse(data: bytes) -> tuple[ArtifactRef, Any]:
+            try:
+                fields = strict_json.parse(data)
+                stamp = fields.pop("stamp", None)
+                ref = ArtifactRef(**fields)
+                whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
+                # Nothing outside the store is even looked at, whoever wrote the record.
+                whole = whole and is_digest(ref.digest) and all(map(_is_below, ref.uris))
+            except (ValueError, TypeError, AttributeError):
+                whole = False
+            if not whole:
                 raise SpecError(f"{self.store.root}/{uri}: found no record, expected a ref as JSON")
             return ref, stamp
 
-        return self.store.fetch(uri, "a record", understood)[1]
+        return self.store.fetch(uri, "a record", parse)[1]
 
 
 def _place(key: str) -> str:
@@ -103,18 +113,3 @@ def _place(key: str) -> str:
 
 def _is_below(uri: str) -> bool:
     return not uri.startswith("/") and ".." not in uri.split("/")
-
-
-def _parse(data: bytes) -> tuple[ArtifactRef | None, Any]:
-    """The ref of a record, if it is one, and the stamps of its files."""
-    try:
-        fields = strict_json.parse(data)
-        stamp = fields.pop("stamp", None)
-        ref = ArtifactRef(**fields)
-        parts = ref.meta.get("parts", [])
-        whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
-        # Nothing outside the store is even looked at, whoever wrote the record.
-        whole = whole and is_digest(ref.digest) and all(map(_is_below, parts))
-    except (ValueError, TypeError, AttributeError):
-        return None, None
-    return (ref if whole else None), stamp

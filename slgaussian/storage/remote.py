@@ -51,7 +51,12 @@ _PASSING_KINDS = {
     "ClientError",
 }
 """Names of the errors of botocore and, the last, of aiohttp that come of the network."""
-_NO_CREDENTIALS = {"NoCredentialsError", "PartialCredentialsError", "CredentialRetrievalError"}
+_NO_CREDENTIALS = {
+    "NoCredentialsError",
+    "PartialCredentialsError",
+    "CredentialRetrievalError",
+    "ProfileNotFound",
+}
 _LOGINS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
 
 
@@ -76,12 +81,12 @@ def check_url(url: str | os.PathLike[str], name: str) -> None:
 
 
 def redacted(text: str) -> str:
-    """``text`` with ``***`` for logins and keys in its URLs."""
+    """Return a text with ``***`` for logins and keys in its URLs."""
     return _QUERY.sub(r"\1***", _LOGIN.sub("://***@", text))
 
 
 def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSystem, str]:
-    """The file system of a folder or fsspec URL, and the path in it.
+    """Open the file system of a folder or fsspec URL; return it and the path in it.
 
     Its listings are asked anew every time: other machines write there too.
 
@@ -97,14 +102,17 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
     text = os.fspath(url)
     options: dict[str, Any] = {"use_listings_cache": False}
     if text.startswith(("s3://", "s3a://")):
-        given = fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
-        once = {"retries": {"total_max_attempts": 1}}
-        waits = {"connect_timeout": CONNECT, "read_timeout": ANSWER}
-        options["config_kwargs"] = {**waits, **given, **once}
+        options["config_kwargs"] = {
+            "connect_timeout": CONNECT,
+            "read_timeout": ANSWER,
+            **fsspec.config.conf.get("s3", {}).get("config_kwargs", {}),
+            "retries": {"total_max_attempts": 1},
+        }
     try:
         fs, path = fsspec.core.url_to_fs(text, **options)
     except ImportError as error:
-        needed = f"s3fs ({install_line('s3')})" if _is_s3(text) else f"{error}"
+        protocol = text.partition("://")[0].rpartition("::")[2]
+        needed = f"s3fs ({install_line('s3')})" if protocol in ("s3", "s3a") else f"{error}"
         raise InputError(f"{name} {text}: needs {needed}; or choose a folder") from error
     except ValueError as error:
         raise InputError(f"{name} {text}: {error}; or choose a folder") from error
@@ -118,7 +126,7 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
 
 
 def patiently(ask: Callable[[], Result]) -> Result:
-    """What ``ask`` returns, asked again while it fails as networks do.
+    """Return what ``ask`` returns, asked again while it fails as networks do.
 
     It may have been done though it failed, so it must be the same to do it twice.
 
@@ -140,7 +148,7 @@ def patiently(ask: Callable[[], Result]) -> Result:
 
 
 def _passes(error: Exception) -> bool:
-    """Whether an error may be gone in a while."""
+    """Tell whether an error may be gone in a while."""
     answer = getattr(error.__cause__, "response", None) or {}
     status = answer.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
     code = answer.get("Error", {}).get("Code", "")
@@ -153,7 +161,7 @@ def _passes(error: Exception) -> bool:
 
 
 def troubles() -> tuple[type[Exception], ...]:
-    """What file systems raise when they fail; those of S3 are not all ``OSError``."""
+    """Return the errors that file systems raise; those of S3 are not all ``OSError``."""
     loaded = (
         (sys.modules.get("botocore.exceptions"), "BotoCoreError"),
         (sys.modules.get("botocore.parsers"), "ResponseParserError"),
@@ -163,26 +171,22 @@ def troubles() -> tuple[type[Exception], ...]:
 
 
 def explained(error: Exception, path: str = "") -> str:
-    """One of :func:`troubles` in words, with what to do about it; ``path`` is for a bucket's name.
+    """Describe one of :func:`troubles`, with what to do about it; ``path`` is for a bucket's name.
 
     An error of the local disk is said as the system says it.
     """
     kind = type(error).__name__
     if isinstance(error, OSError) and error.strerror and not isinstance(error, PermissionError):
         return error.strerror
-    said = redacted(" ".join(str(error).split())) or kind
-    if kind in _NO_CREDENTIALS or kind == "ProfileNotFound":
-        return f"no credentials: {said}; set {_LOGINS}"
-    if isinstance(error, FileNotFoundError) and "bucket" in said:
-        return f"no bucket {path.split('/')[0]!r}: {said}; make it first, or correct its name"
+    message = redacted(" ".join(str(error).split())) or kind
+    if kind in _NO_CREDENTIALS:
+        return f"no credentials: {message}; set {_LOGINS}"
+    if isinstance(error, FileNotFoundError) and "bucket" in message:
+        return f"no bucket {path.split('/')[0]!r}: {message}; make it first, or correct its name"
     if isinstance(error, PermissionError):
-        return f"no permission: {said}" + (
-            "" if error.errno else f"; check the credentials ({_LOGINS}) and the bucket's rights"
-        )
+        do = f"; check the credentials ({_LOGINS}) and the bucket's rights"
+        return f"no permission: {message}{'' if error.errno else do}"
     if isinstance(error, TimeoutError | ConnectionError) or not isinstance(error, OSError):
-        return f"no answer: {said}; check the network, and AWS_ENDPOINT_URL if the server is yours"
-    return said
-
-
-def _is_s3(url: str) -> bool:
-    return url.partition("://")[0].rpartition("::")[2] in ("s3", "s3a")
+        do = "check the network, and AWS_ENDPOINT_URL if the server is yours"
+        return f"no answer: {message}; {do}"
+    return message

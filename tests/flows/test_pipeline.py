@@ -162,8 +162,8 @@ def test_documents_are_what_their_specs_say(first):
     field = out / "fields" / "room" / "field.json"
     read_document(field.read_bytes(), load_spec("field_json"), "f")
     files = inspect(out)
-    assert [file.problem for file in files if file.problem] == []
-    assert {Path(file.path).name for file in files} >= {
+    assert [file["problem"] for file in files if file["problem"]] == []
+    assert {Path(file["path"]).name for file in files} >= {
         "artifacts.parquet",
         "manifest.json",
         "times.json",

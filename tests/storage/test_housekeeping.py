@@ -118,17 +118,6 @@ def test_what_killed_programs_left_goes(local):
     assert others.exists()
 
 
-def test_uploads_in_parts_that_were_never_done_are_ended(bucket):
-    store = ArtifactStore(f"{bucket}/slg")
-    name = bucket.removeprefix("s3://")  # moto says of each upload that it was begun in 2010
-    for key in ("slg/labels/00/x.npz", "elsewhere/x"):
-        store.fs.call_s3("create_multipart_upload", Bucket=name, Key=key)
-    assert collect(store, age=-60).uploads == 1
-    assert collect(store, age=-60, delete=True).uploads == 1
-    (left,) = store.fs.list_multipart_uploads(name)
-    assert left["Key"] == "elsewhere/x"
-
-
 def test_damage_is_found_removed_and_then_made_again(store):
     uris = filled(store)
     assert verify(store).damaged == {}
