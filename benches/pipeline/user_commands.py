@@ -273,7 +273,7 @@ def questions(
     ask("segment", "segment", folder, *texts, file="labels.png")
     ask("segment json", "segment", folder, *texts, "--json", answer=True)
     ask("objects", "objects", "list", folder, "--json", answer=True)
-    ask("objects table", "objects", "list", folder, file="objects.parquet")
+    ask("objects picture", "objects", "list", folder, file="objects.png")
     ask("teach", "objects", "teach", folder, "thing", "--at", "20", "20")
     ask("query taught", "query", folder, "thing", "--json", answer=True)
     ask("forget", "objects", "teach", folder, "thing", "--forget")

@@ -9,16 +9,24 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
-from flows.cli import (
-    corpus_commands,
-    field_commands,
-    score_commands,
-    upkeep_commands,
-)
+from flows.cli import ask, build, corpus, doctor, objects, run, score, show, store, train
 from flows.cli.help import Group, usage_sentence
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling
+
+COMMANDS = {
+    "Build a field and ask it": (
+        build.demo, build.field, build.cameras, build.masks, ask.query, ask.segment, ask.words,
+        objects.objects, show.render, show.view, show.export,
+    ),
+    "Score it": (run.run, run.benchmark, score.score, score.compare),
+    "Learn from many scenes": (
+        corpus.ingest, corpus.supervise, corpus.dataset, train.train, train.retrain, train.versions,
+    ),
+    "Look after an installation": (doctor.doctor, store.inspect, store.store_app),
+}  # fmt: skip
+"""Commands and groups of them, by the heading under which they are listed."""
 
 app = typer.Typer(
     cls=Group,
@@ -27,8 +35,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for family in (field_commands, score_commands, corpus_commands, upkeep_commands):
-    app.add_typer(family.commands)
+for heading, commands in COMMANDS.items():
+    for command in commands:
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, rich_help_panel=heading)
+        else:
+            app.command(rich_help_panel=heading)(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""Checks of an installation: each tries the real thing, and none stops another by an import."""
+"""The command `slgaussian doctor`: checks that try the real thing, and none stops another."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from packaging.requirements import Requirement
 
-from flows.runners.environment import home_of, orchestration
-from flows.settings import Settings
+from flows.cli import options
 from slgaussian import __version__
 from slgaussian.components.finding import Finding, Findings
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import PACKAGE, install_line, requirements
-from slgaussian.kernels import threads
-from slgaussian.storage.remote import redacted
+
+if TYPE_CHECKING:
+    from flows.settings import Settings
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are shown even if all is well."""
@@ -34,8 +35,58 @@ ROOM = 2**30
 """Bytes that the disk of the store should have left, of which a scene takes some 30 MB."""
 
 
+def doctor(
+    ctx: typer.Context,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    encoder: options.Encoder = None,
+    set_: options.Set = None,
+    components: Annotated[
+        bool,
+        typer.Option("--components", help="List the components and their fields, no checks."),
+    ] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
+    ] = False,
+) -> None:
+    """Check what a run needs, and say what to do about it.
+
+    Looks at packages, threads, the store, the Prefect server and the files and models that options
+    name, and says of each: ok, BAD with what to do, or -- for what is missing and need not be
+    there. A model is known by its digest where the hub has one, and otherwise loaded and tried.
+    Nothing is downloaded. The exit status is 1 if anything is BAD.
+
+    \b
+    slgaussian doctor
+    slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
+    slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
+    slgaussian doctor --components
+    """
+    from flows.settings import Settings, make_settings
+    from slgaussian.components.catalogue import as_text
+
+    if components and schema:
+        raise InputError("doctor: --components and --schema are two outputs; choose one")
+    if components or schema:
+        typer.echo(as_text() if components else json.dumps(Settings.model_json_schema(), indent=1))
+        return
+    settings = make_settings(options.settings_from(ctx), "doctor")
+    healthy = True
+    for finding in examine(settings, "runner" in settings.model_fields_set):
+        healthy &= finding.good is not False
+        mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
+        typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
+    raise typer.Exit(0 if healthy else 1)
+
+
 def examine(settings: Settings, runner: bool = False) -> Findings:
     """Check packages, store, server, ``runner`` if wanted, and the models of the chosen parts."""
+    from slgaussian.components.intact import check_component
+    from slgaussian.kernels import threads
+
     opened, tables = list[Any](), settings.component_values()
     yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
     yield from _tried("packages", _packages)
@@ -46,8 +97,6 @@ def examine(settings: Settings, runner: bool = False) -> Findings:
     yield from _tried("server", _server, *opened)
     if runner and opened:
         yield from _tried("runner", _runner, settings.runner, opened[0])
-    from slgaussian.components.intact import check_component
-
     for kind, part in settings.component_names().items():
         yield from _tried(part, check_component, kind, part, tables.get(part, {}))
 
@@ -122,6 +171,8 @@ def _store(place: str, opened: list[Any]) -> str:
 
 def _server(store: Any = None) -> str:
     """Ask the server of ``PREFECT_API_URL``, or start and stop one of our own."""
+    from flows.runners.environment import home_of, orchestration
+    from slgaussian.storage.remote import redacted
     from slgaussian.storage.store import ArtifactStore
 
     if url := os.environ.get("PREFECT_API_URL"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from itertools import groupby
 from typing import Any
 
 import typer
@@ -33,13 +32,15 @@ class Group(TyperGroup):
         """Write the first sentence of each command, whole."""
         width = max(map(len, self.commands))
         formatter.write_paragraph()
-        # Commands of one heading are declared one after another.
+        rows: dict[str, list[tuple[str, str]]] = {}
         all_commands: Any = self.commands.values()  # Typer's have a heading, click's have not
-        for heading, commands in groupby(all_commands, lambda c: c.rich_help_panel):
-            formatter.write_heading(heading or "Commands")
+        for command in all_commands:
+            row = command.name.ljust(width), command.get_short_help_str(1000)
+            rows.setdefault(command.rich_help_panel or "Commands", []).append(row)
+        for heading, lines in rows.items():
+            formatter.write_heading(heading)
             with formatter.indentation():
-                rows = [(c.name.ljust(width), c.get_short_help_str(1000)) for c in commands]
-                formatter.write_dl(rows)
+                formatter.write_dl(lines)
 
 
 def usage_sentence(error: TyperException) -> str:

@@ -1,29 +1,26 @@
-"""List, extract, remove and teach the objects of a field."""
+"""The commands `slgaussian objects list | teach | name | remove | extract`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import pyarrow as pa
+import typer
 
-from flows.cli.drawings import PICTURES, check_drawing, write_picture
-from flows.cli.query import EVEN, open_field, refusals, sort_texts
-from flows.cli.text import aligned
-from flows.cli.viewpoints import Choice
-from slgaussian.benchmark import pictures
+from flows.cli import options
+from flows.cli.help import Group
+from flows.settings import Method
 from slgaussian.errors import InputError
-from slgaussian.field import SemanticField
-from slgaussian.formats.ply import save_ply
-from slgaussian.io import write_file
-from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import Rules, ask
-from slgaussian.storage.encoding import packed
-from slgaussian.storage.field_folder import check_target
-from slgaussian.storage.specs import load_spec
-from slgaussian.things import Thing
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from slgaussian.field import SemanticField
+    from slgaussian.things import Thing
+
+EVEN = 0.5
+"""Relevancy of what fits a text as well as it fits the canonical phrases."""
 
 UNITS = {
     True: "Sizes are in metres.",
@@ -34,184 +31,245 @@ UNITS = {
 Hits = tuple[tuple[int, float], ...]
 """Ids of objects with their relevancies."""
 
+objects = typer.Typer(
+    name="objects",
+    cls=Group,
+    help="List the objects of a field; teach, name, remove or extract them.",
+)
 
-def inventory(
-    folder: Path,
-    texts: Sequence[str],
-    out: Path | None,
-    crops: Path | None,
-    settings: Mapping[str, Any],
-    words: Path | None,
-) -> list[dict[str, Any]]:
-    """Return every object of a field; as a table or a picture in ``out``, cut out in ``crops``.
 
-    ``settings`` and ``words`` as in :func:`flows.cli.query.ask`.
+@objects.command("list")
+def list_(
+    ctx: typer.Context,
+    field: options.Folder,
+    texts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
+    ] = None,
+    words: options.Words = None,
+    set_: options.Set = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Picture of all: .png or .jpg.")
+    ] = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """List the objects of a field: words, size, place and views.
 
-    Returns
-    -------
-    list of dict
-        One an object, as ``data_specs/things.toml`` has it. And one a text that was refused:
-        ``text``, ``refused``.
+    Each has the words that fit it best, of all that the field knows or of the texts given; how
+    clearly its pixels are its own (from 0 to 1); the size of the upright box around it, longer
+    side, shorter side and height; and the views that hold it. --json has its centre and axes too.
+    The exit status is 1 if a text is refused.
 
-    Raises
-    ------
-    InputError
-        If anything given cannot be used, or every text is refused.
+    \b
+    slgaussian objects list field/
+    slgaussian objects list field/ wall "red sofa" plant -o objects.png
     """
-    table = out is not None and out.suffix.lower() == ".parquet"
-    if out is not None and not table:
-        if out.suffix.lower() not in PICTURES:
-            raise InputError(
-                f"{out}: found {out.suffix or 'no suffix'!r}, expected the name of a table to end "
-                f"in .parquet, or that of a picture in {' or '.join(PICTURES)}"
-            )
-        check_drawing(out, film=False)
-    rules, field = open_field(folder, settings, words)
-    asked, refused = sort_texts(field, texts) if texts else ([], {})
-    things = field.inventory(asked or None, **rules)
+    import json
+
+    from flows.cli.open_field import open_field, refusals, sort_texts
+    from flows.cli.pictures import check_picture, write_picture
+    from flows.cli.tables import table_text
+
+    if out is not None:
+        check_picture(out)
+    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    asked, refused = sort_texts(opened, texts or [])
+    things = opened.inventory(asked or None, **rules)
+    if out is not None:
+        write_picture(out, _picture(field, opened, things))
     rows = [_row(thing) for thing in things]
-    if out is not None and table:
-        arrow = pa.Table.from_pylist(rows, schema=load_spec("things").schema)
-        write_file(out, packed("things", arrow, str(out))[1])
-    if crops is not None or (out is not None and not table):
-        cuts = _cut_out(folder, field, things)
-        if crops is not None:
-            _write_crops(crops, things, cuts)
-        if out is not None and not table:
-            tiles = [(_caption(thing), cut) for thing, cut in zip(things, cuts, strict=True)]
-            write_picture(out, pictures.contact_sheet(tiles, side=112, columns=8))
-    return rows + [{"text": text, "refused": reason} for text, reason in refused.items()]
-
-
-def objects_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Tabulate the rows of :func:`inventory`."""
-    things = [row for row in rows if "id" in row]
-    lines = [("object", "best words", "sure", "size", "seen in")]
-    for row in things:
-        size = " x ".join(f"{2 * half:.2f}" for half in row["half_sizes"] or ())
-        sure = f"{row['confidence']:.2f}"
-        lines.append((str(row["id"]), _best_words(row), sure, size, ", ".join(row["views"])))
-    notes = refusals(rows)
-    if things:
-        notes.insert(0, UNITS[things[0]["metres"]])
-    if any(row["relevancies"][:1] <= [EVEN] for row in things):
-        notes.insert(0, "(in brackets: no text fits better than the canonical phrases do)")
-    return "\n".join([aligned(lines, "><><<"), *notes])
-
-
-def write_alone(
-    folder: Path, text: str, out: Path, settings: Mapping[str, Any], words: Path | None
-) -> bool:
-    """Write the Gaussians of what a text, a name or an id means: ``.ply``, or a field folder.
-
-    Returns False, and writes nothing, if the scene has none of it; prints what was taken.
-    """
-    ply = out.suffix.lower() == ".ply"
-    if not ply:
-        check_target(out)
-    rules, field = open_field(folder, settings, words)
-    hits = objects_meant(field, text, rules)
-    alone = field.dropped().only(id_ for id_, _ in hits)
-    if not len(alone.gaussians):
-        print(f"nothing found for {text!r}, so nothing is written")
-        return False
-    if ply:
-        save_ply(alone.gaussians, out, alone.labels())
+    notes = [{"text": text, "refused": reason} for text, reason in refused.items()]
+    if as_json:
+        typer.echo("\n".join(map(json.dumps, [*rows, *notes])))
     else:
-        alone.save(out)
-    print(f"objects  {_listed(hits)}\n{len(alone.gaussians):,} Gaussians  {out}")
-    return True
+        lines = [("object", "best words", "sure", "size", "seen in"), *map(_cells, rows)]
+        typer.echo(table_text(lines, "><><<"))
+        if any(row["relevancies"][:1] <= [EVEN] for row in rows):
+            typer.echo("(in brackets: no text fits better than the canonical phrases do)")
+        if things:
+            typer.echo(UNITS[things[0].metres])
+        for line in refusals(notes):
+            typer.echo(line)
+    raise typer.Exit(1 if refused else 0)
 
 
-def write_without(
-    folder: Path,
-    texts: Sequence[str],
-    out: Path,
-    settings: Mapping[str, Any],
-    words: Path | None,
-) -> bool:
-    """Write the field without the Gaussians of what texts, names or ids mean, to another folder.
+@objects.command()
+def teach(
+    field: options.Folder,
+    word: Annotated[str, typer.Argument(metavar="WORD", help='What you call it, as "fox".')],
+    at: Annotated[
+        tuple[int, int] | None,
+        typer.Option(metavar="X Y", help="Pixel of the thing: column and row from the top left."),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="<name>", help="View of that pixel, by name or number. [default: 0]"),
+    ] = None,
+    forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
+) -> None:
+    """Teach a field a word of your own by pointing at a thing.
 
-    Prints a line a text, and the share of the context views' pixels where nothing is known now,
-    and was before. Writes nothing if nothing is found of any text.
+    The word is kept in the field, and asked like any other. Point again, at other things or in
+    other views, for more examples. Other fields of the same place take the words with
+    --words field/words.npz.
 
-    Returns
-    -------
-    bool
-        True if something was found for every text.
-
-    Raises
-    ------
-    InputError
-        If anything given cannot be used, or ``out`` is the field itself.
+    \b
+    slgaussian objects teach field/ fox --at 312 140
+    slgaussian objects teach field/ fox --at 80 210 --view 1
+    slgaussian query field/ fox -o hit.png
+    slgaussian objects teach field/ fox --forget
     """
-    if out.resolve() == folder.resolve():
-        raise InputError(
-            f"{out}: is the field itself, and what is removed does not come back; choose another "
-            "folder"
-        )
-    check_target(out)
-    rules, field = open_field(folder, settings, words)
-    hits = {text: objects_meant(field, text, rules) for text in texts}
-    labels, removed = field.labels(), set[int]()
-    for text, objects in hits.items():
-        ids = {id_ for id_, _ in objects} - removed
-        removed |= ids
-        count = int(np.isin(labels, list(ids)).sum())
-        meaning = f"objects {_listed(objects)}" if objects else "nothing found"
-        print(f"{text!r}: {meaning}, {count:,} Gaussians")
-    if removed:
-        without = field.without(removed).dropped()
-        without.save(out)
-        before, after = (
-            np.concatenate([f.render(camera).unknown.ravel() for camera in f.cameras.values()])
-            for f in (field, without)
-        )
-        opened = float((after & ~before).mean())
-        print(f"open in the context views: {100 * opened:.1f} % of the pixels\n{out}")
-    return all(hits.values())
+    from flows.cli.viewpoints import choose_viewpoints
+    from slgaussian.field import SemanticField
 
-
-def teach_word(
-    folder: Path, word: str, at: tuple[int, int] | None, view: str | None, forget: bool
-) -> str:
-    """Teach the field that a word means what is at a pixel of a view, or let it forget the word.
-
-    Returns a message for people; InputError if the pixel, view or word cannot be used.
-    """
     if forget == (at is not None):
         raise InputError("say either where it is, with --at X Y, or --forget")
-    field = SemanticField.load(folder)
+    opened = SemanticField.load(field)
     if at is None:
-        field.forget(word).save_edits(folder)
-        return f"{word!r} is forgotten"
-    (viewpoint,) = Choice([view] if view else ()).of_field(folder, field)
-    x, y = at
-    width, height = viewpoint.camera.width, viewpoint.camera.height
+        opened.forget(word).save_edits(field)
+        typer.echo(f"{word!r} is forgotten")
+        return
+    (viewpoint,) = choose_viewpoints(field, opened.cameras, view and [view])
+    (x, y), (width, height) = at, (viewpoint.camera.width, viewpoint.camera.height)
     if not (0 <= x < width and 0 <= y < height):
         raise InputError(
             f"--at {x} {y}: is outside view {viewpoint.name!r}, which is {width} pixels wide and "
             f"{height} high"
         )
-    id_ = int(field.render(viewpoint.camera).ids[y, x])
+    id_ = int(opened.render(viewpoint.camera).ids[y, x])
     if not id_:
         raise InputError(
             f"--at {x} {y}: view {viewpoint.name!r} shows no object there; point at one, which "
             "`slgaussian render` draws"
         )
-    taught = field.teach(word, id_)
-    taught.save_edits(folder)
-    return (
-        f"{word!r} is object {id_}\nexamples  {taught.taught.examples(word)}\n"
-        f"it means  {_listed(taught.find(word))}"
-    )
+    taught = opened.teach(word, id_)
+    taught.save_edits(field)
+    typer.echo(f"{word!r} is object {id_}\nexamples  {taught.taught.examples(word)}")
+    typer.echo(f"it means  {_listed(taught.find(word))}")
 
 
-def objects_meant(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
+@objects.command()
+def name(
+    field: options.Folder,
+    id_: Annotated[int, typer.Argument(metavar="ID", help="The object, as `objects list` has it.")],
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Its name; left out, it has none.")
+    ] = None,
+) -> None:
+    """Give an object a name that can be asked, or take it away.
+
+    \b
+    slgaussian objects name field/ 17 "my chair"
+    slgaussian query field/ "my chair"
+    slgaussian objects name field/ 17
+    """
+    from slgaussian.field import SemanticField
+
+    edited = SemanticField.load(field).named(id_, name or "")
+    edited.save_edits(field)
+    name = edited.names.get(id_)
+    typer.echo(f"object {id_} has no name" if name is None else f"object {id_} is {name!r}")
+
+
+@objects.command()
+def remove(
+    ctx: typer.Context,
+    field: options.Folder,
+    texts: Annotated[
+        list[str],
+        typer.Argument(metavar="OBJECT", help="Texts, names that you gave, or ids of objects."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
+    words: options.Words = None,
+    set_: options.Set = None,
+) -> None:
+    """Write a field again without some of its things.
+
+    What was behind is shown where another view saw it. Where none did, nothing is painted: pictures
+    have grey stripes there. The exit status is 3 if nothing is found for any text; what is found of
+    the others is removed.
+
+    \b
+    slgaussian objects remove field/ "red chair" -o without/
+    slgaussian render without/ -o picture.png
+    """
+    import numpy as np
+
+    from flows.cli.open_field import open_field
+    from slgaussian.storage.field_folder import check_target
+
+    if out.resolve() == field.resolve():
+        raise InputError(
+            f"{out}: is the field itself, and what is removed does not come back; choose another "
+            "folder"
+        )
+    check_target(out)
+    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    hits = {text: find_objects(opened, text, rules) for text in texts}
+    labels, removed = opened.labels(), set[int]()
+    for text, meant in hits.items():
+        ids = {id_ for id_, _ in meant} - removed
+        removed |= ids
+        count = int(np.isin(labels, list(ids)).sum())
+        meaning = f"objects {_listed(meant)}" if meant else "nothing found"
+        typer.echo(f"{text!r}: {meaning}, {count:,} Gaussians")
+    if removed:
+        opened.without(removed).dropped().save(out)
+        typer.echo(out)
+    raise typer.Exit(0 if all(hits.values()) else 3)
+
+
+@objects.command()
+def extract(
+    ctx: typer.Context,
+    field: options.Folder,
+    text: Annotated[
+        str,
+        typer.Argument(metavar="OBJECT", help="A text, a name that you gave, or an id."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
+    words: options.Words = None,
+    set_: options.Set = None,
+) -> None:
+    """Take a thing out of a field, alone.
+
+    A text takes the objects that a query would take, in whatever view. The exit status is 3 if the
+    scene as a whole does not hold it, by the verdict of `query`; then nothing is written.
+
+    \b
+    slgaussian objects extract field/ "red chair" -o chair.ply
+    slgaussian objects extract field/ 17 -o chair/
+    """
+    from flows.cli.open_field import open_field
+    from slgaussian.formats.ply import save_ply
+    from slgaussian.storage.field_folder import check_target
+
+    ply = out.suffix.lower() == ".ply"
+    if not ply:
+        check_target(out)
+    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    hits = find_objects(opened, text, rules)
+    alone = opened.dropped().only(id_ for id_, _ in hits)
+    if not len(alone.gaussians):
+        typer.echo(f"nothing found for {text!r}, so nothing is written")
+        raise typer.Exit(3)
+    if ply:
+        save_ply(alone.gaussians, out, alone.labels())
+    else:
+        alone.save(out)
+    typer.echo(f"objects  {_listed(hits)}\n{len(alone.gaussians):,} Gaussians  {out}")
+
+
+def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
     """Return the objects that a text means: that of this id, those of this name, or those it fits.
 
     None where the scene as a whole answers the text with "not here".
     """
+    import numpy as np
+
+    from slgaussian.language.objectmap import ObjectMap
+    from slgaussian.language.query import Rules, ask
+
     there = {int(id_) for id_ in field.bank.ids} - field.removed
     if text.strip().isdecimal():
         if int(text) not in there:
@@ -231,6 +289,12 @@ def _listed(hits: Hits) -> str:
 
 
 def _row(thing: Thing) -> dict[str, Any]:
+    """Return what ``--json`` prints of an object.
+
+    ``words`` are best first, with their ``relevancies``. ``centre`` [3], ``axes`` [9] (longer side,
+    shorter side and up) and ``half_sizes`` [3] of its box are in scene units, None without
+    Gaussians. ``metres`` as :class:`slgaussian.things.Thing` has it.
+    """
     box = thing.box
     return {
         "id": thing.id,
@@ -247,41 +311,34 @@ def _row(thing: Thing) -> dict[str, Any]:
     }
 
 
-def _best_words(row: Mapping[str, Any]) -> str:
+def _cells(row: Mapping[str, Any]) -> Sequence[str]:
     pairs = list(zip(row["words"], row["relevancies"], strict=True))
-    good = [f"{text} {relevancy:.3f}" for text, relevancy in pairs if relevancy > EVEN]
-    words = ", ".join(good) if good else ", ".join(f"({text} {r:.3f})" for text, r in pairs[:1])
-    return words if row["name"] is None else f"{row['name']!r}: {words}"
+    fitting = [f"{text} {relevancy:.3f}" for text, relevancy in pairs if relevancy > EVEN]
+    words = ", ".join(fitting or [f"({text} {r:.3f})" for text, r in pairs[:1]])
+    if row["name"] is not None:
+        words = f"{row['name']!r}: {words}"
+    size = " x ".join(f"{2 * half:.2f}" for half in row["half_sizes"] or ())
+    return str(row["id"]), words, f"{row['confidence']:.2f}", size, ", ".join(row["views"])
 
 
-def _caption(thing: Thing) -> str:
-    fits = thing.words and thing.words[0][1] > EVEN
-    return f"{thing.id} {thing.name or (thing.words[0][0] if fits else '')}".strip()
+def _picture(folder: Path, field: SemanticField, things: Sequence[Thing]) -> np.ndarray:
+    """Draw how each object looks in the view that shows most of it."""
+    import numpy as np
 
+    from slgaussian.benchmark import pictures
 
-def _cut_out(folder: Path, field: SemanticField, things: Sequence[Thing]) -> list[np.ndarray]:
-    """Return how each object looks in the view that shows most of it, uint8 [H, W, 3]."""
     if field.bank.boxes is None:
         raise InputError(
             f"{folder}: its memory bank does not know where the objects are, so they cannot be "
-            "drawn; leave out --crops and the picture, or build the field again"
+            "drawn; leave out the picture, or build the field again"
         )
     views = [field.render(camera) for camera in field.cameras.values()]
     rows = np.searchsorted(field.bank.ids, [thing.id for thing in things])
-    return pictures.cut_out(
-        [view.rgb for view in views],
-        [view.ids for view in views],
-        field.bank.ids[rows],
-        field.bank.boxes[rows],
-    )
-
-
-def _write_crops(folder: Path, things: Sequence[Thing], cuts: Sequence[np.ndarray]) -> None:
-    """Write one picture an object, ``ID.png``."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); name a folder") from error
+    ids, boxes = field.bank.ids[rows], field.bank.boxes[rows]
+    cuts = pictures.cut_out([v.rgb for v in views], [v.ids for v in views], ids, boxes)
+    tiles = []
     for thing, cut in zip(things, cuts, strict=True):
-        if cut.size:
-            write_picture(folder / f"{thing.id}.png", cut)
+        fits = thing.words and thing.words[0][1] > EVEN
+        called = thing.name or (thing.words[0][0] if fits else "")
+        tiles.append((f"{thing.id} {called}".strip(), cut))
+    return pictures.contact_sheet(tiles, side=112, columns=8)

@@ -7,30 +7,57 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import BaseModel
 
+from flows.corpus_settings import CorpusSettings
+from flows.encoder_choice import AUTO
+from flows.settings import Settings
+from flows.training_settings import TrainSettings
+from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
-FIELDS, SCORES = "Build a field and ask it", "Score it"
-CORPORA, UPKEEP = "Learn from many scenes", "Look after an installation"
-"""The headings under which commands are listed."""
+
+def field_option(
+    name: str, model: type[BaseModel] = Settings, flag: str | None = None, help: str = ""
+) -> Any:
+    """Return the option of a field of a configuration: its description, default and values."""
+    field = model.model_fields[name]
+    text, values = help or field.description or "", tuple(field.examples or ())
+    if name in KINDS:
+        values = names_of(name) + ((AUTO,) if name == "encoder" else ())
+        text = f"{', '.join(values[:-1])} or {values[-1]}."
+    if field.default not in (None, []) and not field.is_required():
+        shown = field.default
+        shown = "x".join(map(str, shown)) if isinstance(shown, tuple) else shown
+        text += f" [default: {shown}]"
+    return typer.Option(
+        flag or f"--{name.replace('_', '-')}",
+        metavar=f"<{name}>",
+        help=text,
+        autocompletion=(lambda: list(values)) if values else None,
+    )
 
 
-def _component(kind: str, text: str) -> Any:
-    """Return the option of a kind of component; completion asks for the names that there are."""
-
-    def names() -> list[str]:
-        from slgaussian.components.registry import names_of
-
-        return [*names_of(kind), *(["auto"] if kind == "encoder" else [])]
-
-    return typer.Option(metavar="<name>", help=text, autocompletion=names)
-
-
-def _data_formats() -> list[str]:
-    from slgaussian.datasets import FROM_FILES
-
-    return list(FROM_FILES)
-
+Preset = Annotated[str | None, field_option("preset")]
+Size = Annotated[str | None, field_option("size")]
+SampleSize = Annotated[str | None, field_option("size", CorpusSettings)]
+Predictor = Annotated[str | None, field_option("predictor")]
+Proposer = Annotated[str | None, field_option("proposer")]
+Tracker = Annotated[str | None, field_option("tracker")]
+Encoder = Annotated[str | None, field_option("encoder")]
+Seed = Annotated[int | None, field_option("seed")]
+Threshold = Annotated[float | None, field_option("threshold")]
+Store = Annotated[str | None, field_option("store")]
+Runner = Annotated[str | None, field_option("runner")]
+Workers = Annotated[int | None, field_option("workers")]
+Refresh = Annotated[list[str] | None, field_option("refresh")]
+Data = Annotated[Path | None, field_option("data")]
+Pairs = Annotated[Path | None, field_option("pairs")]
+Labels = Annotated[Path | None, field_option("labels")]
+Format = Annotated[str | None, field_option("format")]
+Rooms = Annotated[str | None, field_option("rooms")]
+Most = Annotated[int | None, field_option("most", CorpusSettings)]
+Steps = Annotated[int | None, field_option("steps", TrainSettings)]
 
 Set = Annotated[
     list[str] | None,
@@ -44,120 +71,80 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results."
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON.")]
 
-Preset = Annotated[
-    str | None,
+Photos = Annotated[
+    list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs, or a folder of them.")
+]
+Cameras = Annotated[
+    Path | None,
     typer.Option(
-        metavar="<name>",
-        help="Begin from named settings: fast, balanced or paper; others win.",
-        autocompletion=lambda: ["fast", "balanced", "paper"],
+        help="Their cameras: transforms.json, poses_bounds.npy, or a COLMAP folder; found if left "
+        "out."
     ),
 ]
-Size = Annotated[
-    str | None,
-    typer.Option(
-        metavar="<size>",
-        help="Height and width to work at: 416x576, 'at most 416x576', original or auto.",
-    ),
+Refine = Annotated[
+    bool, typer.Option("--refine", help="Find given cameras anew, in their own world.")
 ]
-SampleSize = Annotated[
-    str | None,
-    typer.Option(metavar="<size>", help="Height and width of the views. [default: 256x256]"),
+Folder = Annotated[
+    Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
 ]
-Predictor = Annotated[
-    str | None,
-    _component("predictor", "planesweep or mvsplat. [default: planesweep]"),
+FieldOrPly = Annotated[
+    Path, typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply.")
 ]
-Proposer = Annotated[str | None, _component("proposer", "regions, sam or sam2. [default: regions]")]
-Tracker = Annotated[
-    str | None,
-    _component("tracker", "geometric, flow, sam2-video or precomputed. [default: geometric]"),
+Words = Annotated[
+    Path | None, typer.Option(help="Words taught elsewhere: words.npz of another field.")
 ]
-Encoder = Annotated[
-    str | None, _component("encoder", "lexicon, clip, named or auto. [default: lexicon]")
-]
-Seed = Annotated[int | None, typer.Option(min=0, help="Seed of everything random. [default: 0]")]
-Threshold = Annotated[
-    float | None, typer.Option(help="Take what fits a text above this relevancy, 0 to 1.")
-]
-Store = Annotated[
-    str | None,
-    typer.Option(
-        metavar="<path>",
-        help="Folder or fsspec URL that keeps the results of every stage. [default: ./slg-data]",
-    ),
-]
-Runner = Annotated[
-    str | None,
-    typer.Option(
-        metavar="<name>",
-        help="threads, processes, dask://host:port or ray://host:port. [default: threads]",
-        autocompletion=lambda: ["threads", "processes"],
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option(help="Scenes (or chunks) done at a time. [default: 2]")
-]
-Refresh = Annotated[
+Views = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="<stage>", help="Compute a stage anew, and what follows from it; may be repeated."
-    ),
-]
-Data = Annotated[Path | None, typer.Option(help="Folder of a labelled set, as its format has it.")]
-Pairs = Annotated[
-    Path | None, typer.Option(help="Its index: OUT/pairs.json of `benchmark`, or made by hand.")
-]
-Labels = Annotated[
-    Path | None, typer.Option(help="Folder of its labels, if they are not in that of the data.")
-]
-Format = Annotated[
-    str | None,
-    typer.Option(
+        "--view",
         metavar="<name>",
-        help="Its format, if the index does not say, as lerf_ovs. [default: nerfstudio]",
-        autocompletion=_data_formats,
+        help="Look from this view, by name or number from 0; may be repeated. [default: 0]",
     ),
 ]
-Rooms = Annotated[
-    str | None,
-    typer.Option(metavar="<first-last>", help="Made-up rooms to score, by their seeds."),
+CameraFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        "--cameras",
+        help="Look from other cameras: one as JSON, or a transforms.json.",
+    ),
 ]
-Steps = Annotated[int | None, typer.Option(help="Steps of training. [default: 1500]")]
-Most = Annotated[
-    int | None, typer.Option(help="Most samples of a clip; 0 for as many as there are.")
+Between = Annotated[
+    tuple[str, str, float] | None,
+    typer.Option(
+        metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to view B."
+    ),
+]
+Picture = Annotated[
+    Path | None, typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg.")
 ]
 
 
-FIELDS_OF_OPTIONS = (
-    "preset", "size", "predictor", "proposer", "tracker", "encoder", "seed", "threshold", "store",
-    "runner", "workers", "refresh", "data", "pairs", "labels", "format", "rooms", "steps", "most",
-)  # fmt: skip
-"""The options above that give fields of the configuration, as commands call their parameters."""
-
-
-def settings_from(ctx: typer.Context, **values: Any) -> dict[str, Any]:
+def settings_from(
+    ctx: typer.Context, model: type[BaseModel] = Settings, **values: Any
+) -> dict[str, Any]:
     """Return settings as a configuration file would have them, tables as nested dicts.
 
-    They are those options of the command that give fields (:data:`FIELDS_OF_OPTIONS`), and texts
-    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid
-    TOML, else it is text. Relative paths are relative to the working folder.
+    They are the arguments of the command that are fields of ``model``, and texts ``KEY=VALUE`` or
+    ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid TOML, else it is
+    text. Relative paths are relative to the working folder.
 
     Parameters
     ----------
     ctx : Context
         Of the command.
+    model : pydantic model
     **values
-        Other fields; None if not given.
+        Other fields.
 
     Raises
     ------
     InputError
         If a text has no such form, or a key is given twice.
     """
-    values |= {name: ctx.params.get(name) for name in FIELDS_OF_OPTIONS}
+    values |= {name: ctx.params[name] for name in model.model_fields.keys() & ctx.params.keys()}
     values = {name: value for name, value in values.items() if value not in (None, [], ())}
-    assignments = ctx.params.get("set_")
-    for assignment in assignments or ():
+    for assignment in ctx.params.get("set_") or ():
         key, equals, text = assignment.partition("=")
         *tables, name = key.strip().split(".")
         if not equals or not all([*tables, name]):
@@ -172,13 +159,8 @@ def settings_from(ctx: typer.Context, **values: Any) -> dict[str, Any]:
             raise InputError(
                 f"--set: {key.strip()} is given twice, or by an option of its own; give it once"
             )
-        inner[name] = _parsed(text.strip())
+        try:
+            (inner[name],) = tomllib.loads(f"value = {text.strip()}").values()
+        except ValueError:
+            inner[name] = text.strip()
     return values
-
-
-def _parsed(text: str) -> Any:
-    try:
-        (value,) = tomllib.loads(f"value = {text}").values()
-    except (tomllib.TOMLDecodeError, ValueError):
-        return text
-    return value

@@ -1,39 +1,142 @@
-"""Run flows, and print what came of them."""
+"""The commands `slgaussian run | benchmark`, and what other commands share that run flows."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
-from flows.runners.commands import perform
-from flows.runners.environment import interruptible
-from slgaussian import ahead
+from flows.cli import options
+from flows.corpus_settings import IndexSettings, check_bounds
+from flows.settings import checked, make_settings, read_toml
+from slgaussian.errors import InputError
+
+
+def run(
+    ctx: typer.Context,
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
+    ],
+    preset: options.Preset = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    refresh: options.Refresh = None,
+    set_: options.Set = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results.")] = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Run a configuration file, and write its report and fields.
+
+    Options given here win over the file. Paths in the file are relative to the file.
+
+    \b
+    out = "results"
+    replicas = 5
+    [[scenes]]
+    name = "kitchen"
+    path = "kitchen/transforms.json"
+    context = ["0001.png", "0009.png"]
+    targets = ["0005.png"]
+    queries = ["red kettle", "wooden table"]
+
+    \b
+    slgaussian run kitchen.toml
+    slgaussian run kitchen.toml --preset fast --set replicas=1 -o fast
+    """
+    run_scenes("run", read_toml(config, options.settings_from(ctx)), verbose)
+
+
+def benchmark(
+    ctx: typer.Context,
+    data: options.Data = None,
+    pairs: options.Pairs = None,
+    labels: options.Labels = None,
+    format: options.Format = None,
+    rooms: options.Rooms = None,
+    sweep: Annotated[list[str] | None, options.field_option("sweep")] = None,
+    against: Annotated[list[str] | None, options.field_option("against")] = None,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    refresh: options.Refresh = None,
+    set_: options.Set = None,
+    out: options.Out = Path("slg-benchmark"),
+    verbose: options.Verbose = False,
+) -> None:
+    """Score the method, and others, on a labelled set or on made-up rooms.
+
+    Builds a field from each scene's context views and asks it in its target views. Without --pairs,
+    two context views are chosen for each labelled frame, and written to OUT/pairs.json. Leaves a
+    report, tables, masks and fields.
+
+    \b
+    slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
+    slgaussian benchmark --rooms 0-19 --sweep preset=fast,paper --sweep views=2,3
+    slgaussian benchmark --data 3dovs --format ovs3d --set max_baseline=0.6
+    slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels
+    """
+    values = options.settings_from(ctx)
+    rule = {key: values.pop(key) for key in IndexSettings.model_fields if key in values}
+    if "format" in rule:
+        values["format"] = rule["format"]
+    settings = make_settings(values, "benchmark")
+    if settings.data is not None and settings.pairs is None:
+        chosen = checked(IndexSettings, rule, "benchmark")
+        check_bounds(chosen, "benchmark")
+        prepare_prefect(settings.store)
+        from flows.indexing import build_index
+        from flows.runners.session import check_folder
+        from slgaussian.datasets import check_format
+
+        check_format(chosen.format)
+        check_folder(settings.out)
+        file = settings.out / "pairs.json"
+        index = build_index(settings.data, settings.labels, chosen, file)
+        for name, reason in index.left_out.items():
+            typer.echo(f"left out: {name}: {reason}", err=True)
+        typer.echo(f"{len(index.pairs)} pairs  {file}", err=True)
+        settings = settings.model_copy(update={"pairs": file})
+    elif fields := rule.keys() - {"format"}:
+        raise InputError(
+            f"benchmark: {min(fields)}: context views are chosen only of --data without --pairs; "
+            "leave it out"
+        )
+    run_scenes("benchmark", settings, verbose)
 
 
 def run_flow(command: str, settings: Any, verbose: bool) -> Any:
-    """Return what came of the flow of a command, which can be interrupted."""
+    """Run the flow of a command, which can be interrupted; return its result."""
+    from flows.runners.commands import perform
+    from flows.runners.environment import interruptible
+
     with interruptible():
         return perform(command, settings, verbose)
 
 
 def run_scenes(command: str, settings: Any, verbose: bool) -> None:
     """Run scenes, and print scores, report and what was left out; exit with 1 if anything was."""
-    ahead.begin()
-    finished = run_flow(command, settings, verbose)
-    from flows.cli.tables import scores_tables
+    from slgaussian import ahead
 
-    if finished.results:
-        typer.echo(scores_tables(finished.results))
-    if finished.report is not None:
-        typer.echo(f"report: {finished.report}")
-    if finished.failures:
-        left_out = ", ".join(failure.scene for failure in finished.failures)
+    ahead.begin()
+    results = run_flow(command, settings, verbose)
+    from flows.cli.score_tables import scenes_text
+
+    if results.results:
+        typer.echo(scenes_text(results.results))
+    if results.report is not None:
+        typer.echo(f"report: {results.report}")
+    if results.ready:
+        typer.echo(f"look at it: {results.look}\n{results.ready}")
+    if results.failures:
+        left_out = ", ".join(failure.scene for failure in results.failures)
         typer.echo(f"left out: {left_out}; see {settings.out / 'failures.parquet'}", err=True)
-    if finished.ready:
-        typer.echo(f"look at it: {finished.look}")
-        typer.echo(finished.ready)
-    if finished.failures:
         raise typer.Exit(1)
 
 
@@ -47,3 +150,11 @@ def report_left_out(out: Path, failures: Sequence[Any]) -> None:
             err=True,
         )
         raise typer.Exit(1)
+
+
+def prepare_prefect(store: str) -> None:
+    """Set the environment of Prefect for a store, before anything imports Prefect."""
+    from flows.runners.environment import home_of, prepare
+    from slgaussian.storage.store import ArtifactStore
+
+    prepare(home_of(ArtifactStore(store)))

@@ -1,24 +1,62 @@
-"""Score masks that were made elsewhere."""
+"""The commands `slgaussian score` and `slgaussian compare`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Annotated
 
-from flows import scoring
-from flows.cli.tables import masks_tables
-from flows.settings import Settings
-from slgaussian.benchmark.protocols import load_protocol
+import typer
+
+from flows.cli import options
+from flows.settings import make_settings
+from slgaussian.errors import InputError
 
 NAMED = 3
-"""So many are named of masks that are missing, or that nothing asks for."""
+"""Of masks that are missing, or that nothing asks for, so many are named."""
 
 
 def score(
-    settings: Settings, place: Path, protocols: Sequence[str], out: Path
-) -> tuple[str, list[str]]:
-    """Score masks; return the table of their scores, and notes on them, a line each."""
-    scores = scoring.score(settings, place, protocols, out)
+    ctx: typer.Context,
+    predictions: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PREDICTIONS", help="Folder of masks as `benchmark` writes it, or a JSON file."
+        ),
+    ],
+    data: options.Data = None,
+    pairs: options.Pairs = None,
+    labels: options.Labels = None,
+    format: options.Format = None,
+    rooms: options.Rooms = None,
+    size: options.Size = None,
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="<name>",
+            help="What scores mean: slgaussian, langsplat, langsplat-rescaled or 3d-ovs; may be "
+            "repeated. [default: all that the folder has]",
+        ),
+    ] = None,
+    out: options.Out = Path("slg-score"),
+) -> None:
+    """Score masks that you made, as `benchmark` scores its own.
+
+    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO's run
+    lengths. One that is missing counts as empty. Without --pairs every labelled frame is asked what
+    is labelled in it. Leaves tables and masks as `benchmark` does, which `compare` reads.
+
+    \b
+    slgaussian score masks --data office --pairs office/pairs.json --labels office/labels -o mine
+    slgaussian score masks.json --rooms 0-19 --size 416x576 --protocol 3d-ovs
+    slgaussian compare scores mine
+    """
+    settings = make_settings(options.settings_from(ctx), "score")
+    from flows import scoring
+    from flows.cli.score_tables import methods_text
+    from slgaussian.benchmark.protocols import load_protocol
+
+    scores = scoring.score(settings, predictions, protocol or [], out)
     rows = [row for result in scores.results for row in result.rows]
     notes, tally = [*scores.said], scores.tally
     if tally.missing:
@@ -31,12 +69,80 @@ def score(
     empty = ["what needs relevancies (threshold-free, peaks)"]
     if all(row["point_x"] is None for row in rows):
         empty.append("what needs points (point in mask, point in box)")
-    labels = {row["protocol"] for row in rows}
-    if load_protocol("slgaussian").label in labels and load_protocol("3d-ovs").label not in labels:
+    scored = {row["protocol"] for row in rows}
+    if load_protocol("slgaussian").label in scored and load_protocol("3d-ovs").label not in scored:
         empty.append("mIoU, for which all texts compete (masks of 3d-ovs say which wins)")
-    return masks_tables(rows), [*notes, f"left empty: {'; '.join(empty)}"]
+    typer.echo("\n".join([*notes, f"left empty: {'; '.join(empty)}"]), err=True)
+    typer.echo(f"{methods_text(rows)}\n{out}")
+
+
+def compare(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN", help="Folders that benchmark, run or score wrote."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
+    ] = None,
+) -> None:
+    """Compare the settings and the scores of two runs, or rank those of more.
+
+    Of two, differences are the second minus the first, for each method, on the queries that both
+    were asked, with bootstrap intervals over scenes. Of more, methods are ranked in a table for
+    each data set, protocol and size; only what was asked the same is in one table.
+
+    \b
+    slgaussian benchmark --rooms 0-9 -o before
+    slgaussian benchmark --rooms 0-9 --set replicas=1 -o after
+    slgaussian compare before after -o changes
+    slgaussian compare ours theirs another -o board
+    """
+    from flows.cli.score_tables import gains_text
+    from flows.cli.tables import table_text
+    from slgaussian.benchmark import comparison, run_ranking
+    from slgaussian.benchmark.outputs import write_file
+
+    if len(runs) < 2:
+        raise InputError(f"compare: found {len(runs)} run, expected two or more")
+    first, *others = read = [comparison.read_made(folder) for folder in runs]
+    if len(read) == 2:
+        compared = comparison.compare_reports(*read)
+        blocks = [compared.said]
+        if compared.settings:
+            blocks.append(_changes_text("differs:", compared.settings))
+        blocks += map(gains_text, compared.tables)
+        if compared.costs:
+            blocks.append(_changes_text("cost:", compared.costs))
+        if compared.changes:
+            queries = [
+                f"  {change.first:.3f} -> {change.second:.3f}  {change.row['query']} "
+                f"({change.row['scene']}, {change.row['frame']})"
+                for change in compared.changes
+            ]
+            blocks.append("\n".join(["IoU that changed most:", *queries]))
+        pages = comparison.render_comparison(compared)
+    else:
+        rankings = run_ranking.rank_methods(read)
+        differences = {
+            str(run.folder): settings
+            for run in others
+            if (settings := comparison.differing_settings(first.manifest, run.manifest))
+        }
+        blocks = [f"{one.title}\n{table_text([one.header, *one.rows])}" for one in rankings]
+        for folder, settings in differences.items():
+            blocks.append(_changes_text(f"{folder} differs from {first.folder}:", settings))
+        pages = run_ranking.render_ranking(rankings, differences)
+    if out is not None:
+        for suffix, text in zip(("html", "md"), pages, strict=True):
+            write_file(out / f"compare.{suffix}", text.encode())
+        blocks.append(f"page: {out / 'compare.html'}")
+    typer.echo("\n\n".join(blocks))
 
 
 def _few(names: Sequence[str]) -> str:
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
+
+
+def _changes_text(title: str, changes: Iterable[tuple[str, str, str]]) -> str:
+    return "\n".join([title, *(f"  {name}: {one} -> {other}" for name, one, other in changes)])

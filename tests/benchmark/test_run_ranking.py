@@ -4,7 +4,7 @@ import pytest
 from left import MANIFEST, leave
 from pages import check_alone
 
-from flows.cli.compare import compare
+from flows.cli.app import app
 from slgaussian.benchmark.comparison import read_made
 from slgaussian.benchmark.run_ranking import rank_methods
 from slgaussian.errors import InputError
@@ -18,7 +18,7 @@ def tables(*folders):
     return rank_methods([read_made(folder) for folder in folders])
 
 
-def test_the_better_run_stands_first_and_what_differs_is_named(tmp_path, result):
+def test_the_better_run_stands_first_and_what_differs_is_named(tmp_path, result, capsys):
     other = {**MANIFEST, "settings": {"share": 0.5, "seed": 0}}
     low, high = leave(tmp_path / "low", result, worse, other), leave(tmp_path / "high", result)
     same = leave(tmp_path / "same", result)
@@ -30,7 +30,9 @@ def test_the_better_run_stands_first_and_what_differs_is_named(tmp_path, result)
     ]
     scores = [float(row[3].partition(" ")[0]) for row in first.rows]
     assert scores[2] < scores[0] == scores[1]
-    shown = compare([high, low, same], tmp_path / "out")
+    runs, out = map(str, (high, low, same)), str(tmp_path / "out")
+    app(["compare", *runs, "-o", out], standalone_mode=False)
+    shown = capsys.readouterr().out
     assert first.title in shown and "settings.share: 0.7 -> 0.5" in shown
     html = (tmp_path / "out" / "compare.html").read_text("utf-8")
     check_alone(html)
@@ -64,4 +66,4 @@ def test_what_cannot_be_ranked_is_one_sentence(tmp_path, result):
     with pytest.raises(InputError, match="found no scored sample"):
         tables(whole, bare)
     with pytest.raises(InputError, match="found 1 run, expected two or more"):
-        compare([whole], None)
+        app(["compare", str(whole)], standalone_mode=False)

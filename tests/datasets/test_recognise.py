@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows.cli.benchmark import scene_of_photographs
-from flows.cli.load_views import listed_photographs
+from flows.cli.photographs import find_views
 from slgaussian import datasets
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.datasets.photographs import open_photograph, stored_size
@@ -104,15 +103,12 @@ def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
     root = folder / kind.split("/")[0]
     for place in (root, root / "images"):
         scene, start = posed_scene(folder / kind, [str(place)])
-        listed = listed_photographs(scene, [str(place)], start)
-        assert [Path(photo).resolve() for photo in listed] == [root / "images" / n for n in NAMES]
-        own = scene_of_photographs([str(place)], folder / kind)
-        assert [Path(name).name for name in own.context] == list(NAMES)
-        options = {"images": own.options["images"]} if own.options else {}
-        assert len(datasets.load(own.format, own.path, **options).cameras) == 2
+        views = find_views(scene, [str(place)], start)
+        assert [Path(name).name for name, _ in views] == list(NAMES)
+        assert [file.resolve() for _, file in views] == [root / "images" / n for n in NAMES]
     (folder / "empty").mkdir()
     with pytest.raises(InputError, match=r"empty: none of the 2 photographs that have a camera"):
-        listed_photographs(scene, [str(folder / "empty")], start)
+        find_views(scene, [str(folder / "empty")], start)
 
 
 @pytest.mark.parametrize(

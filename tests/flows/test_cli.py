@@ -1,6 +1,5 @@
 import json
 import os
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,7 +16,6 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.language.bank import MemoryBank
-from slgaussian.storage.account import Account
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -163,27 +161,6 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert torch.equal(made.source, kept.source)
     is_red = (np.arange(32 * 48) % 48) < 24
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
-
-
-def test_render_tells_what_a_field_is_made_of(field, tmp_path, monkeypatch, capsys):
-    made = SemanticField.load(field)
-    # A field of before there were accounts, as this one, says what it holds.
-    assert run(monkeypatch, "render", field, "-o", tmp_path / "a.png", "--stats") == 0
-    held, seconds, _ = capsys.readouterr().out.splitlines()
-    assert held == f"{len(made.gaussians):,} Gaussians, {len(made.bank):,} objects"
-    assert re.fullmatch(r"seconds: \d+\.\d\d to open, \d+\.\d\d a picture", seconds)
-    account = Account(9000, 3072, 0.25, 0.5, 9.5, 3, 5, 70_000, 4_000, 1, 40, 144)
-    told = {**made.settings, "account": account.as_json()}
-    made.changed(settings=told).save(tmp_path / "told")
-    assert run(monkeypatch, "render", tmp_path / "told", "-o", tmp_path / "b.png", "--stats") == 0
-    assert capsys.readouterr().out.splitlines()[:-2] == [
-        "Gaussians: 3,072 of 9,000 made (34%); that changes the context views by 0.25 grey levels "
-        "in the mean, 0.50 in the root mean square, 9.5 at most",
-        "depth candidates: 40 of 144",
-        "ID codes: 3 numbers each",
-        "replicas: 1 computed of 5 asked for",
-        "bytes: Gaussians 70,000, memory bank 4,000",
-    ]
 
 
 def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypatch, capsys):
@@ -414,7 +391,7 @@ def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeyp
             "scene.splat: found '.splat', expected the name of the file to end in",
         ),
         (("-o", "scene"), "found no suffix"),
-        (("-o", "a.spz", "--text", "red"), "--text and --title are for pages"),
+        (("-o", "a.spz", "--text", "red"), "--text is for pages"),
         (("-o", "a.spz", "--object", "99"), "'99': is no object of the field"),
         (("-o", "a.html", "--text", "unicorn"), "none of its words can be used"),
     ],

@@ -8,7 +8,7 @@ from command import ROOM, room_sample, run, said, save_photographs
 from PIL import Image
 
 import slgaussian as slg
-from flows.cli.masks import label
+from flows.cli.app import app
 from slgaussian.geometry import SeenView
 from slgaussian.masks.precomputed import Precomputed, encode_ids, map_names, read_ids
 
@@ -66,9 +66,9 @@ def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, caps
     # What fails half way leaves what was there.
     before = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     with monkeypatch.context() as patched:
-        patched.setattr("flows.cli.masks.pictures.encode_jpeg", lambda *a: 1 / 0)
+        patched.setattr("slgaussian.benchmark.pictures.encode_jpeg", lambda *a: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            label(PHOTOS, tmp_path, False, tmp_path / "ids", {"near": 0.8, "far": 12.0})
+            app(["masks", *words, "-o", "ids"], standalone_mode=False)
     after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     assert after == before
     assert sorted(f.name for f in tmp_path.iterdir()) == ["ids", "kept", "transforms.json", *PHOTOS]

@@ -9,7 +9,7 @@ import pytest
 from command import run
 from PIL import Image
 
-from flows.cli.field import word_to_ask
+from flows.cli.build import choose_word
 from slgaussian.benchmark import pictures
 from slgaussian.field import SemanticField
 from slgaussian.viewer.page.scene_page import scene_page
@@ -120,10 +120,10 @@ def test_a_view_and_the_command_segment_alike(field, folder, tmp_path, ask):
 
 
 def test_what_is_proposed_is_found(field):
-    assert field.render(next(iter(field.cameras.values()))).query(word_to_ask(field)).found
+    assert field.render(next(iter(field.cameras.values()))).query(choose_word(field)).found
     # Of what is removed nothing is proposed.
     ids = [thing.id for thing in field.inventory()]
-    assert word_to_ask(field.without(ids)) is None
+    assert choose_word(field.without(ids)) is None
 
 
 @contextmanager

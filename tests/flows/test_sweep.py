@@ -4,9 +4,8 @@ import json
 
 import pyarrow.parquet as pq
 import pytest
-from command import run, said, save_photographs, score
+from command import score
 
-from flows.cli.benchmark import held_out, scene_of_photographs
 from flows.settings import make_settings
 from flows.sweep import combinations
 from slgaussian.errors import InputError
@@ -89,25 +88,3 @@ def test_what_is_the_run_itself_is_left_out():
     values = {"rooms": "0", "sweep": ["replicas=1,5", "keep=needed,all"]}
     names = [one.name for one in combinations(make_settings(values, "test"))]
     assert "slgaussian, replicas=5, keep=needed" not in names and len(names) == 3
-
-
-@pytest.mark.parametrize(
-    ("names", "middle", "context", "targets"),
-    [
-        ("ab", False, "ab", ""),
-        ("abc", False, "ab", "c"),
-        ("abcd", True, "abd", "c"),
-    ],
-)
-def test_which_photograph_is_held_out(names, middle, context, targets):
-    assert held_out(names, middle) == (list(context), list(targets))
-
-
-def test_photographs_of_ones_own_are_a_scene(monkeypatch, capsys, tmp_path):
-    folder = save_photographs(tmp_path)
-    photos = [folder / f"view_0{k}.png" for k in (0, 2)]
-    scene = scene_of_photographs([str(photo) for photo in photos], folder)
-    assert scene.targets == []
-    words = ["benchmark", "--cameras", folder / "transforms.json", "-o", tmp_path / "out"]
-    assert run(monkeypatch, *words) == 2
-    assert "is given without photographs" in said(capsys)

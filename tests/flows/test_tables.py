@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
-from flows.cli.tables import scores_tables
+from flows.cli.score_tables import scenes_text
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
+    "dataset": "x",
     "frame": "f",
     "method": "m",
     "protocol": "slgaussian@2",
@@ -28,13 +29,13 @@ def result_of(scene, *ious):
 
 
 def test_the_mean_has_an_interval_and_says_by_what():
-    lines = scores_tables([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
+    lines = scenes_text([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
         ["scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
         ["b", "0.900", "20.0"],
         ["mean", "0.600", "20.0"],
-        ["95", "%", "0.300-0.900", "-"],
+        ["95", "%", "0.300-0.900", "–"],
     ]
     assert lines[-1] == (
         "by slgaussian@2 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
@@ -43,26 +44,26 @@ def test_the_mean_has_an_interval_and_says_by_what():
 
 
 def test_one_scene_has_no_interval_and_no_scene_no_numbers():
-    *_, interval, by = scores_tables([result_of("a", 0.5)]).splitlines()
-    assert interval.split() == ["95", "%", "-", "-"]
+    *_, interval, by = scenes_text([result_of("a", 0.5)]).splitlines()
+    assert interval.split() == ["95", "%", "–", "–"]
     assert by.endswith("1 sample of 1 scene; one scene: no interval")
     unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {}, {})
-    assert len(scores_tables([unasked]).splitlines()) == 3
-    assert scores_tables([]) == ""
+    assert len(scenes_text([unasked]).splitlines()) == 3
+    assert scenes_text([]) == ""
 
 
 def test_data_sets_and_methods_are_kept_apart():
     ours = [replace(result_of("a", 0.5), dataset="x"), replace(result_of("b", 0.1), dataset="y")]
     other = replace(result_of("a", 0.25), dataset="x", method="other")
     other.rows[:] = [row | {"method": "other"} for row in other.rows]
-    first, methods, second = scores_tables([*ours, other]).split("\n\n")
+    first, methods, second = scenes_text([*ours, other]).split("\n\n")
     assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
     *lines, by = methods.splitlines()
     assert [line.split() for line in lines] == [
-        ["x", "IoU", "95", "%"], ["m", "0.500", "-"], ["other", "0.250", "-"]
+        ["x", "IoU"], ["m", "0.500"], ["other", "0.250"]
     ]  # fmt: skip
     assert by.startswith("by slgaussian@2 (near-best, share 0.7") and by.endswith("no interval")
     assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]
     # Nothing to compare methods by.
     bare = [replace(result, rows=[]) for result in (ours[0], other)]
-    assert len(scores_tables(bare).split("\n\n")) == 1
+    assert len(scenes_text(bare).split("\n\n")) == 1

@@ -1,5 +1,8 @@
-"""The commands `slgaussian store gc | verify | du`. Heavy imports wait until one is given."""
+"""The commands `slgaussian inspect` and `slgaussian store gc | verify | du`."""
 
+from __future__ import annotations
+
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +13,6 @@ import typer
 
 from flows.cli import options
 from flows.cli.help import Group
-from flows.cli.text import aligned
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +20,37 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = typer.Typer(cls=Group, help="Look after a store: clean it, check it, measure it.")
+store_app = typer.Typer(
+    name="store", cls=Group, help="Look after a store: clean it, check it, measure it."
+)
+
+
+def inspect(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to inspect.")],
+    as_json: options.AsJson = False,
+) -> None:
+    """Show the data spec, origin and digest of a file, and check it.
+
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors) or JSON, or a folder, such as a
+    field or the results of a run, file by file. The exit status is 1 if a file is damaged or not
+    what its spec says.
+
+    \b
+    slgaussian inspect results/samples.parquet
+    slgaussian inspect results/fields/kitchen --json
+    """
+    from slgaussian.storage import inspection
+
+    files = inspection.inspect(path)
+    if as_json:
+        typer.echo(json.dumps(files, indent=1, ensure_ascii=False))
+    for file in [] if as_json else files:
+        state = "BAD" if file["problem"] else file["spec"]
+        typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")
+        typer.echo(f"  {file['problem'] or file['meaning']}")
+        for name, value in file["made"].items():
+            typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
+    raise typer.Exit(any(file["problem"] for file in files))
 
 
 @store_app.command()
@@ -28,7 +60,7 @@ def gc(
         bool, typer.Option("--yes", help="Remove it. Otherwise it is only listed.")
     ] = False,
     age: Annotated[
-        float, typer.Option(help="Days; what was written since then stays, whatever it is.")
+        float, typer.Option(min=0, help="Days; what was written since then stays, whatever it is.")
     ] = 1.0,
     superseded: Annotated[
         bool,
@@ -56,20 +88,20 @@ def gc(
     slgaussian store gc --store s3://bucket/slg --yes
     slgaussian store gc --superseded --keep corpus/lessons.parquet --age 7 --yes
     """
-    if age < 0:
-        raise InputError(f"--age: found {age:g}, expected a number of days from 0")
+    from rich.filesize import decimal
+
     from slgaussian.storage.housekeeping import collect
 
-    versions = _versions() if superseded else None
-    with _opened(store) as (opened, tell):
-        garbage = collect(opened, age * DAY, versions, keep or (), yes, tell)
+    stages = _stage_versions() if superseded else None
+    with _opened(store) as (opened, progress):
+        garbage = collect(opened, age * DAY, stages, keep or (), yes, progress)
     kinds = {
         "artifacts that nothing refers to": garbage.artifacts,
         "records that are superseded or unreadable": garbage.records,
         "unfinished files": garbage.unfinished,
     }
     some = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    size = f"; {size_text(garbage.bytes)}" if some else ""
+    size = f"; {decimal(garbage.bytes)}" if some else ""
     typer.echo(f"{'removed' if yes else 'would be removed'}: {some or 'nothing'}{size}")
     young = f", {garbage.young} others younger than {age:g} days" if garbage.young else ""
     typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
@@ -93,24 +125,22 @@ def verify(
     slgaussian store verify
     slgaussian store verify --store s3://bucket/slg --remove
     """
-    from slgaussian.storage.housekeeping import verify as verify_store
+    from slgaussian.storage import housekeeping
 
-    with _opened(store) as (opened, tell):
-        found = verify_store(opened, remove, _versions(), tell)
-    for reason in found.damaged.values():
+    with _opened(store) as (opened, progress):
+        state = housekeeping.verify(opened, remove, _stage_versions(), progress)
+    for reason in state.damaged.values():
         typer.echo(f"damaged: {reason}")
-    done = " and removed: the next run makes them again" if found.damaged and remove else ""
-    typer.echo(f"{found.sound} artifacts are whole, {len(found.damaged)} files are damaged{done}")
-    if found.missing:
+    done = " and removed: the next run makes them again" if state.damaged and remove else ""
+    typer.echo(f"{state.sound} artifacts are whole, {len(state.damaged)} files are damaged{done}")
+    if state.missing:
+        typer.echo(f"{state.missing} artifacts are missing; a run that needs one makes it")
+    if state.superseded:
         typer.echo(
-            f"{found.missing} artifacts are not there any more; a run that needs one makes it"
-        )
-    if found.superseded:
-        typer.echo(
-            f"{found.superseded} artifacts were made by other versions of the stages, and nothing "
+            f"{state.superseded} artifacts were made by other versions of the stages, and nothing "
             "reads them any more; `slgaussian store gc --superseded` removes them"
         )
-    if found.damaged and not remove:
+    if state.damaged and not remove:
         typer.echo("give --remove to delete them: the next run makes them again")
         raise typer.Exit(1)
 
@@ -123,30 +153,25 @@ def du(store: options.Store = None) -> None:
     slgaussian store du
     slgaussian store du --store s3://bucket/slg
     """
+    from rich.filesize import decimal
+
+    from flows.cli.tables import table_text
     from slgaussian.storage.housekeeping import usage
 
-    with _opened(store) as (opened, tell):
-        rows = usage(opened, tell)
+    with _opened(store) as (opened, progress):
+        rows = usage(opened, progress)
     total = [sum(column) for column in zip(*rows.values(), strict=True)] or [0, 0]
     lines = [["folder", "made by", "files", "size"]]
     for (folder, maker), (files, size) in [*rows.items(), (("all", ""), total)]:
-        lines.append([folder or ".", maker or "-", f"{files}", size_text(size)])
-    typer.echo(aligned(lines, "<<"))
-
-
-def size_text(size: float) -> str:
-    """Return bytes as people read them."""
-    units = ["bytes", "kB", "MB", "GB", "TB"]
-    while size >= 999.5 and len(units) > 1:
-        size /= 1000
-        del units[0]
-    return f"{size:.0f} {units[0]}" if units[0] == "bytes" else f"{size:.3g} {units[0]}"
+        lines.append([folder or ".", maker or "-", f"{files}", decimal(size)])
+    typer.echo(table_text(lines, "<<"))
 
 
 @contextmanager
-def _opened(url: str | None) -> "Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]":
+def _opened(url: str | None) -> Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]:
     """Open a store; on a terminal, show how far a long walk through it is."""
     from rich.console import Console
+    from rich.filesize import decimal
 
     from flows.settings import make_settings
     from slgaussian.storage.store import ArtifactStore
@@ -157,15 +182,15 @@ def _opened(url: str | None) -> "Iterator[tuple[ArtifactStore, Callable[[str, in
     counts, sizes = Counter[str](), Counter[str]()
     with Console(stderr=True).status(f"reading {store.root}") as status:
 
-        def tell(kind: str, files: int, size: int) -> None:
+        def progress(kind: str, files: int, size: int) -> None:
             counts[kind] += files
             sizes[kind] += size
-            status.update(f"{counts[kind]} {kind}, {size_text(sizes[kind])}")
+            status.update(f"{counts[kind]} {kind}, {decimal(sizes[kind])}")
 
-        yield store, tell
+        yield store, progress
 
 
-def _versions() -> dict[str, int]:
+def _stage_versions() -> dict[str, int]:
     """Return the version of every stage that this installation has."""
     from importlib import import_module
     from pkgutil import iter_modules
@@ -174,5 +199,5 @@ def _versions() -> dict[str, int]:
     from tasks.stage import Stage
 
     modules = [import_module(f"tasks.{module.name}") for module in iter_modules(tasks.__path__)]
-    found = (one for module in modules for one in vars(module).values() if isinstance(one, Stage))
-    return {stage.name: stage.version for stage in found}
+    stages = (one for module in modules for one in vars(module).values() if isinstance(one, Stage))
+    return {stage.name: stage.version for stage in stages}

@@ -1,0 +1,345 @@
+"""The commands `slgaussian query | segment | words`. Heavy imports wait until one is given."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flows.cli import options
+from flows.settings import Method
+from slgaussian.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from slgaussian.field import FieldView
+    from slgaussian.language.query import QueryResult
+
+VERDICTS = ("found", "not sure", "not here")
+"""Best first."""
+
+NOTHING = "no text fits"
+"""Label of pixels that fit no text better than the canonical phrases."""
+
+
+def query(
+    ctx: typer.Context,
+    field: options.Folder,
+    texts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="TEXT", help='What to look for, as "red basket".'),
+    ] = None,
+    like: Annotated[
+        list[Path] | None, typer.Option(help="Look for what a picture shows; may be repeated.")
+    ] = None,
+    view: options.Views = None,
+    between: options.Between = None,
+    camera: options.CameraFile = None,
+    preset: options.Preset = None,
+    threshold: options.Threshold = None,
+    words: options.Words = None,
+    set_: options.Set = None,
+    out: options.Picture = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Ask a field where something is, in words or by a picture.
+
+    Takes the objects that fit the text about as well as the best one does, and none if no object
+    fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
+    Says how likely that is right. The exit status is 0 if each text is found in a view, 3 if one is
+    not sure or not here in all, 1 if one is refused.
+
+    \b
+    slgaussian query field/ "red basket" -o hit.png
+    slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
+    slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
+    slgaussian query field/ --like crop.png --set share=0.8 -o hit.png
+    """
+    from flows.cli.open_field import open_field, render_view, sort_texts
+    from flows.cli.pictures import check_picture, write_picture
+    from flows.cli.viewpoints import choose_viewpoints
+
+    texts = texts or []
+    if not texts and not like:
+        raise InputError("nothing is asked: give a TEXT, or a picture with --like")
+    if out is not None:
+        check_picture(out)
+    rules, opened = open_field(field, options.settings_from(ctx, Method, preset=preset), words)
+    crops = {str(file): _read_crop(file) for file in like or ()}
+    asked, refused = sort_texts(opened, texts)
+    answers, rows = [], []
+    for viewpoint in choose_viewpoints(field, opened.cameras, view, camera, between):
+        seen = render_view(field, opened, viewpoint.camera)
+        results = seen.query_all(asked, **rules) if asked else []
+        results += [replace(seen.like(*crop, **rules), text=file) for file, crop in crops.items()]
+        hits = {hit.text: hit for hit in results}
+        for text in [*texts, *crops]:
+            answer = _answer(text, hits.get(text), refused.get(text))
+            picture = None if out is None else str(out)
+            answers.append({"view": viewpoint.name, **answer, "picture": picture})
+        if out is not None:
+            rows += [_hit_picture(viewpoint.caption, seen, hit) for hit in hits.values()]
+    if out is not None:
+        write_picture(out, *rows)
+    if as_json:
+        typer.echo("\n".join(map(json.dumps, answers)))
+    else:
+        blocks = (_describe(answer, len(answers) > 1) for answer in answers)
+        typer.echo("\n\n".join(dict.fromkeys(blocks)))
+        if out is not None:
+            typer.echo(f"picture  {out}")
+    if refused:
+        raise typer.Exit(1)
+    hit_texts = {answer["text"] for answer in answers if answer["found"]}
+    raise typer.Exit(0 if hit_texts == {answer["text"] for answer in answers} else 3)
+
+
+def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str, Any]:
+    """Return what ``--json`` prints of a text in a view, beside the view and the picture.
+
+    ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``; None if
+    refused), ``summary`` of both in a line, ``confidence`` (``mask``, ``point``) or None, for what
+    that is ``uncalibrated`` or None, ``score``, ``point`` [x, y] and ``pixels`` of the mask, None
+    and 0 if it is not here, ``objects`` (``id``, ``relevancy``), of what is not here those most
+    like it, what the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: reason), who
+    answered (``kind``: ``known``, ``named``, ``taught``, ``unknown``, ``picture``) by how many
+    ``examples``, what a name or a taught word would mean otherwise (``instead_of``), and why it was
+    ``refused`` or None.
+    """
+    answer: dict[str, Any] = {
+        "text": text,
+        "found": False,
+        "verdict": None,
+        "summary": f"refused: {refused}",
+        "confidence": None,
+        "uncalibrated": None,
+        "score": None,
+        "point": None,
+        "objects": [],
+        "pixels": 0,
+        "read_as": None,
+        "unknown": [],
+        "unused": {},
+        "kind": "unknown",
+        "examples": 0,
+        "instead_of": None,
+        "refused": refused,
+    }
+    if hit is None:
+        return answer
+    here = hit.verdict != "not here"
+    return answer | {
+        "found": hit.found,
+        "verdict": hit.verdict,
+        "summary": hit.summary,
+        "confidence": None if hit.confidence is None else asdict(hit.confidence),
+        "uncalibrated": hit.uncalibrated or None,
+        "score": hit.score,
+        "point": list(hit.point) if here and hit.point is not None else None,
+        "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
+        "pixels": int(hit.mask.sum()) if here else 0,
+        "read_as": hit.understood.read_as,
+        "unknown": list(hit.unknown),
+        "unused": dict(hit.understood.unused),
+        "kind": hit.kind,
+        "examples": hit.understood.examples,
+        "instead_of": hit.understood.instead_of or None,
+    }
+
+
+def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
+    """Return an answer for people, a line each for what it says."""
+    if answer["refused"]:
+        return f"{answer['text']!r} is {answer['summary']}"
+    lines = [f"{answer['text']!r} in {answer['view']}"] if with_title else []
+    lines.append(answer["summary"])
+    if answer["point"] or answer["objects"]:
+        ids = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
+        lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
+        if answer["point"]:
+            lines.append("point  x {}, y {}".format(*answer["point"]))
+        lines.append(f"{'objects' if answer['point'] else 'most like it'}  {ids or 'none'}")
+    return "\n".join([*lines, *_describe_words(answer)])
+
+
+def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
+    """Return which words of a text count for its answer, if not all do."""
+    if answer["kind"] == "picture":
+        return ["asked by picture"]
+    if answer["kind"] in ("named", "taught"):
+        count, encoder_words = answer["examples"], answer["instead_of"]
+        lines = [f"a taught word: {count} example{'' if count == 1 else 's'}"]
+        if answer["kind"] == "named":
+            lines = ["a name that you gave"]
+        return lines + ([f"not as the encoder knows it: {encoder_words}"] if encoder_words else [])
+    lines = []
+    if answer["unknown"]:
+        lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
+    for reason in dict.fromkeys(answer["unused"].values()):
+        unused = [word for word, other in answer["unused"].items() if other == reason]
+        lines.append(f"set aside: {', '.join(unused)} ({reason})")
+    return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
+
+
+def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read a photograph, upright, uint8 [H, W, 3]; where it is opaque, bool [H, W], if not all."""
+    import numpy as np
+    from PIL import ImageOps
+
+    from slgaussian.formats import images
+
+    try:
+        with images.opened(file) as image:
+            pixels = np.asarray(ImageOps.exif_transpose(image).convert("RGBA"))
+    except (OSError, ValueError) as error:
+        raise images.unreadable(file, error) from None
+    opaque = pixels[..., 3] >= 128
+    if not opaque.any():
+        raise InputError(f"{file}: is transparent everywhere; give a picture that shows a thing")
+    return np.ascontiguousarray(pixels[..., :3]), None if opaque.all() else opaque
+
+
+def _hit_picture(caption: str, view: FieldView, hit: QueryResult) -> np.ndarray:
+    """Draw the view, the relevancy of a text, and the mask and point of its answer."""
+    from slgaussian.benchmark import pictures
+
+    answer = view.rgb
+    if hit.verdict == "found":
+        outlined = pictures.draw_outline(answer, hit.mask, pictures.PREDICTED)
+        answer = pictures.draw_point(outlined, hit.point)
+    elif hit.verdict == "not sure":
+        answer = pictures.draw_dashed(answer, hit.mask, pictures.PREDICTED)
+    relevancy = pictures.paint_relevancy(hit.relevancy, view.rgb)
+    panels = [(caption, view.rgb), (f"relevancy of {hit.text!r}", relevancy), (hit.summary, answer)]
+    return pictures.side_by_side(panels)
+
+
+def segment(
+    ctx: typer.Context,
+    field: options.Folder,
+    texts: Annotated[
+        list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+    ],
+    view: options.Views = None,
+    between: options.Between = None,
+    camera: options.CameraFile = None,
+    threshold: options.Threshold = None,
+    words: options.Words = None,
+    set_: options.Set = None,
+    out: options.Picture = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Give each object in view the text that fits it best.
+
+    What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
+    moves that bound from 0.5. Prints a row a text: its label, its share of the pixels, how well it
+    fits them on average, what a query for it alone says, and its objects. The exit status is 1 if a
+    text is refused.
+
+    -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
+    bits, whose pixels are labels, 1 for the first text and 0 for none.
+
+    \b
+    slgaussian segment field/ wall floor "red sofa" -o labels.png
+    slgaussian segment field/ wall floor "red sofa" --between 0 1 0.5 --json
+    """
+    import numpy as np
+
+    from flows.cli.open_field import open_field, refusals, render_view, sort_texts
+    from flows.cli.pictures import check_picture, write_picture
+    from flows.cli.tables import table_text
+    from flows.cli.viewpoints import choose_viewpoints
+    from slgaussian.io import write_file
+    from slgaussian.masks.precomputed import encode_ids
+
+    if out is not None:
+        check_picture(out)
+    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    asked, refused = sort_texts(opened, texts)
+    viewpoints = choose_viewpoints(field, opened.cameras, view, camera, between)
+    if out is not None and len(viewpoints) > 1:
+        raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
+    # A text has the label of its place among all texts, from 1.
+    numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
+    pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
+    objects: list[set[int]] = [set() for _ in pixels]
+    verdicts: list[set[str | None]] = [set() for _ in pixels]
+    for viewpoint in viewpoints:
+        seen = render_view(field, opened, viewpoint.camera)
+        hits = seen.query_all(asked, **rules)
+        for number, hit in zip(numbers[1:], hits, strict=True):
+            verdicts[number].add(hit.verdict)
+        best = np.stack([hit.relevancy for hit in hits]).max(0)
+        labels = numbers[seen.segment(asked, **rules)]
+        pixels += np.bincount(labels.ravel(), minlength=len(pixels))
+        total += np.bincount(labels.ravel(), best.ravel(), minlength=len(pixels))
+        for label in np.unique(labels):
+            objects[label].update(np.unique(seen.ids[labels == label]).tolist())
+        if out is not None:
+            entries = {int(number): texts[number - 1] for number in numbers[1:]} | {0: NOTHING}
+            write_picture(out, _labels_picture(viewpoint.caption, seen, labels, entries))
+            write_file(out.with_suffix(".ids.png"), encode_ids(labels)[1])
+    rows: list[dict[str, Any]] = [
+        {
+            "text": texts[label - 1] if label else None,
+            "label": int(label),
+            "share": pixels[label] / pixels.sum(),
+            "relevancy": total[label] / pixels[label] if pixels[label] else None,
+            "verdict": next((v for v in VERDICTS if v in verdicts[label]), None),
+            "objects": sorted(objects[label] - {0}),
+        }
+        for label in [*numbers[1:], 0]
+    ]
+    lines = [("label", "text", "pixels", "relevancy", "verdict", "objects"), *map(_cells, rows)]
+    rows += [{"text": text, "refused": reason} for text, reason in refused.items()]
+    if as_json:
+        typer.echo("\n".join(map(json.dumps, rows)))
+    else:
+        typer.echo("\n".join([table_text(lines, "><>><<"), *refusals(rows)]))
+        if out is not None:
+            typer.echo(f"picture  {out}\nlabels   {out.with_suffix('.ids.png')}")
+    raise typer.Exit(1 if refused else 0)
+
+
+def _cells(row: Mapping[str, Any]) -> Sequence[str]:
+    text = NOTHING if row["text"] is None else row["text"]
+    mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
+    share, ids = f"{100 * row['share']:.1f} %", ", ".join(map(str, row["objects"]))
+    return str(row["label"]), text, share, mean, row["verdict"] or "", ids
+
+
+def _labels_picture(
+    caption: str, view: FieldView, labels: np.ndarray, entries: Mapping[int, str]
+) -> np.ndarray:
+    """Draw the view and its labels int32 [H, W], with a legend of their texts."""
+    import numpy as np
+
+    from slgaussian.benchmark import pictures
+
+    painted = pictures.spotlight(pictures.paint_labels(labels, view.rgb), labels > 0)
+    row = pictures.side_by_side([(caption, view.rgb), ("the text that fits", painted)])
+    legend = [
+        (pictures.label_colors(np.array(label)), f"{text}  {100 * (labels == label).mean():.1f} %")
+        for label, text in entries.items()
+    ]
+    return pictures.with_legend(row, legend)
+
+
+def words() -> None:
+    """List the words that the encoder lexicon knows.
+
+    By family, with synonyms in brackets.
+
+    \b
+    slgaussian words
+    """
+    from slgaussian.language.vocabulary import load_vocabulary
+
+    for family, spellings in load_vocabulary().families().items():
+        listed = (f"{name} ({', '.join(o)})" if o else name for name, o in spellings.items())
+        typer.echo(f"{family}: {', '.join(listed)}")

@@ -1,0 +1,309 @@
+"""The commands `slgaussian demo | field | cameras | masks`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flows.cli import options
+from flows.cli.run import run_scenes
+from flows.settings import make_settings
+from slgaussian import __version__
+from slgaussian.errors import InputError
+
+if TYPE_CHECKING:
+    from slgaussian.cameras.found import FoundCameras
+    from slgaussian.datasets.sparse import SparseModel
+    from slgaussian.field import SemanticField
+
+MAKER = "Cameras found from photographs by slgaussian"
+MASKS = "masks.json"
+"""File of a folder of masks with what made them."""
+LOOK = "look.jpg"
+"""A picture for people. Not a PNG, so that no view is called like it."""
+
+
+def demo(
+    ctx: typer.Context,
+    out: options.Out = Path("slg-demo"),
+    preset: options.Preset = None,
+    encoder: options.Encoder = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Try everything on scenes that come with the installation.
+
+    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes
+    one or two minutes, leaves a report and a field of every scene, and ends with a command that
+    asks one. Run it again, and what is unchanged comes from the store.
+
+    \b
+    slgaussian demo
+    slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
+    slgaussian demo --preset fast --store /data/slg -o fast
+    """
+    from flows.demo import demo_scenes
+
+    values = options.settings_from(ctx, scenes=demo_scenes())
+    run_scenes("demo", make_settings(values, "demo"), verbose)
+
+
+def field(
+    ctx: typer.Context,
+    photos: options.Photos,
+    cameras: options.Cameras = None,
+    refine: options.Refine = False,
+    keyframes: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
+    ] = None,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    encoder: options.Encoder = None,
+    set_: options.Set = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
+) -> None:
+    """Build a field from two or more photographs.
+
+    A field is a folder with the scene as Gaussians and what words need to find its objects.
+    `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
+    first two are 1 apart.
+
+    \b
+    slgaussian field a.jpg b.jpg -o field/
+    slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
+    slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
+    """
+    from flows.cli.photographs import load_photographs
+    from slgaussian import ahead
+    from slgaussian.build import build_field
+    from slgaussian.cameras.quality import Quality
+    from slgaussian.storage.account import Account
+    from slgaussian.storage.field_folder import check_target
+    from slgaussian.storage.inputs import describe_photographs
+
+    settings = make_settings(options.settings_from(ctx), "field")
+    check_target(out)  # before the work
+    start = time.perf_counter()
+    sample, places = load_photographs(photos, cameras, refine, settings, keyframes)
+    seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
+    ahead.begin()
+    height, width = sample.context[0].image.shape[:2]
+    names = ", ".join(component.name for component in settings.built_by.components)
+    views = f"{len(sample.context)} views of {width}x{height}"
+    typer.echo(f"building a field from {views} with {names}", err=True)
+    built = build_field(sample, settings.built_by, settings.trust_cameras, seconds.__setitem__)
+    built.save(out, describe_photographs(places))
+    quality, account = Quality(**built.settings["quality"]), Account.of(built.settings)
+    size_text = f"{len(built.gaussians)} Gaussians, {len(built.bank)} objects"
+    lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
+    lines += [f"warning: {warning}" for warning in quality.warnings()]
+    lines += [quality.summary(), *([] if account is None else account.lines())]
+    lines.append(f"seconds: {', '.join(f'{step} {taken:.2f}' for step, taken in seconds.items())}")
+    if (word := choose_word(built)) is not None:
+        command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]
+        lines.append(f"ask it: {shlex.join(command)}")
+    lines.append(f"look at it: {shlex.join(['slgaussian', 'view', str(out)])}")
+    typer.echo("\n".join(lines), err=True)
+    typer.echo(out)
+
+
+def choose_word(field: SemanticField) -> str | None:
+    """Choose the common thing that a query finds most surely in the first view; None if none is."""
+    from slgaussian.things import COMMON_THINGS
+
+    if field.settings["encoder"] != "lexicon":  # nobody measured how sure others are
+        return None
+    view = field.render(next(iter(field.cameras.values())))
+    sure = {
+        hit.text: hit.confidence.mask
+        for hit in view.query_all(COMMON_THINGS)
+        if hit.found and hit.confidence is not None
+    }
+    return max(sure, key=sure.__getitem__, default=None)
+
+
+def cameras(
+    photos: options.Photos,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out", "-o", help="transforms.json, or a folder ending in / for a COLMAP model."
+        ),
+    ] = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Find the cameras of photographs.
+
+    Prints a row for each pair: matches, those that its pose explains, degrees between the lines of
+    sight, by how many degrees the pose may be off, and a verdict. The world is the first camera's;
+    the first two are 1 apart. A transforms.json says all this too, and `--cameras` reads it.
+
+    \b
+    slgaussian cameras a.jpg b.jpg
+    slgaussian cameras photos/ -o transforms.json
+    slgaussian cameras photos/ -o model/
+    slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
+    """
+    from flows.cli.photographs import report_cameras
+    from slgaussian.datasets import nerfstudio, sparse, unposed
+
+    place = None if out is None else Path(out)
+    model = place is not None and (str(out).endswith("/") or place.is_dir())
+    if place is not None:
+        _check_place(place, model)
+    files = unposed.named(photos)
+    estimate = unposed.find(files)
+    if place is not None:
+        if model:
+            sparse.write_text(place, _model(estimate), f"{MAKER} {__version__}.")
+        else:
+            nerfstudio.write(place, files, estimate)
+        turned = [name for name, file in files.items() if unposed.is_turned(file)]
+        if turned:
+            more = f" and {len(turned) - 1} more" if turned[1:] else ""
+            typer.echo(
+                f"warning: {turned[0]}{more} are stored turned, and the cameras are those of "
+                "upright photographs: for programs that do not turn them, save upright copies",
+                err=True,
+            )
+    report_cameras(estimate)
+    typer.echo(json.dumps(estimate.as_json()) if as_json else _pairs_text(estimate))
+    if out is not None and not as_json:
+        typer.echo(out)
+
+
+def _check_place(place: Path, model: bool) -> None:
+    """Make the folder, and check that a file that is there was written by this command."""
+    from slgaussian.datasets.nerfstudio import OWN
+
+    file, mark = (place / "cameras.txt", f"# {MAKER}") if model else (place, f'"{OWN}"')
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        ours = not file.exists() or mark.encode() in file.read_bytes()
+    except OSError as error:
+        message = f"{place}: cannot be written ({error.strerror}); choose another"
+        raise InputError(message) from None
+    if not ours:
+        raise InputError(
+            f"{file}: is there already, and not written by `slgaussian cameras`; choose another "
+            "place, or remove it"
+        )
+
+
+def _pairs_text(estimate: FoundCameras) -> str:
+    """Tabulate the pairs of photographs: matches, those that agree, angles and a verdict."""
+    from flows.cli.tables import table_text
+
+    place = {name: number for number, name in enumerate([*estimate.cameras, *estimate.left_out])}
+    rows: list[Sequence[str]] = [("pair", "matches", "agree", "angle", "off by", "verdict")]
+    for pair in sorted(estimate.pairs, key=lambda pair: [place[name] for name in pair.views]):
+        angles = (f"{a:.1f}" if isfinite(a) else "" for a in (pair.angle, pair.uncertainty))
+        verdict = pair.verdict + (f": {pair.said}" if pair.said else "")
+        views = " - ".join(pair.views)
+        rows.append((views, str(pair.matches), str(pair.inliers), *angles, verdict))
+    return table_text(rows, "<>>>><")
+
+
+def _model(estimate: FoundCameras) -> SparseModel:
+    """Return a COLMAP model: a camera for each photograph, and the points that were matched."""
+    import numpy as np
+
+    from slgaussian.datasets import sparse
+
+    cameras, images = {}, {}
+    for number, (name, camera) in enumerate(estimate.cameras.items(), 1):
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        k1 = estimate.k1[name]
+        lens = (k1, 0.0, 0.0, 0.0) if k1 else ()
+        kind, size = "OPENCV" if lens else "PINHOLE", (camera.width, camera.height)
+        cameras[number] = sparse.SparseCamera(kind, *size, (fx, fy, cx, cy, *lens))
+        images[number] = sparse.SparseImage(name, number, camera.w2c)
+    return sparse.SparseModel(cameras, images, estimate.points, np.zeros((0, 2), np.int64))
+
+
+def masks(
+    ctx: typer.Context,
+    photos: options.Photos,
+    cameras: options.Cameras = None,
+    refine: options.Refine = False,
+    preset: options.Preset = None,
+    size: options.Size = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    set_: options.Set = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
+) -> None:
+    """Label the objects of photographs, alike in all views.
+
+    Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
+    look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
+
+    \b
+    slgaussian masks a.jpg b.jpg -o ids/
+    slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
+    slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
+    """
+    from flows.cli.photographs import load_photographs
+    from flows.cli.tables import table_text
+    from slgaussian.benchmark import pictures
+    from slgaussian.build import predict
+    from slgaussian.geometry import SceneGeometry
+    from slgaussian.io import atomic_folder
+    from slgaussian.masks.associate import associate
+    from slgaussian.masks.precomputed import encode_ids, map_names
+    from slgaussian.storage.field_folder import check_target
+
+    method = make_settings(options.settings_from(ctx), "masks")
+    check_target(out, MASKS, "a folder of masks")  # before the work
+    sample, _ = load_photographs(photos, cameras, refine, method)
+    names = map_names([view.name for view in sample.context])
+    components = [method.part(kind) for kind in ("predictor", "proposer", "tracker")]
+    proposing, tracking = (component.load() for component in components[1:])
+    height, width = sample.context[0].image.shape[:2]
+    views = f"{len(names)} views of {width}x{height}"
+    typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
+    start = time.perf_counter()
+    gaussians = predict(sample, components[0], method.seed, method.trust_cameras).gaussians
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    maps = associate(geometry.seen, proposing, tracking, method.replicas)
+    typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
+
+    files, panels = {}, []
+    rows = [("view", "file", "objects", "labelled")]
+    with atomic_folder(out) as draft:
+        for view, ids, areas in zip(sample.context, maps.labels, maps.areas().T, strict=True):
+            suffix, data = encode_ids(ids)
+            files[view.name] = names[view.name] + suffix
+            file = draft / files[view.name]
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+            painted = pictures.paint_labels(ids, view.image)
+            panels += [(view.name, view.image), ("objects", painted)]
+            labelled = f"{100 * (ids > 0).mean():.1f} %"
+            rows.append((view.name, files[view.name], str((areas > 0).sum()), labelled))
+        look = pictures.side_by_side(panels)
+        (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
+        about: dict[str, Any] = {c.kind: c.name for c in components}
+        about |= {"replicas": method.replicas}
+        about |= {c.name: c.identity() for c in components if c.settings}
+        text = {"size": [height, width], "views": files, "settings": about}
+        (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
+    typer.echo(table_text(rows, "<<"))
+    shared = len(maps.ids) - len(maps.seen_once)
+    typer.echo(f"{len(maps.ids)} objects, {shared} of them in several views\n{out}")

@@ -1,0 +1,183 @@
+"""The commands `slgaussian ingest | supervise | dataset`. Heavy imports wait until one is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import Field
+
+from flows.cli import options
+from flows.cli.run import prepare_prefect, report_left_out, run_flow
+from flows.corpus_settings import (
+    CorpusSettings,
+    PackSettings,
+    PairSettings,
+    Withdrawal,
+    make_corpus_settings,
+)
+from flows.dataset_settings import DatasetSettings, make_dataset_settings
+from flows.settings import Engine, checked
+from slgaussian.errors import InputError
+
+
+class IngestSettings(PackSettings, Withdrawal, PairSettings, Engine):
+    """Sources, which samples are taken of them, and where they go."""
+
+    sources: list[str] = Field(min_length=1)
+    most: int = Field(0, ge=0)
+    out: Path
+
+
+def ingest(
+    ctx: typer.Context,
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE",
+            help="Folder or fsspec URL of .torch chunks; or folders of photographs or camera "
+            "files, and procedural:FIRST-LAST (seeds of rooms).",
+        ),
+    ],
+    out: options.Out,
+    most: options.Most = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Choose samples to learn from in a corpus of chunks.
+
+    Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
+    pairs.parquet (two context and three target views each) and failures.parquet (what could not
+    be used, and why). After new chunks were added, only those are read.
+
+    Sources that are no chunks are first added to OUT/chunks, in the format of RealEstate10K, each
+    scene as a clip with the name of its folder; those that are there are left as they are. The exit
+    status is 1 if something was left out.
+
+    \b
+    slgaussian ingest chunks/train -o corpus
+    slgaussian ingest s3://bucket/re10k/train -o corpus --most 2
+    slgaussian ingest procedural:0-39 office_walk -o corpus --set views=24 --set baseline=1.6
+    """
+    settings = checked(IngestSettings, options.settings_from(ctx, IngestSettings), "ingest")
+    prepare_prefect(settings.store)
+    from flows.clip_sources import check_there, is_chunks
+    from slgaussian.datasets.re10k import INDEX
+
+    check_there(sources)
+    chunks, left_out = sources[0], 0
+    if not any(map(is_chunks, sources)):
+        from flows.packing import pack
+
+        chunks = str(out / "chunks")
+        packed = pack(sources, Path(chunks), settings)
+        left_out = len(packed.left_out)
+        typer.echo(f"{packed.clips} clips in {len(packed.chunks)} new chunks  {chunks}")
+        if left_out:
+            typer.echo(f"left out: {left_out}, each said above", err=True)
+        if not (Path(chunks) / INDEX).exists():
+            raise typer.Exit(1)
+    elif sources[1:]:
+        raise InputError(
+            f"ingest: found {len(sources)} sources, chunks among them; give one folder or URL of "
+            "chunks alone, or sources that are no chunks"
+        )
+    # The size of an ingest is that of made-up rooms, not of samples.
+    fields = CorpusSettings.model_fields.keys() & settings.model_fields_set - {"size"}
+    values = {name: getattr(settings, name) for name in fields} | {"chunks": chunks}
+    _prepare("ingest", make_corpus_settings(values, "ingest"), verbose)
+    if left_out:
+        raise typer.Exit(1)
+
+
+def supervise(
+    ctx: typer.Context,
+    chunks: Annotated[
+        str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
+    ],
+    out: options.Out,
+    size: options.SampleSize = None,
+    predictor: options.Predictor = None,
+    proposer: options.Proposer = None,
+    tracker: options.Tracker = None,
+    most: options.Most = None,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    refresh: options.Refresh = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Label the samples of a corpus: lessons for `train`.
+
+    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, lessons.parquet,
+    and under sheets/ pictures of the labels: look at some. Other masks do not predict Gaussians
+    again.
+
+    \b
+    slgaussian supervise chunks/train -o corpus
+    slgaussian supervise corpus/chunks -o corpus --proposer sam --set sam.model=models/sam
+    """
+    values = options.settings_from(ctx, CorpusSettings)
+    _prepare("supervise", make_corpus_settings(values, "supervise"), verbose)
+
+
+def _prepare(command: str, settings: CorpusSettings, verbose: bool) -> None:
+    """Prepare a corpus, and print its tables and what was left out; exit with 1 if anything was."""
+    prepared = run_flow(command, settings, verbose)
+    from flows.corpus import FILES
+
+    for stage, count in prepared.rows.items():
+        file = settings.out / FILES[stage]
+        typer.echo(f"{count} {file.stem}  {file}")
+    report_left_out(settings.out, prepared.failures)
+
+
+def dataset(
+    ctx: typer.Context,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the training set.")],
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE",
+            help="Folder of photographs, of a scene of any format, of chunks, or of camera files; "
+            "procedural:FIRST-LAST; or PLACE=SOURCE.",
+        ),
+    ],
+    size: options.SampleSize = None,
+    gaussians: Annotated[
+        bool, typer.Option("--gaussians", help="Store the Gaussians too, not depth alone.")
+    ] = False,
+    store: options.Store = None,
+    runner: options.Runner = None,
+    workers: options.Workers = None,
+    refresh: options.Refresh = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Make a training set for any network, as tar shards.
+
+    Images, cameras, depth, labels and language features for `torch.utils.data`, `webdataset` and
+    `datasets`; an index of quality; and a data card. The same again, or with more sources, does
+    only what is new. No place is in two splits. Fields are targets=3 (views between two contexts),
+    min_confirmed=0.0 (least share of the depth that a second view confirms) and held_out=0.2 (share
+    of the places in the split test).
+
+    \b
+    slgaussian dataset set chunks/train kitchen office=walk office=office_two
+    slgaussian dataset set photos --set targets=1 --set min_confirmed=0.5
+    """
+    settings = make_dataset_settings(options.settings_from(ctx, DatasetSettings))
+    written = run_flow("dataset", settings, verbose)
+    from flows.data_card import CARD
+
+    typer.echo(
+        f"{written.samples} samples of {written.places} places in {written.shards} shards, "
+        f"{written.new_shards} of them new, {written.bytes / 1e6:.1f} MB  {out}"
+    )
+    typer.echo(f"card  {out / CARD}")
+    report_left_out(out, written.failures)

@@ -1,0 +1,165 @@
+"""Load the photographs of a command with cameras: given, estimated, or estimated anew."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from flows.settings import Settings
+from slgaussian.cameras.found import FoundCameras
+from slgaussian.datasets import unposed
+from slgaussian.datasets.keyframes import choose_keyframes
+from slgaussian.datasets.recognise import posed_scene
+from slgaussian.datasets.sharpness import blur, glance, small
+from slgaussian.errors import InputError
+from slgaussian.predict.links import usable
+from slgaussian.scene import Camera, Sample, Scene
+
+
+def load_photographs(
+    photos: Sequence[str],
+    cameras: Path | None,
+    refine: bool,
+    settings: Settings,
+    keyframes: int | None = None,
+) -> tuple[Sample, dict[str, str]]:
+    """Load photographs with their cameras, at the size that the settings ask for.
+
+    Prints how cameras were estimated; photographs that could not be placed are left out with a
+    warning.
+
+    Parameters
+    ----------
+    photos : sequence of str
+        Photographs, or a folder of them. With ``cameras``, files that these list, or names of
+        their views.
+    cameras : path, optional
+        Estimated from the photographs if left out.
+    refine : bool
+        Estimate given cameras anew, in the same world.
+    settings : Settings
+    keyframes : int, optional
+        Of more photographs, take so many (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
+
+    Returns
+    -------
+    sample : Sample
+    places : dict str -> str
+        Of all photographs that were taken, also those that could not be placed: paths from the
+        root by name or, where no file was given, names of views.
+
+    Raises
+    ------
+    InputError
+        If anything given cannot be used.
+    """
+    if cameras is None:
+        if refine:
+            raise InputError(
+                "--refine: finds given cameras anew, and none are given; leave it out, or add "
+                "--cameras"
+            )
+        files = unposed.named(photos)
+        if keyframes is not None:
+            looks = [glance(path.read_bytes())[0] for path in files.values()]
+            files = {name: files[name] for name in _keyframes(list(files), looks, keyframes)}
+        estimate = unposed.find(files)
+        report_cameras(estimate)
+        scene = unposed.posed(files, estimate)
+        names = list(scene.cameras)
+    else:
+        scene, folder = posed_scene(cameras, photos)
+        views = find_views(scene, photos, folder)
+        names = [name for name, _ in views]
+        if keyframes is not None:
+            looks = [small(scene.read(name).image) for name in names]
+            names = _keyframes(names, looks, keyframes, [scene.cameras[name] for name in names])
+        files = {name: dict(views)[name] for name in names}
+        if refine:
+            there = {name: file for name, file in files.items() if file.is_file()}
+            scene, estimate = unposed.refined(scene, names, there)
+            report_cameras(estimate)
+            names = list(scene.cameras)
+    places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
+    sample = scene.sample(names, size=settings.size, near=settings.near, far=settings.far)
+    sample, left_out = usable(sample)
+    for name, reason in left_out.items():
+        print(f"warning: {name} is left out: {reason}", file=sys.stderr)
+    return sample, places
+
+
+def report_cameras(estimate: FoundCameras) -> None:
+    """Print how cameras were estimated, and warnings."""
+    for warning in estimate.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(estimate.summary(), file=sys.stderr)
+
+
+def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[str, Path]]:
+    """Find the views of a scene that are named, by their files, folders of these, or view names.
+
+    Of a folder, those in it that have a camera are taken. A photograph that was left out when the
+    cameras were estimated is left out with a warning.
+
+    Parameters
+    ----------
+    scene : Scene
+    photos : sequence of str
+    folder : path
+        From which the views of the scene are named.
+
+    Returns
+    -------
+    list of (str, path)
+        Names of views, and files, which may be missing.
+
+    Raises
+    ------
+    InputError
+        If a photograph, or all in a folder, have no camera.
+    """
+    names = {(folder / name).resolve(): name for name in scene.cameras}
+    left_out = {(folder / name).resolve(): reason for name, reason in scene.left_out.items()}
+    views: list[tuple[str, Path]] = []
+    for photo in photos:
+        place = Path(photo).resolve()
+        # Views may be named without the suffix of their file.
+        name = names.get(place) or names.get(place.parent / place.stem)
+        if place.is_dir():
+            inside = sorted(name for file, name in names.items() if file.is_relative_to(place))
+            if not inside:
+                raise InputError(
+                    f"{photo}: none of the {len(names)} photographs that have a camera lies in "
+                    f"this folder; they are in {folder}"
+                )
+            views += [(name, folder / name) for name in inside]
+        elif place in left_out:
+            print(
+                f"warning: {photo} could not be placed when cameras were found, and is left out: "
+                f"{left_out[place]}",
+                file=sys.stderr,
+            )
+        elif name is None and place.is_file():
+            raise InputError(
+                f"{photo}: no camera for this photograph; {folder} has cameras for {len(names)}, "
+                f"such as {', '.join(list(scene.cameras)[:4])}: give one of them, or add a camera"
+            )
+        else:
+            views.append((name or scene.find(photo), Path(photo)))
+    return views
+
+
+def _keyframes(
+    names: Sequence[str],
+    looks: Sequence[np.ndarray],
+    count: int,
+    cameras: Sequence[Camera] | None = None,
+) -> list[str]:
+    """Choose so many of the views, and print which."""
+    chosen = [names[k] for k in choose_keyframes([blur(look) for look in looks], count, cameras)]
+    some = ", ".join(chosen[:4]) + (", ..." if len(chosen) > 4 else "")
+    print(f"keyframes: {len(chosen)} of {len(names)} photographs, {some}", file=sys.stderr)
+    return chosen

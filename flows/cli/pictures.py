@@ -1,0 +1,97 @@
+"""Write pictures and films in the format that a file's name says: complete, or not at all."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from slgaussian.errors import InputError
+from slgaussian.io import atomic_path, write_file
+
+PICTURES = (".png", ".jpg", ".jpeg")
+FILMS = (".mp4", ".gif")
+
+RATE = 15
+"""Frames a second."""
+
+VP9 = "vp09"
+"""Codec of a .mp4: browsers, VLC and mpv play it, and OpenCV brings its encoder along."""
+
+
+def check_picture(path: Path, kinds: Sequence[str] = PICTURES) -> None:
+    """Check that a file of one of these kinds can be written to ``path``, before the work.
+
+    Raises
+    ------
+    InputError
+        If the name has another suffix, or no file can be made there.
+    """
+    if path.suffix.lower() not in kinds:
+        kind = "picture" if kinds is PICTURES else "film"
+        raise InputError(
+            f"{path}: found {path.suffix or 'no suffix'!r}, expected the name of a {kind} to end "
+            f"in {' or '.join(kinds)}"
+        )
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        reason = "it is a folder" if path.is_dir() else "its folder is not there or not yours"
+        raise InputError(f"{path}: cannot be written ({reason}); name a file in a folder that is")
+
+
+def write_picture(path: Path, *images: np.ndarray) -> None:
+    """Write images uint8 [H, W, 3] below each other as a PNG or JPEG; InputError if it fails."""
+    width = max(image.shape[1] for image in images)
+    sheet = np.concatenate(
+        [
+            np.pad(image, ((0, 0), (0, width - image.shape[1]), (0, 0)), constant_values=255)
+            for image in images
+        ]
+    )
+    out = io.BytesIO()
+    try:
+        if path.suffix.lower() == ".png":
+            Image.fromarray(sheet).save(out, "PNG", compress_level=6)
+        else:
+            Image.fromarray(sheet).save(out, "JPEG", quality=92, subsampling=0)
+    except (OSError, ValueError) as error:  # a JPEG has at most 65,500 rows
+        raise InputError(f"{path}: {width}x{len(sheet)} pixels: {error}") from None
+    write_file(path, out.getvalue())
+
+
+def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
+    """Write images uint8 [H, W, 3] of one size as a GIF or MP4; InputError if it fails."""
+    if path.suffix.lower() == ".gif":
+        # A palette a frame, so that of each only a byte a pixel is held.
+        first, *others = (Image.fromarray(frame).quantize(256) for frame in frames)
+        out, length = io.BytesIO(), round(1000 / RATE)
+        first.save(out, "GIF", save_all=True, append_images=others, duration=length, loop=0)
+        write_file(path, out.getvalue())
+        return
+    import cv2
+
+    with atomic_path(path) as temporary:
+        # OpenCV knows a format by the suffix.
+        draft, written = f"{temporary}{path.suffix}", 0
+        writer = cv2.VideoWriter()
+        try:
+            for frame in frames:
+                if not written:
+                    codec = cv2.VideoWriter_fourcc(*VP9)
+                    writer.open(draft, cv2.CAP_FFMPEG, codec, RATE, frame.shape[1::-1])
+                writer.write(np.ascontiguousarray(frame[..., ::-1]))
+                written += 1
+            writer.release()
+            # OpenCV raises nothing where it fails, so the file is read.
+            if cv2.VideoCapture(draft).get(cv2.CAP_PROP_FRAME_COUNT) != written:
+                raise InputError(
+                    f"{path}: cannot be written as .mp4 by the OpenCV that is installed, or the "
+                    f"disk is full; try {path.with_suffix('.gif').name}"
+                )
+            os.replace(draft, temporary)
+        finally:
+            writer.release()
+            Path(draft).unlink(missing_ok=True)

@@ -1,0 +1,186 @@
+"""The commands `slgaussian train | retrain | versions`. Heavy imports wait until one is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli import options
+from flows.cli.run import prepare_prefect, run_flow
+from flows.settings import checked
+from flows.training_settings import RetrainSettings, TrainSettings, read_retraining
+from slgaussian.errors import InputError
+
+
+def train(
+    ctx: typer.Context,
+    lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
+    start: Annotated[
+        Path | None,
+        typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
+    ] = None,
+    steps: options.Steps = None,
+    architecture: Annotated[str | None, options.field_option("architecture", TrainSettings)] = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Train the semantic branch on lessons, and judge it.
+
+    It is judged on clips that it has not seen; of a training set made with --gaussians, on its
+    split test. Leaves branch.safetensors, report.html, metrics.parquet (a row a step) and
+    judgements.parquet (a row a held-out lesson and lifting). A training that was interrupted goes
+    on where it was.
+
+    \b
+    slgaussian train --lessons corpus -o trained
+    slgaussian train --lessons corpus --from trained/branch.safetensors --set batch=2 -o more
+    slgaussian field a.png b.png --set lifting=branch \\
+        --set branch.weights=trained/branch.safetensors -o field/
+    """
+    settings = checked(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
+    judgements = run_flow("train", settings, verbose).judgements
+    import numpy as np
+
+    from flows.cli.tables import table_text
+    from flows.training import FILES
+    from slgaussian.benchmark.verdict import clip_scores, verdict
+
+    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
+    scores = {kind: clip_scores(judgements, kind) for kind in kinds}
+    liftings = list(dict.fromkeys(judgements["lifting"].to_pylist()))
+    rows = [["lifting", *(f"IoU, labels {kind}" for kind in kinds)]]
+    rows += [[name, *(f"{np.mean(scores[k][name]):.4f}" for k in kinds)] for name in liftings]
+    typer.echo(table_text(rows))
+    for other in liftings:
+        if other in ("hard", "filled", "before"):
+            typer.echo(verdict(judgements, other, other).why)
+    typer.echo(f"weights  {out / FILES['weights']}")
+    typer.echo(f"report   {out / FILES['report']}")
+
+
+def retrain(
+    ctx: typer.Context,
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="CONFIG", help="TOML file with any of the settings."),
+    ] = None,
+    chunks: Annotated[str | None, options.field_option("chunks", RetrainSettings)] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the tables and contact sheets.")
+    ] = None,
+    models: Annotated[Path | None, options.field_option("models", RetrainSettings)] = None,
+    every: Annotated[
+        float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
+    ] = None,
+    cron: Annotated[
+        str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
+    ] = None,
+    steps: options.Steps = None,
+    store: options.Store = None,
+    set_: options.Set = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Learn what is new in a corpus; use it if it is better.
+
+    A candidate is trained from the weights in use, and put to use if it is better on held-out clips
+    than those and than no network, beyond noise. See `versions`. A file has chunks, out, models and
+    other settings; options win over it. --every and --cron need `prefect server start` and
+    PREFECT_API_URL. Leaves OUT/history/NUMBER.json, and an artifact of Prefect. The exit status is
+    0 if a version was put to use, 1 if clips were left out first now and nothing else is new, 2 if
+    it failed, 3 if the version was refused, 4 if the one in use is worse than none, 5 if another
+    retraining is on, 6 if nothing is new.
+
+    \b
+    slgaussian retrain --chunks chunks/train --out corpus --models models
+    slgaussian retrain retrain.toml --cron "0 3 * * *"
+    """
+    settings = read_retraining(config, options.settings_from(ctx, RetrainSettings))
+    if every is not None or cron is not None:
+        prepare_prefect(settings.store)
+        from flows.schedule import serve
+
+        serve(settings, every, cron)
+        return
+    result = run_flow("retrain", settings, verbose)
+    from flows.retraining import STATUS
+
+    typer.echo("\n".join(result.messages))
+    typer.echo(f"{result.outcome}; record: {result.record}" if result.record else result.outcome)
+    raise typer.Exit(STATUS[result.outcome])
+
+
+def versions(
+    models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
+    use: Annotated[
+        str | None,
+        typer.Option(
+            metavar="<number>", help="Put the version of this number to use, or none with `none`."
+        ),
+    ] = None,
+    roll_back: Annotated[
+        bool,
+        typer.Option(
+            "--roll-back", help="Put to use what the one in use was trained from, be it none."
+        ),
+    ] = False,
+    why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
+    history: Annotated[
+        bool, typer.Option("--history", help="Who or what put which version to use when, and why.")
+    ] = False,
+) -> None:
+    """List the weights that `retrain` keeps, or switch to others.
+
+    What the gate refused can be put to use by hand, and what it let pass can be taken out of use.
+
+    \b
+    slgaussian versions models
+    slgaussian versions models --use 3 --why "sharper in the kitchen"
+    slgaussian versions models --roll-back
+    slgaussian versions models --use none
+    slgaussian versions models --history
+    """
+    from flows.cli.tables import table_text
+    from slgaussian.semantic.versions import Change, Versions, called, somebody
+
+    folder = Versions(models)
+    by_number = {version.number: version for version in folder.all()}
+    if use is not None and roll_back:
+        raise InputError("versions: --use and --roll-back are two ways; choose one")
+    if why is not None and use is None and not roll_back:
+        raise InputError("versions: --why is for --use and --roll-back")
+    if use is not None:
+        if use != "none" and not (use.isdecimal() and int(use) in by_number):
+            numbers = ", ".join(map(str, by_number)) or "no version"
+            raise InputError(
+                f"--use: found {use}, expected one of the versions there ({numbers}), or none"
+            )
+        folder.use(None if use == "none" else by_number[int(use)], somebody(), why or "")
+    if roll_back:
+        folder.roll_back(somebody(), why or "")
+
+    def describe(change: Change) -> str:
+        reason = f": {change.why}" if change.why else ""
+        return f"since {change.when} instead of {called(change.before)}, by {change.by}{reason}"
+
+    changes = folder.history()
+    if history:
+        lines = [f"{called(change.version)} in use {describe(change)}" for change in changes]
+        typer.echo("\n".join(lines) or f"{models}: no history")
+        return
+    if not by_number:
+        typer.echo(f"{models}: no version")
+        return
+    current = folder.current()
+    rows = [["version", "from", "made", "weights", "gate", ""]]
+    for version in by_number.values():
+        mark, gate = " *" * (version == current), "passed" if version.promoted else "held"
+        facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, version.why]
+        rows.append([f"{version.number}{mark}", *facts])
+    in_use = "none is in use" if current is None else f"* in use: version {current.number}"
+    typer.echo(table_text(rows, "<>>>><"))
+    typer.echo(f"{in_use}, {describe(changes[-1])}" if changes else in_use)
