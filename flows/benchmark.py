@@ -37,9 +37,9 @@ from flows.scene import (
 )
 from flows.settings import SceneSettings, Settings, settled
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
-from slgaussian.benchmark.costs import costs_of
+from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.numerics import HardCase
+from slgaussian.benchmark.hard_cases import HardCase
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     write_costs,
@@ -47,8 +47,7 @@ from slgaussian.benchmark.outputs import (
     write_samples,
     write_table,
 )
-from slgaussian.benchmark.report import Report, with_times
-from slgaussian.benchmark.timings import StageCost, Times
+from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
@@ -281,11 +280,11 @@ def _write(
         cases = [HardCase(**row) for row in hard]
         took = Times(made.stages, times, host, made.machines, costs_of(costs), cases)
         stored = store.get(made.report)
-        forms = (stored[form].tobytes().decode() for form in ("html", "markdown"))
+        forms = {form: stored[form].tobytes().decode() for form in ("html", "markdown")}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
                  for r in results if "psnr" in r.scene_metrics]  # fmt: skip
-        report = with_times(Report(*forms), took, rows, novel)
-        files["report.html"], files["report.md"] = report.html.encode(), report.markdown.encode()
+        pages = with_times(forms, took, rows, novel)
+        files["report.html"], files["report.md"] = (page.encode() for page in pages.values())
         files["times.json"] = _json(took.as_json())
     for name in LEFT:
         if name in files:

@@ -32,7 +32,7 @@ from slgaussian.benchmark.pictures import (
     paint_depth,
     paint_labels,
 )
-from slgaussian.benchmark.plots import STYLE
+from slgaussian.benchmark.reports.plots import STYLE
 from slgaussian.datasets import licences
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.io import write_atomic

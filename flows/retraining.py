@@ -24,7 +24,7 @@ from flows.runners.session import check_folder, completed, run_session
 from flows.settings import settled
 from flows.training import Parted, parted, read_lessons, train_on
 from flows.training_settings import GrowingSet, RetrainSettings, Training
-from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression
+from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.datasets.new_clips import Changes, changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
@@ -248,8 +248,8 @@ def learn(
 
     The candidate, the version in use, ``hard`` and ``filled`` are judged on the same held-out
     lessons. The candidate is put to use if it is better than each of the others beyond noise
-    (:func:`slgaussian.benchmark.verdict.gate`), and kept in any case. Without anything new, in the
-    lessons or the settings, nothing is trained.
+    (:func:`slgaussian.benchmark.significance.gate`), and kept in any case. Without anything new,
+    in the lessons or the settings, nothing is trained.
     ``before`` is what the same command made before, for its table of artifacts.
 
     ``clips`` are those of the corpus, spec ``clips``, and ``failed`` the names of the clips and

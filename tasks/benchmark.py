@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import Any
 
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
-from slgaussian.benchmark.showcase import MISS
+from slgaussian.benchmark.scores import GOOD
 from slgaussian.components.component import Component
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -73,7 +73,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
         ious = [row["iou"] for row in rows]
         if None in ious:
             found.append((False, rows[0]["score"], text, None))
-        elif min(ious) >= MISS and all(row["hit_mask"] for row in rows):
+        elif min(ious) >= GOOD and all(row["hit_mask"] for row in rows):
             found.append((True, fmean(ious), text, fmean(ious)))
     if not found:
         return None

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import pyarrow as pa
 
-from slgaussian.benchmark.numerics import measured
+from slgaussian.benchmark.hard_cases import measured
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.context import RunContext

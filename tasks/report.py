@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.report import Scene, render_report
+from slgaussian.benchmark.reports.run_report import run_report
+from slgaussian.benchmark.reports.scenes import Scene
 from slgaussian.storage.account import Account
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
@@ -35,7 +36,7 @@ class Scored:
     account: Mapping[str, Any]
 
 
-@stage("report", version=7)
+@stage("report", version=8)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],
@@ -49,8 +50,8 @@ def report(
     shown = [_scene(run.store, scored) for scored in scenes]
     tables = [run.store.get(scored.attribution) for scored in scenes]
     lost = [row for table in tables for row in table.to_pylist()]
-    made = render_report(shown, manifest, failures, lost)
-    forms = {"html": made.html, "markdown": made.markdown}
+    made = run_report(shown, manifest, failures, lost)
+    forms = {"html": made.as_html(), "markdown": made.as_markdown()}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
     return run.store.put("report", arrays)
 
@@ -58,9 +59,6 @@ def report(
 def _scene(store: ArtifactStore, scored: Scored) -> Scene:
     refs = [scored.answer, *scored.others.values()]
     own, *others = (result_from_arrays(store.get(ref), {}, with_images=False) for ref in refs)
-
-    def masks(method: str) -> Decoded:
-        return Decoded(predictions_of(store.get(scored.others.get(method, scored.answer))))
 
     return Scene(
         name=scored.scene,
@@ -70,5 +68,5 @@ def _scene(store: ArtifactStore, scored: Scored) -> Scene:
         account=Account(**scored.account),
         pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
-        masks=masks,
+        masks=lambda: Decoded(predictions_of(store.get(scored.answer))),
     )

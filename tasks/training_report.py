@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.training_report import Example, render_training_report
+from slgaussian.benchmark.reports import training
+from slgaussian.benchmark.reports.training import Example
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.judge import novel_labels
 from slgaussian.storage.store import ArtifactRef
@@ -21,7 +22,7 @@ SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
 
 
-@stage("training_report", version=2)
+@stage("training_report", version=3)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,
@@ -38,12 +39,12 @@ def training_report(
     store = run.store
     rows = store.get(judgements)
     held_out = StoredLessons(store, store.get(lessons))
-    page = render_training_report(
+    page = training.training_report(
         store.get(ArtifactRef("metrics", **branch.meta["metrics"])),
         rows,
         _examples(held_out, liftings(store, branch, None), rows, codes, seed),
         manifest,
-    )
+    ).as_html()
     return store.put("report", {"html": np.frombuffer(page.encode(), np.uint8)})
 
 

@@ -28,7 +28,7 @@ from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
-from slgaussian.benchmark.summary import METRICS
+from slgaussian.benchmark.reports.scenes import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +10,6 @@ import typer
 
 from flows.cli import options
 from flows.settings import make_settings
-from slgaussian.errors import InputError
 
 NAMED = 3
 """Of masks that are missing, or that nothing asks for, so many are named."""
@@ -97,52 +96,18 @@ def compare(
     slgaussian compare before after -o changes
     slgaussian compare ours theirs another -o board
     """
-    from flows.cli.score_tables import gains_text
-    from flows.cli.tables import table_text
-    from slgaussian.benchmark import comparison, run_ranking
     from slgaussian.benchmark.outputs import write_file
+    from slgaussian.benchmark.reports.comparison import compare_runs
+    from slgaussian.benchmark.reports.runs import read_run
 
-    if len(runs) < 2:
-        raise InputError(f"compare: found {len(runs)} run, expected two or more")
-    first, *others = read = [comparison.read_made(folder) for folder in runs]
-    if len(read) == 2:
-        compared = comparison.compare_reports(*read)
-        blocks = [compared.said]
-        if compared.settings:
-            blocks.append(_changes_text("differs:", compared.settings))
-        blocks += map(gains_text, compared.tables)
-        if compared.costs:
-            blocks.append(_changes_text("cost:", compared.costs))
-        if compared.changes:
-            queries = [
-                f"  {change.first:.3f} -> {change.second:.3f}  {change.row['query']} "
-                f"({change.row['scene']}, {change.row['frame']})"
-                for change in compared.changes
-            ]
-            blocks.append("\n".join(["IoU that changed most:", *queries]))
-        pages = comparison.render_comparison(compared)
-    else:
-        rankings = run_ranking.rank_methods(read)
-        differences = {
-            str(run.folder): settings
-            for run in others
-            if (settings := comparison.differing_settings(first.manifest, run.manifest))
-        }
-        blocks = [f"{one.title}\n{table_text([one.header, *one.rows])}" for one in rankings]
-        for folder, settings in differences.items():
-            blocks.append(_changes_text(f"{folder} differs from {first.folder}:", settings))
-        pages = run_ranking.render_ranking(rankings, differences)
+    report = compare_runs([read_run(folder) for folder in runs])
+    typer.echo(report.as_text())
     if out is not None:
-        for suffix, text in zip(("html", "md"), pages, strict=True):
-            write_file(out / f"compare.{suffix}", text.encode())
-        blocks.append(f"page: {out / 'compare.html'}")
-    typer.echo("\n\n".join(blocks))
+        write_file(out / "compare.html", report.as_html().encode())
+        write_file(out / "compare.md", report.as_markdown().encode())
+        typer.echo(f"\npage: {out / 'compare.html'}")
 
 
 def _few(names: Sequence[str]) -> str:
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
-
-
-def _changes_text(title: str, changes: Iterable[tuple[str, str, str]]) -> str:
-    return "\n".join([title, *(f"  {name}: {one} -> {other}" for name, one, other in changes)])

@@ -17,6 +17,7 @@ import numpy as np
 from slgaussian.benchmark import metrics, oracles
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import EvaluationSettings
+from slgaussian.benchmark.scores import GOOD
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
@@ -26,9 +27,6 @@ from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, QueryResult, Rules, ask
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
-
-GOOD = 0.5
-"""Least IoU that is no miss; the point has to lie on the object as well."""
 
 STAGES = {
     "threshold": "threshold",
@@ -40,6 +38,18 @@ STAGES = {
     "geometry": "geometry",
 }
 """The replacements in the order in which they are made, each with the stage it puts right."""
+
+STAND_INS = {
+    "iou": ("as it is", ""),
+    "threshold_iou": ("threshold", "each query cut where it is best for it"),
+    "joined_iou": ("joined", "ids of one thing scored as one"),
+    "language_iou": ("language", "whole things named, one for each part of the truth"),
+    "pieces_iou": ("pieces", "as many objects named as help"),
+    "parted_iou": ("parted", "each view's own pieces, as before association"),
+    "mask_iou": ("mask", "the true masks of the two photographs"),
+    "geometry_iou": ("geometry", "their true depth"),
+}
+"""Columns of the spec ``attribution``: what is true from there on, in a word and in a line."""
 
 UNDECIDED = "mask or geometry"
 """What lost a miss that true masks mend, where they were found by predicted depth: that is right by

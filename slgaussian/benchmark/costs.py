@@ -1,16 +1,26 @@
-"""What answers cost, by method: of the rows of the data spec ``times``."""
+"""What answers, stages and runs cost, kept apart from the scores: no run repeats it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from slgaussian.storage.specs import load_spec
+
+if TYPE_CHECKING:  # what measures them takes long to load
+    from slgaussian.benchmark.hard_cases import HardCase
+
+Row = Mapping[str, Any]
+
+PAPER_SECONDS = {"slgaussian": 0.011, "query-2d": 18.0}
+"""Seconds a query in a new view by the paper's Table 4, on its GPU."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a method costs on a data set; None where it was not measured.
+    """Cost of a method on a data set; None where it was not measured.
 
     Attributes
     ----------
@@ -27,31 +37,36 @@ class Cost:
 
     dataset: str
     method: str
-    cold_query: float | None
-    view_query: float | None
-    further_query: float | None
-    prepare: float | None
-    build: float | None
-    grown: int | None
-    peak: int | None
+    cold_query: float | None = None
+    view_query: float | None = None
+    further_query: float | None = None
+    prepare: float | None = None
+    build: float | None = None
+    grown: int | None = None
+    peak: int | None = None
+
+    @property
+    def whole(self) -> float | None:
+        """Seconds from photographs to an answer in a new view."""
+        if self.build is None or self.view_query is None:
+            return None
+        return self.build + self.view_query
 
 
-def costs_of(rows: Iterable[Mapping[str, Any]]) -> list[Cost]:
-    """One a data set and method, in their order; rows may lack columns that are not known."""
-    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+def costs_of(rows: Iterable[Row]) -> list[Cost]:
+    """Return one cost a data set and method of rows of the spec ``times``, in their order.
+
+    Rows may lack columns that are not known.
+    """
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["dataset"], row["method"]), []).append(row)
-    return [_cost(dataset, method, own) for (dataset, method), own in groups.items()]
+    return [_cost(*names, own) for names, own in groups.items()]
 
 
-def _cost(dataset: str, method: str, rows: list[Mapping[str, Any]]) -> Cost:
+def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
     frames = list({(row["scene"], row["frame"]): row for row in rows}.values())
     scenes = list({row["scene"]: row for row in rows}.values())
-
-    def middle(of: list[Mapping[str, Any]], name: str) -> float | None:
-        known = [row[name] for row in of if row.get(name) is not None]
-        return median(known) if known else None
-
     held = [
         (row["peak_bytes"] - row["held_bytes"], row["peak_bytes"])
         for row in scenes
@@ -60,11 +75,138 @@ def _cost(dataset: str, method: str, rows: list[Mapping[str, Any]]) -> Cost:
     return Cost(
         dataset,
         method,
-        cold_query=middle(frames, "cold_seconds"),
-        view_query=middle(frames, "view_seconds"),
-        further_query=middle(rows, "query_seconds"),
-        prepare=middle(scenes, "prepare_seconds"),
-        build=middle(scenes, "build_seconds"),
+        cold_query=_median(row.get("cold_seconds") for row in frames),
+        view_query=_median(row.get("view_seconds") for row in frames),
+        further_query=_median(row.get("query_seconds") for row in rows),
+        prepare=_median(row.get("prepare_seconds") for row in scenes),
+        build=_median(row.get("build_seconds") for row in scenes),
         grown=max((grown for grown, _ in held), default=None),
         peak=max((peak for _, peak in held), default=None),
     )
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return median(known) if known else None
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """Cost of a stage, whenever its artifacts were made.
+
+    Attributes
+    ----------
+    seconds : float
+        Of all artifacts together, without compiling kernels.
+    middle : float
+        Of one: the median.
+    grown : int or None
+        Bytes by which memory grew, at most, beyond what was held before; None where not known.
+    compiling : float
+        Seconds of compiling kernels, once an installation, on top.
+    """
+
+    seconds: float
+    middle: float
+    grown: int | None = None
+    compiling: float = 0.0
+
+    @staticmethod
+    def of(metas: Iterable[Row]) -> StageCost:
+        """Sum up the metadata of artifacts; earlier versions wrote only ``seconds``."""
+        known = list(metas)
+        seconds = [meta["seconds"] for meta in known]
+        grown = [meta["grown"] for meta in known if meta.get("grown") is not None]
+        return StageCost(
+            sum(seconds),
+            median(seconds) if seconds else 0.0,
+            max(grown, default=None),
+            sum(meta.get("compiling", 0.0) for meta in known),
+        )
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds of a run.
+
+    Attributes
+    ----------
+    stages : {stage: StageCost}
+    answers : sequence of (method, scene, {name: float})
+        Measured by :func:`slgaussian.benchmark.evaluate.evaluate`, and ``prepare`` where a method
+        prepares a scene on top of what it shares with ours.
+    host : {name: text}
+        Where it ran.
+    machines : {processor: int}
+        How many of the artifacts were made on which processor; earlier runs may have made some
+        elsewhere.
+    costs : sequence of Cost
+        Of each method on each data set.
+    hard_cases : sequence of HardCase
+        Measured on this machine.
+    """
+
+    stages: Mapping[str, StageCost]
+    answers: Sequence[tuple[str, str, Mapping[str, float]]]
+    host: Mapping[str, str]
+    machines: Mapping[str, int] = field(default_factory=dict)
+    costs: Sequence[Cost] = ()
+    hard_cases: Sequence[HardCase] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain data, for a file."""
+        return {
+            "spec": load_spec("run_times").label,
+            "seconds_by_stage": {name: one.seconds for name, one in self.stages.items()},
+            "memory_by_stage": {name: one.grown for name, one in self.stages.items()},
+            "seconds_of_compiling": self.compiling,
+            "seconds_a_query": self.speeds(),
+            "seconds_by_answer": [
+                {"method": method, "scene": scene, **dict(sorted(times.items()))}
+                for method, scene, times in self.answers
+            ],
+            "host": dict(self.host),
+            "artifacts_by_machine": dict(self.machines),
+            "hard_cases": [{**asdict(case), "good": case.good} for case in self.hard_cases],
+        }
+
+    @property
+    def compiling(self) -> float:
+        """Seconds of compiling kernels, once an installation, that no other number here has."""
+        return sum(one.compiling for one in self.stages.values())
+
+    def speeds(self) -> list[dict[str, Any]]:
+        """Return seconds of each method, medians over scenes, in the order of the answers.
+
+        ``prepare`` is of a scene, on top of what all methods share; ``cold_query`` the very first
+        of a scene, ``first_query`` one in a new view with its rendering, ``further_query`` one more
+        in it; ``paper`` is the paper's, on its GPU.
+        """
+        names = "prepare", "cold_query", "first_query", "further_query"
+        return [
+            {
+                "method": method,
+                **{
+                    name: _median(own.get(name) for by, _, own in self.answers if by == method)
+                    for name in names
+                },
+                "paper": PAPER_SECONDS.get(method),
+            }
+            for method in dict.fromkeys(method for method, *_ in self.answers)
+        ]
+
+    def claim(self) -> str:
+        """Compare the measured seconds of the paper's two methods with the paper's; "" without."""
+        known = sorted(
+            (one["paper"], one["method"], one["first_query"])
+            for one in self.speeds()
+            if None not in (one["first_query"], one["paper"])
+        )
+        if len(known) < 2 or not known[0][2]:
+            return ""
+        (fast_paper, fast, fast_query), (slow_paper, slow, slow_query) = known
+        return (
+            f"A query in a new view takes {slow} {slow_query / fast_query:.0f} times as long as "
+            f"{fast}, {slow_query:.2g} s against {fast_query:.2g} s; the paper says "
+            f"{slow_paper:g} s against {fast_paper:g} s, on its GPU and with its networks."
+        )

@@ -40,10 +40,23 @@ SETTINGS = ("selection", "temperature", "threshold", "share", "canonical", "abse
 GROUPS = ("dataset", "method", "protocol")
 """Columns of the samples that every score is of one value of."""
 
+GOOD = 0.5
+"""Least IoU of an answer that is not a miss."""
+
 ONE_SCENE = "one scene: no interval"
 ONE_PLACE = "scenes of one place: no interval"
 FEW_SCENES = f"fewer than {LEAST} scenes: a rough interval"
 FEW_PLACES = f"scenes of fewer than {LEAST} places: a rough interval"
+
+
+def key_of(row: Row) -> tuple[str, str, str]:
+    """Return the question of a sample: scene, frame and query."""
+    return row["scene"], row["frame"], row["query"]
+
+
+def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
+    """Return the samples of the protocol of the first one."""
+    return [row for row in rows if row["protocol"] == rows[0]["protocol"]]
 
 
 @dataclass(frozen=True)

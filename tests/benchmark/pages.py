@@ -50,7 +50,7 @@ def check_alone(html: str) -> None:
     assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
     assert set(re.findall(r"url\((.)", html)) <= {"#"}
     for image in page.images:
-        assert image["src"].startswith("data:image/jpeg;base64,")
+        assert image["src"].startswith("data:image/webp;base64,")
         assert image["alt"]
 
 

@@ -1,134 +1,128 @@
-"""Two report folders: what differs, by how much, and where."""
+"""Runs compared: what differs, by how much, and where; and methods ranked."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from left import MANIFEST, leave
 from pages import Page, check_alone, tables_of
 
-from slgaussian.benchmark.comparison import (
+from slgaussian.benchmark.outputs import mask_place, write_costs, write_file
+from slgaussian.benchmark.reports.comparison import (
     BOTH,
     FIRST,
     NEITHER,
     SECOND,
-    compare_reports,
+    compare_runs,
+    differing_settings,
     mask_change,
-    read_made,
-    render_comparison,
 )
-from slgaussian.benchmark.outputs import (
-    mask_place,
-    write_costs,
-    write_file,
-)
+from slgaussian.benchmark.reports.model import Cards, Table
+from slgaussian.benchmark.reports.runs import rank_methods, read_run
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.specs import load_spec
 
 
-def compared(first: Path, second: Path):
-    return compare_reports(read_made(first), read_made(second))
+def compared(*folders):
+    return compare_runs([read_run(folder) for folder in folders])
+
+
+def summary_of(report) -> str:
+    return report.opening[1].text.replace("\\", "")
+
+
+def section(report, title: str):
+    """The blocks of the section whose title begins so; none if there is none."""
+    return next((own.blocks for own in report.sections if own.title.startswith(title)), [])
 
 
 def scored(result) -> list[dict]:
     return [r for r in result.rows if r["protocol"] == "slgaussian@2" and r["iou"] is not None]
 
 
-def test_a_report_and_itself_differ_in_nothing(tmp_path, result):
+def worse(row: dict) -> dict:
+    return {**row, "iou": None if row["iou"] is None else row["iou"] * 0.5}
+
+
+def test_a_run_and_itself_differ_in_nothing(tmp_path, result):
     folder = leave(tmp_path / "a", result)
-    found = compared(folder, folder)
-    samples = len(result.rows)
-    assert found.said == f"{samples} samples of 1 method are in both, and all are the same"
-    assert found.settings == [] and found.changes == []
-    for table in (*found.tables, *found.more):
-        assert {float(cell.value) for line in table.lines for cell in line.cells} == {0.0}
+    report = compared(folder, folder)
+    said = f"{len(result.rows)} samples of 1 method are in both, and all are the same."
+    assert summary_of(report) == said
+    assert not section(report, "IoU that changed") and not section(report, "What they cost")
+    (table, more) = section(report, "B minus A")
+    for own in (table, *more.blocks):
+        assert {float(cell.value) for line in own.lines for cell in line.cells[1:]} == {0.0}
 
 
-def test_what_changed_is_found(tmp_path, result):
-    worse = scored(result)[0]["query"]
+def test_a_change_is_named_with_its_masks(tmp_path, result):
+    lowered = scored(result)[0]["query"]
 
     def change(row):
-        if row["query"] == worse and row["protocol"] == "slgaussian@2" and row["iou"] is not None:
+        if row["query"] == lowered and row["protocol"] == "slgaussian@2" and row["iou"] is not None:
             row["iou"] -= 0.25
         return row
 
-    first = leave(tmp_path / "a", result)
-    second = leave(tmp_path / "b", result, change)
-    found = compared(first, second)
-    assert ", 1 of them changed" in found.said
-    (gain,) = (line.cells[0].value for table in found.tables for line in table.lines)
+    first, second = leave(tmp_path / "a", result), leave(tmp_path / "b", result, change)
+    report = compared(first, second)
+    assert ", 1 of them changed" in summary_of(report)
+    gain = section(report, "B minus A")[0].lines[0].cells[1].value
     assert gain == f"{-0.25 / len(scored(result)):+.3f}"
-    (most,) = found.changes
-    assert (most.row["query"], round(most.second - most.first, 6)) == (worse, -0.25)
-    mask = result.predictions["slgaussian@2", "view_01", worse]
-    assert np.array_equal(most.picture, mask_change(mask, mask))
+    table, cards, _ = section(report, "IoU that changed most")
+    (line,) = table.lines
+    before, after = (float(cell.value) for cell in line.cells[2:])
+    assert line.cells[0].value == lowered and round(after - before, 2) == -0.25
+    assert isinstance(cards, Cards) and len(cards.cards) == 1
     back = compared(second, first)
-    assert back.tables[0].lines[0].cells[0].value == gain.replace("-", "+")
+    assert section(back, "B minus A")[0].lines[0].cells[1].value == gain.replace("-", "+")
+    for row in scored(result):  # without masks there is no picture
+        (second / "predictions" / mask_place(row)).unlink()
+    assert [type(own) for own in section(compared(first, second), "IoU that")] == [Table]
 
 
-def test_what_they_were_made_with_is_compared(tmp_path, result):
+def test_settings_and_data_are_compared_by_their_leaves():
     other = {
         **MANIFEST,
         "settings": {"share": 0.5, "seed": 0},
         "methods": {"query-2d": "query-2d", "lerf-like": "lerf-like"},
         "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "22"}}, "new": {}},
     }
-    first = leave(tmp_path / "a", result)
-    found = compared(first, leave(tmp_path / "b", result, manifest=other))
-    assert found.settings == [
+    assert differing_settings(MANIFEST, other) == [
         ("settings.share", "0.7", "0.5"),
         ("methods", "–", "lerf-like"),
         ("data.procedural_3.files.a.png", "11", "22"),
         ("data.new", "–", "present"),
     ]
-
-
-def test_data_that_differ_in_many_scenes_take_one_line(tmp_path, result):
-    several = [
+    one, another = (
         {**MANIFEST, "data": {f"s{k}": {"sample": f"{k}{side * 70}"} for k in range(5)}}
         for side in "ab"
-    ]
-    first, second = (
-        leave(tmp_path / name, result, manifest=one)
-        for name, one in zip("ab", several, strict=True)
     )
-    assert compared(first, second).settings == [
-        (
-            "data.*.sample",
-            "0aaaaaaaaaaa… of s0, and others of 4 more scenes",
-            "0bbbbbbbbbbb… of s0, and others of 4 more scenes",
-        )
+    more = "… of s0, and others of 4 more scenes"
+    assert differing_settings(one, another) == [
+        ("data.*.sample", f"0aaaaaaaaaaa{more}", f"0bbbbbbbbbbb{more}")
     ]
 
 
-def test_queries_of_one_report_alone_are_counted_and_not_compared(tmp_path, result):
-    left_out = scored(result)[0]["query"]
-    second = leave(tmp_path / "b", result, lambda row: None if row["query"] == left_out else row)
-    found = compared(leave(tmp_path / "a", result), second)
-    gone = sum(row["query"] == left_out for row in result.rows)
-    assert f"{gone} more in {tmp_path / 'a'}" in found.said
-    assert str(tmp_path / "b") not in found.said
-
-
-def test_own_methods_of_other_names_are_compared(tmp_path, result):
-    second = leave(tmp_path / "b", result, lambda row: {**row, "method": "mine"})
-    found = compared(leave(tmp_path / "a", result), second)
-    assert found.tables[0].lines[0].method == "mine − slgaussian"
-    assert "all are the same" in found.said
-
-
-def test_samples_judged_at_two_sizes_are_not_compared(tmp_path, result):
+def test_only_queries_of_both_judged_at_one_size_are_compared(tmp_path, result):
     first = leave(tmp_path / "a", result)
-    second = leave(tmp_path / "b", result, lambda row: {**row, "width": row["width"] // 2})
-    found = compared(first, second)
-    assert not found.tables and not found.changes
-    assert "no query of the same frame, judged at the same size, is in both" in found.said
+    left_out = scored(result)[0]["query"]
+    less = leave(tmp_path / "b", result, lambda row: None if row["query"] == left_out else row)
+    gone = sum(row["query"] == left_out for row in result.rows)
+    assert summary_of(compared(first, less)).endswith(f"; {gone} more in {first}.")
+    mine = leave(tmp_path / "c", result, lambda row: {**row, "method": "mine"})
+    report = compared(first, mine)
+    assert section(report, "B minus A")[0].lines[0].cells[0].value == "mine − slgaussian"
+    attic = {"dataset": "attic", "scene": "x"}
+    for name, change in (("small", {"width": 72}), ("attic", attic)):
+        report = compared(first, leave(tmp_path / name, result, lambda row, c=change: row | c))
+        assert summary_of(report).startswith("nothing to compare: ") and len(report.sections) == 1
+    assert "1 scene(s) of attic (x)" in summary_of(report)
+    empty = leave(tmp_path / "d", result, lambda row: None)
+    assert "has no samples" in summary_of(compared(empty, less))
 
 
-def test_what_both_cost_stands_side_by_side(tmp_path, result):
+def test_costs_of_both_stand_side_by_side(tmp_path, result):
     folders = leave(tmp_path / "a", result), leave(tmp_path / "b", result)
-    assert compared(*folders).costs == []
     for folder, seconds in zip(folders, (0.5, 0.25), strict=True):
         named = dict.fromkeys(load_spec("times").columns)
         named |= {"dataset": "d", "scene": "s", "frame": "f", "query": "q", "method": "slgaussian"}
@@ -137,8 +131,8 @@ def test_what_both_cost_stands_side_by_side(tmp_path, result):
         stages, host = {"field": 4 * seconds}, {"processor": f"P{seconds}", "workers": "2"}
         times = {"seconds_by_stage": stages, "host": host}
         write_file(folder / "times.json", json.dumps(times).encode())
-    found = compared(*folders)
-    assert found.costs == [
+    (table,) = section(compared(*folders), "What they cost")
+    assert [tuple(cell.value for cell in line.cells) for line in table.lines] == [
         ("d, slgaussian: a query in a new view, s", "0.5000", "0.2500"),
         ("d, slgaussian: memory, MB", "200", "200"),
         ("field of all scenes, s", "2.00", "1.00"),
@@ -146,52 +140,67 @@ def test_what_both_cost_stands_side_by_side(tmp_path, result):
         ("processor", "P0.5", "P0.25"),
         ("workers", "2", "2"),
     ]
-    page, markdown = render_comparison(found)
-    for text in (Page(page).text, markdown):
-        assert "0.2500" in text and "P0.25" in text
 
 
-def test_nothing_in_common_is_one_sentence(tmp_path, result):
-    second = leave(tmp_path / "b", result, lambda row: {**row, "dataset": "attic", "scene": "x"})
-    found = compared(leave(tmp_path / "a", result), second)
-    assert found.said.startswith("nothing to compare: ")
-    assert "1 scene(s) of attic (x)" in found.said and "procedural_3" in found.said
-    assert found.tables == [] and found.changes == []
-    empty = leave(tmp_path / "c", result, lambda row: None)
-    assert "has no samples" in compared(empty, second).said
-    page, text = render_comparison(found)
-    assert "nothing to compare" in Page(page).text and "nothing to compare" in text
-
-
-def test_the_pages_say_the_same_and_need_nothing_else(tmp_path, result):
-    def change(row):
-        return {**row, "iou": None if row["iou"] is None else row["iou"] / 2}
-
+def test_all_forms_say_the_same_and_need_nothing_else(tmp_path, result):
     first = leave(tmp_path / "a", result)
-    found = compared(first, leave(tmp_path / "b", result, change, {**MANIFEST, "seed": "<b>"}))
-    page, text = render_comparison(found)
+    second = leave(tmp_path / "b", result, worse, {**MANIFEST, "seed": "<b>"})
+    report = compared(first, second)
+    page, markdown, text = report.as_html(), report.as_markdown(), report.as_text()
     check_alone(page)
-    assert (page, text) == render_comparison(found)
+    assert report.as_html() == page
     shown = Page(page)
-    assert len(shown.images) == len(found.changes) > 0
-    assert "<b>" in shown.text
-    table = next(t for t in tables_of(text) if t[0][0] == "Protocol")
-    values = [cell.value for cell in found.tables[0].lines[0].cells]
-    assert [row[2].split()[0] for row in table[1:]] == values
-    for value in values:
-        assert value in shown.text
+    assert shown.images and "<b>" in shown.text
+    table = next(t for t in tables_of(markdown) if t[0][0] == "Method")
+    for cell in section(report, "B minus A")[0].lines[0].cells:
+        assert cell.value in shown.text and cell.value in text
+        assert any(cell.value in own for own in table[1])
 
 
-def test_without_masks_there_is_no_picture(tmp_path, result):
-    def change(row):
-        return {**row, "iou": None if row["iou"] is None else row["iou"] / 2}
+def test_the_better_of_several_runs_stands_first_and_what_differs_is_named(tmp_path, result):
+    other = {**MANIFEST, "settings": {"share": 0.5, "seed": 0}}
+    low, high = leave(tmp_path / "low", result, worse, other), leave(tmp_path / "high", result)
+    same = leave(tmp_path / "same", result)
+    report = compared(high, low, same)
+    first = report.sections[0].blocks[0]
+    rows = [[cell.value for cell in line.cells] for line in first.lines]
+    assert [(row[0], row[2]) for row in rows] == [
+        ("1", str(high)),
+        ("1", str(same)),
+        ("3", str(low)),
+    ]
+    assert float(rows[2][3]) < float(rows[0][3]) == float(rows[1][3])
+    (settings,) = section(report, f"{low} differs from {high}")
+    assert [cell.value for cell in settings.lines[0].cells] == ["settings.share", "0.7", "0.5"]
+    check_alone(report.as_html())
 
-    first, second = leave(tmp_path / "a", result), leave(tmp_path / "b", result, change)
-    for row in scored(result):
-        (second / "predictions" / mask_place(row)).unlink()
-    found = compared(first, second)
-    assert found.changes and all(change.picture is None for change in found.changes)
-    Page(render_comparison(found)[0])
+
+def test_questions_sizes_and_truths_have_tables_of_their_own(tmp_path, result):
+    def ranked(*folders):
+        return rank_methods([read_run(folder) for folder in folders])
+
+    whole = leave(tmp_path / "all", result)
+    query = sorted({row["query"] for row in result.rows})[0]
+    less = leave(tmp_path / "less", result, lambda row: None if row["query"] == query else row)
+    small = leave(tmp_path / "b", result, lambda row: {**row, "width": row["width"] // 2})
+    one, two = (
+        leave(tmp_path / t, result, manifest={**MANIFEST, "data": {"procedural_3": {"truth": t}}})
+        for t in ("aa", "bb")
+    )
+    protocols = len(ranked(whole))
+    for others in ((whole, less), (whole, small), (one, two)):
+        tables = ranked(*others)
+        assert len(tables) == 2 * protocols
+        assert all([line.cells[0].value for line in t.lines] == ["1"] for t in tables)
+    assert len(ranked(whole, one)) == protocols
+    bare = leave(tmp_path / "bare", result, lambda row: None)
+    for folders, refusal in (
+        ((whole, whole, less), "is given twice"),
+        ((whole, less, bare), "found no scored sample"),
+        ((whole,), "found 1 run, expected two or more"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            compared(*folders)
 
 
 def test_colours_say_whose_a_pixel_is():
@@ -200,19 +209,19 @@ def test_colours_say_whose_a_pixel_is():
     assert mask_change(first, second)[0].tolist() == list(map(list, (NEITHER, FIRST, SECOND, BOTH)))
 
 
-def test_what_is_no_report_is_named(tmp_path, result):
+def test_a_folder_that_no_run_left_is_named(tmp_path, result):
     with pytest.raises(InputError, match=r"samples\.parquet: found no such file, expected"):
-        read_made(tmp_path)
+        read_run(tmp_path)
     (tmp_path / "samples.parquet").write_bytes(b"no table")
     with pytest.raises(InputError, match=r"samples\.parquet: cannot be read"):
-        read_made(tmp_path)
+        read_run(tmp_path)
     folder = leave(tmp_path / "a", result)
     (folder / "manifest.json").write_text("[1]")
     with pytest.raises(InputError, match=r"manifest\.json: found no JSON object"):
-        read_made(folder)
+        read_run(folder)
     (folder / "manifest.json").unlink()
-    assert read_made(folder).manifest == {}
+    assert read_run(folder).manifest == {}
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "samples.parquet").write_bytes((folder / "scores.parquet").read_bytes())
     with pytest.raises(SpecError, match="no such column"):
-        read_made(tmp_path / "b")
+        read_run(tmp_path / "b")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.benchmark.paper_tables import TABLES
+from slgaussian.benchmark.reports.paper_tables import TABLES
 from slgaussian.datasets.published import (
     ANOTHER,
     RECOGNISED,

@@ -171,7 +171,7 @@ def test_a_run_is_known_by_the_content_of_its_model(model, tmp_path, server, cap
     rows = finished.results[0].rows
     assert all(row["score"] is not None for row in rows) and len(rows) >= 2
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert f"<dt>settings.clip.model</dt><dd>{model_digest(model)}</dd>" in page
+    assert f'settings.clip.model</td><td class=" left">{model_digest(model)}</td>' in page
     assert "clip" in capsys.readouterr().err.splitlines()[0]
 
     # The same model in another place: nothing is computed. Other crops: the bank is.

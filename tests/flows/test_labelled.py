@@ -282,7 +282,7 @@ class TestPublished:
         assert run(monkeypatch, *words, "--store", lerf / "store", "-o", out) == 0
         page = (out / "report.md").read_text()
         tables = page[page.index("## The paper's tables") :].split("## Scene by scene")[0]
-        assert "teatime | 21.64 / data not present" in tables
+        assert "teatime | 21.64 (data not present)" in tables
         assert ", n " not in tables
         told = "called teatime, but not the published scene (found labelled frames "
         assert told in tables and f"{told}frame_00005, " in (out / "report.html").read_text()

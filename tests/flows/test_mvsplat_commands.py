@@ -200,8 +200,8 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     finished = score(settings_for(checkpoint, tmp_path / "out"), store)
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert f"<dt>settings.mvsplat.checkpoint</dt><dd>{digest}</dd>" in page
-    assert "<dt>settings.mvsplat.depth_candidates</dt><dd>auto</dd>" in page
+    assert f'settings.mvsplat.checkpoint</td><td class=" left">{digest}</td>' in page
+    assert 'settings.mvsplat.depth_candidates</td><td class=" left">auto</td>' in page
     said = capsys.readouterr().err
     assert said.startswith("with mvsplat, regions, geometric, lexicon, separated, hard\n")
 

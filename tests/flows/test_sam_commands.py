@@ -59,7 +59,7 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
     assert [result.scene for result in finished.results] == ["room"]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     digest = model_digest(folders["sam"])
-    assert f"<dt>settings.sam.model</dt><dd>{digest}</dd>" in page
+    assert f'settings.sam.model</td><td class=" left">{digest}</td>' in page
     assert capsys.readouterr().err.startswith("with planesweep, sam, ")
     records = [
         json.loads(file.read_text())

@@ -177,7 +177,7 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
     table = {line.split("  ")[0]: line for line in told.out.split("\n\n")[0].splitlines()}
     ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
-    assert "by slgaussian@2 (masks as given)" in told.out
+    assert "slgaussian@2: masks as given" in told.out
     # The folder is one that compare reads, and it finds no difference.
     assert run(monkeypatch, "compare", made, out) == 0
     told = capsys.readouterr().out

@@ -8,9 +8,7 @@ from slgaussian.benchmark.scores import scene_means
 from slgaussian.storage.specs import load_spec
 
 SETTINGS = {
-    "dataset": "x",
     "frame": "f",
-    "method": "m",
     "protocol": "slgaussian@2",
     "selection": "near-best",
     "temperature": 10.0,
@@ -21,11 +19,13 @@ SETTINGS = {
 }
 
 
-def result_of(scene, *ious):
-    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | {"scene": scene}
+def result_of(scene, *ious, method="m", dataset="d"):
+    named = {"scene": scene, "method": method, "dataset": dataset}
+    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | named
     rows = [empty | {"query": f"q{k}", "iou": iou} for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
-    return SceneResult(scene, rows + other, scene_means(rows) | {"psnr": 20.0}, {}, {}, {})
+    metrics = scene_means(rows) | {"psnr": 20.0}
+    return SceneResult(scene, rows + other, metrics, {}, {}, {}, dataset, method)
 
 
 def test_the_mean_has_an_interval_and_says_by_what():
@@ -34,8 +34,7 @@ def test_the_mean_has_an_interval_and_says_by_what():
         ["scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
         ["b", "0.900", "20.0"],
-        ["mean", "0.600", "20.0"],
-        ["95", "%", "0.300-0.900", "–"],
+        ["mean", "0.600", "(0.300–0.900)", "20.0"],
     ]
     assert lines[-1] == (
         "by slgaussian@2 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
@@ -44,8 +43,8 @@ def test_the_mean_has_an_interval_and_says_by_what():
 
 
 def test_one_scene_has_no_interval_and_no_scene_no_numbers():
-    *_, interval, by = scenes_text([result_of("a", 0.5)]).splitlines()
-    assert interval.split() == ["95", "%", "–", "–"]
+    *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
+    assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one scene: no interval")
     unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
@@ -53,16 +52,15 @@ def test_one_scene_has_no_interval_and_no_scene_no_numbers():
 
 
 def test_data_sets_and_methods_are_kept_apart():
-    ours = [replace(result_of("a", 0.5), dataset="x"), replace(result_of("b", 0.1), dataset="y")]
-    other = replace(result_of("a", 0.25), dataset="x", method="other")
-    other.rows[:] = [row | {"method": "other"} for row in other.rows]
+    ours = [result_of("a", 0.5, dataset="x"), result_of("b", 0.1, dataset="y")]
+    other = result_of("a", 0.25, dataset="x", method="other")
     first, methods, second = scenes_text([*ours, other]).split("\n\n")
     assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
-    *lines, by = methods.splitlines()
-    assert [line.split() for line in lines] == [
-        ["x", "IoU"], ["m", "0.500"], ["other", "0.250"]
+    title, *lines, conditions, by = methods.splitlines()
+    assert title == "x" and [line.split() for line in lines] == [
+        ["Method", "IoU"], ["m", "0.500"], ["other", "0.250"]
     ]  # fmt: skip
-    assert by.startswith("by slgaussian@2 (near-best, share 0.7") and by.endswith("no interval")
+    assert conditions.startswith("slgaussian@2: near-best, share 0.7") and "no interval" in by
     assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]
     # Nothing to compare methods by.
     bare = [replace(result, rows=[]) for result in (ours[0], other)]

@@ -3,8 +3,8 @@
 import pyarrow as pa
 import pytest
 
+from slgaussian.benchmark.significance import clip_scores, gain, gate, regression, verdict
 from slgaussian.benchmark.statistics import LEAST
-from slgaussian.benchmark.verdict import clip_scores, gain, gate, regression, verdict
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 

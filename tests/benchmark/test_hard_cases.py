@@ -6,13 +6,13 @@ from dataclasses import replace
 import pyarrow as pa
 import pytest
 
-from slgaussian.benchmark import numerics
+from slgaussian.benchmark import hard_cases
 from slgaussian.storage.specs import load_spec
 
 
 @pytest.fixture(scope="module")
 def cases():
-    return numerics.measured()
+    return hard_cases.measured()
 
 
 def test_every_case_is_within_its_bound(cases):
@@ -33,17 +33,17 @@ def test_a_case_at_its_bound_or_without_a_number_is_not_good(cases):
 @pytest.mark.parametrize(
     ("name", "broken", "part"),
     [
-        ("relevancy", lambda *given: numerics_of("relevancy")(*given) + 1e-9, "relevancy"),
-        ("nearest_code", lambda *given: numerics_of("nearest_code")(*given) ^ 1, "nearest code"),
+        ("relevancy", lambda *given: original("relevancy")(*given) + 1e-9, "relevancy"),
+        ("nearest_code", lambda *given: original("nearest_code")(*given) ^ 1, "nearest code"),
         (
             "unproject",
-            lambda seen, *given: numerics_of("unproject")([seen[0].cropped(1, 0, 32, 24)], *given),
+            lambda seen, *given: original("unproject")([seen[0].cropped(1, 0, 32, 24)], *given),
             "depth to Gaussians",
         ),
         (
             "rasterize",
             lambda *scene, backend, settings: replace(
-                drawn := numerics_of("rasterize")(*scene, backend=backend, settings=settings),
+                drawn := original("rasterize")(*scene, backend=backend, settings=settings),
                 alpha=drawn.alpha + (0.004 if backend == "cpu" else 0),
             ),
             "rasteriser",
@@ -51,16 +51,16 @@ def test_a_case_at_its_bound_or_without_a_number_is_not_good(cases):
     ],
 )
 def test_what_is_computed_wrongly_is_told(monkeypatch, name, broken, part):
-    monkeypatch.setattr(numerics, name, broken)
-    wrong = [case for case in numerics.measured() if not case.good]
+    monkeypatch.setattr(hard_cases, name, broken)
+    wrong = [case for case in hard_cases.measured() if not case.good]
     assert wrong and {case.part.split(",")[0] for case in wrong} == {part}
 
 
 _ORIGINAL = {
-    name: getattr(numerics, name)
+    name: getattr(hard_cases, name)
     for name in ("relevancy", "nearest_code", "unproject", "rasterize")
 }
 
 
-def numerics_of(name):
+def original(name):
     return _ORIGINAL[name]

@@ -1,4 +1,3 @@
-<script>
 "use strict";
 // Without this script the page has all its pictures and numbers: it enlarges and slides.
 const large = document.createElement("dialog");
@@ -40,4 +39,3 @@ for (const link of document.querySelectorAll('a[href^="#"]')) {
     if (folded) folded.open = true;
   });
 }
-</script>

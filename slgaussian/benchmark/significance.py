@@ -1,7 +1,4 @@
-"""Whether one thing is better than another, in sentences: never beyond what an interval bears out.
-
-Methods of a benchmark by their differences, liftings by judgements of single lessons.
-"""
+"""Verdicts on liftings by judgements of single lessons: never beyond what an interval bears out."""
 
 from __future__ import annotations
 
@@ -12,63 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.score_tables import MAIN, Table
 from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison, compare
 from slgaussian.errors import InputError
-
-CLAIMED = MAIN[0]
-"""The score by which a method is called ahead or behind."""
-
-SAID = {
-    "better": "ahead of {other} by {gain}",
-    "worse": "behind {other}: {gain}",
-    "noise": "no difference beyond noise from {other}: {gain}",
-    "few": "too few places to tell from {other}: {gain}",
-}
-"""By the mark of a difference: see :func:`slgaussian.benchmark.score_tables.gain_cell`."""
-
-
-@dataclass(frozen=True)
-class Claim:
-    """What may be said of one method against another.
-
-    Attributes
-    ----------
-    mark : str
-        ``better``, ``worse``, ``noise`` or ``few``.
-    text : str
-        "ahead of lerf-like by +0.080 (+0.030 to +0.120)".
-    """
-
-    mark: str
-    text: str
-
-
-def claims(gains: Table) -> list[Claim]:
-    """What the differences of one data set bear out, by :data:`CLAIMED`: one a method, in order.
-
-    Where all of many bear out nothing, for want of places, one claim says so.
-
-    Parameters
-    ----------
-    gains : Table
-        Of :func:`slgaussian.benchmark.score_tables.difference_tables`. Whoever has no such score is
-        left out.
-    """
-    columns = [(column.protocol, column.metric) for column in gains.columns]
-    if (CLAIMED.protocol, CLAIMED.metric) not in columns:
-        return []
-    place = columns.index((CLAIMED.protocol, CLAIMED.metric))
-    found = []
-    for line in gains.lines:
-        cell = line.cells[place]
-        if cell.mark in SAID:
-            gain = f"{cell.value} ({cell.interval})" if cell.interval else cell.value
-            text = SAID[cell.mark].format(other=line.method, gain=gain)
-            found.append(Claim(cell.mark, text))
-    if len(found) > 2 and all(claim.mark == "few" for claim in found):
-        return [Claim("few", f"too few places to tell from any of the {len(found)} others")]
-    return found
 
 
 @dataclass(frozen=True)
@@ -80,7 +22,7 @@ class Verdict:
 
 
 def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, list[float]]:
-    """Mean IoU of every lifting on every clip, the clips in one order.
+    """Return the mean IoU of every lifting on every clip, the clips in one order.
 
     Lessons of one clip show one scene and are no independent samples, so a clip counts once.
 
@@ -108,13 +50,13 @@ def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, li
 def gain(
     judgements: pa.Table, other: str, labels: str | None = None, of: str = "branch"
 ) -> Comparison:
-    """By how much the lifting ``of`` is better than ``other``; InputError without a clip."""
+    """Compare the lifting ``of`` with ``other``; InputError without a clip."""
     scores = clip_scores(judgements, labels)
     return compare(scores.get(of, []), scores.get(other, []))
 
 
 def verdict(judgements: pa.Table, other: str, called: str) -> Verdict:
-    """Whether the lifting ``branch`` is better than ``other``, in a sentence ``called`` so.
+    """Judge whether the lifting ``branch`` is better than ``other``, in a sentence ``called`` so.
 
     It is if the whole interval of the paired bootstrap is above 0, of :data:`LEAST` clips or more;
     labels as found and corrupted ones count alike.
@@ -123,7 +65,7 @@ def verdict(judgements: pa.Table, other: str, called: str) -> Verdict:
 
 
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
-    """Whether ``branch`` is better than the best of several liftings, beyond noise.
+    """Judge whether ``branch`` is better than the best of several liftings, beyond noise.
 
     It must be better than each of them as :func:`verdict` has it. To claim that of all at some
     level, each is asked at that same level (an intersection-union test, Berger 1982). The sentence
@@ -149,7 +91,7 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
 
 
 def regression(judgements: pa.Table, rivals: Mapping[str, str], called: str) -> str:
-    """A sentence if what is in use is worse than any of ``rivals`` beyond noise, else empty.
+    """Return a sentence if what is in use is worse than any of ``rivals`` beyond noise, else "".
 
     That is, the lifting ``before``, ``called`` so: clips that arrived since may show what those it
     was put to use by did not.

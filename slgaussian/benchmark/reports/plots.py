@@ -53,27 +53,6 @@ def as_svg(draw: Callable[[], Figure]) -> str:
     return re.sub(r' xmlns(:xlink)?="[^"]*"', "", text[text.index("<svg") :])
 
 
-def plot_scores(scores: Sequence[Row], ours: str) -> str:
-    """One score of each method with its interval, best at the top: rows of the spec ``scores``."""
-
-    def draw() -> Figure:
-        ordered = sorted(scores, key=lambda score: score["value"])
-        figure = Figure((5.6, max(3.0, 0.9 + 0.25 * len(ordered))), layout="constrained")
-        axes = figure.subplots()
-        for place, score in enumerate(ordered):
-            color = ACCENT if score["method"] == ours else SOFT
-            if score["low"] is not None:
-                axes.plot((score["low"], score["high"]), (place, place), color=color, lw=2)
-            axes.plot(score["value"], place, "o", color=color, ms=6.5, mec="white")
-        axes.set_yticks(range(len(ordered)), [score["method"] for score in ordered])
-        axes.set(xlim=(0, None), ylim=(-0.6, len(ordered) - 0.4), xlabel="IoU")
-        axes.tick_params(axis="y", length=0)
-        axes.grid(axis="x")
-        return figure
-
-    return as_svg(draw)
-
-
 def plot_curves(curves: Mapping[str, Mapping[float, float]], ours: str) -> str:
     """IoU with each threshold, by method; the best others have a colour and a name."""
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from slgaussian.benchmark.baselines import PAPER_ABLATION
-from slgaussian.benchmark.score_tables import conditions
+from slgaussian.benchmark.costs import PAPER_SECONDS
+from slgaussian.benchmark.reports.model import Cell, Column, Line, Prose, Section, Table, escape
+from slgaussian.benchmark.reports.score_tables import conditions
 from slgaussian.benchmark.scores import score_table
 from slgaussian.datasets.published import ANOTHER, UNVERIFIED, Standing
 
@@ -27,50 +29,12 @@ ABSENT = "data not present"
 PROTOCOLS = ("slgaussian", "langsplat")
 """By which a run is printed beside the paper, which names none."""
 
-SECONDS = {"slgaussian": 0.011, "query-2d": 18.0}
-"""Seconds a query in a new view by the paper's Table 4, on its GPU."""
-
-
-@dataclass(frozen=True)
-class Name:
-    """What a column or line is called: by the paper, and the row of methods that ran here.
-
-    A likeness never stands under its original's name; ``here`` is empty where no method is meant.
-    """
-
-    paper: str
-    here: str = ""
-
-
-@dataclass(frozen=True)
-class Printed:
-    """A table of the paper with this run in it.
-
-    Attributes
-    ----------
-    title, by : str
-        Its caption, and what the numbers of this run go by.
-    groups : tuple of (str, int)
-        Headings over several columns, and of how many.
-    columns : tuple of Name
-    lines : tuple of (Name, cells)
-        A cell is (the paper's number, this run's or why there is none); the paper's best is in
-        bold there, and known by ``best``.
-    best : set of (line, column)
-    present : bool
-        Whether there is any number of this run.
-    notes : tuple of str
-        A sentence a scene that is called like one of the table, and is not it.
-    """
-
-    title: str
-    by: str
-    groups: tuple[tuple[str, int], ...]
-    columns: tuple[Name, ...]
-    lines: tuple[tuple[Name, tuple[tuple[str, str], ...]], ...]
-    best: frozenset[tuple[int, int]]
-    present: bool
-    notes: tuple[str, ...] = ()
+ABOUT = (
+    "Of each cell the paper's number (arXiv 2412.08331) is first, as it is printed there, under "
+    "the name of its method; this run's is below it, and so is the name of what ran here. What is "
+    "called “like” is not the original. The paper's pairs of views were never published, and its "
+    "networks are others: its numbers are no target for this run's pairs."
+)
 
 
 @dataclass(frozen=True)
@@ -174,10 +138,12 @@ QUERY_2D_NUMBERS = {"query-2d": (44.64, 65.08), "slgaussian": (41.50, 70.80)}
 """The numbers of Table 4: chosen IoU and localization accuracy, %."""
 
 
-def paper_tables(
+def paper_section(
     rows: Sequence[Row], places: Mapping[str, Standing], ours: str = "slgaussian"
-) -> list[Printed]:
-    """Tables 1 to 4 for each of :data:`PROTOCOLS`; for the first alone if none has a number.
+) -> Section | None:
+    """Return Tables 1 to 4 for each of :data:`PROTOCOLS` that has a number of this run.
+
+    None if there is neither a number nor a scene that is called like one of the tables.
 
     Parameters
     ----------
@@ -187,7 +153,7 @@ def paper_tables(
         Of the scenes of the rows that are published ones, or called like one: a pair of views of a
         scene of LERF-OVS is a sample of that scene.
     ours : str
-        What the rows call our method.
+        Name of our method in the rows.
     """
     known = []
     for row in rows:
@@ -199,28 +165,35 @@ def paper_tables(
             known.append({**row, **named, "frame": frame})
     unsure = {(of.format, of.scene) for of in places.values() if of.standing == UNVERIFIED}
     run = _Run(known, ours, unsure)
-    made = []
+    tables = []
     for protocol in PROTOCOLS:
-        tables = [_scenes(source, run, protocol) for source in TABLES]
-        tables += [_ablation(run, protocol), _query_2d(run, protocol)]
-        if protocol == PROTOCOLS[0] or any(table.present for table in tables):
-            made += tables
-    for k, source in enumerate(TABLES):
-        made[k] = replace(made[k], notes=_notes(source.format, places))
-    return made
+        own = [_scenes_table(source, run, protocol) for source in TABLES]
+        own += [_ablation_table(run, protocol), _query_2d_table(run, protocol)]
+        if protocol == PROTOCOLS[0] or run.has_scores(protocol):
+            tables += own
+    notes = [_others(source.format, places) for source in TABLES]
+    if not any(notes) and not any(map(run.has_scores, PROTOCOLS)):
+        return None
+    for k, more in enumerate(notes):
+        tables[k] = replace(tables[k], notes=(*tables[k].notes, *more))
+    return Section(
+        "The paper's tables", [Prose(ABOUT), *tables], "paper", link="The paper's tables"
+    )
 
 
-def _notes(format: str, places: Mapping[str, Standing]) -> tuple[str, ...]:
-    """What is to be said of scenes called like those of a data set that are others."""
+def _others(format: str, places: Mapping[str, Standing]) -> list[str]:
+    """Describe scenes called like those of a data set that are others."""
     by_reason: dict[tuple[str, str], list[str]] = {}
     for name, of in places.items():
         if of.format == format and of.standing == ANOTHER:
             by_reason.setdefault((of.scene, of.why), []).append(name)
-    return tuple(
-        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: called {scene}, but not "
-        f"the published scene ({why}); in no cell"
-        for (scene, why), names in by_reason.items()
-    )
+    return [
+        escape(
+            f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: called {scene}, but "
+            f"not the published scene ({reason}); in no cell."
+        )
+        for (scene, reason), names in by_reason.items()
+    ]
 
 
 class _Run:
@@ -239,10 +212,13 @@ class _Run:
             and not score["protocol"].startswith("threshold-free")
         }
 
+    def has_scores(self, protocol: str) -> bool:
+        return any(name == protocol for _, _, name, _ in self.scores)
+
     def number(
         self, format: str, scenes: Sequence[str], method: str, protocol: str, metric: str
     ) -> str:
-        """The score as it is printed, %, with its samples, or why there is none."""
+        """Return the score as it is printed, %, with its samples, or the reason for none."""
         there = [scene for scene in scenes if (format, scene) in self.scenes]
         if not there:
             return ABSENT
@@ -259,87 +235,78 @@ class _Run:
         mark = f", {UNVERIFIED}" if any((format, name) in self.unsure for name in scenes) else ""
         return f"{100 * score['value']:.2f}{interval}, n {score['samples']}{mark}"
 
-    def name(self, paper: str, method: str) -> Name:
-        """What a method is called, as the rows have it."""
-        return Name(paper, self.ours if method == "slgaussian" else method)
+    def name(self, method: str) -> str:
+        """Return the name of a method in the rows."""
+        return self.ours if method == "slgaussian" else method
 
-    def by(self, protocols: Sequence[str]) -> str:
-        """What the numbers by some protocols go by."""
-        said = {
+    def notes(self, protocols: Sequence[str]) -> tuple[str, ...]:
+        """Describe what the numbers by some protocols go by."""
+        by = {
             f"{score['protocol']} ({conditions(score)})"
             for (_, _, name, _), score in self.scores.items()
             if name in protocols
         }
-        return "; ".join(sorted(said))
+        return (f"This run by {escape('; '.join(sorted(by)))}.",) if by else ()
 
 
-def _scenes(source: _Source, run: _Run, protocol: str) -> Printed:
-    each = [(scene,) for scene in source.scenes]
-    lines, best = [], set()
-    for i, scenes in enumerate([*each, source.scenes]):
-        cells: list[tuple[str, str]] = []
+def _scenes_table(source: _Source, run: _Run, protocol: str) -> Table:
+    lines = []
+    for i, scenes in enumerate([*((scene,) for scene in source.scenes), source.scenes]):
+        label = scenes[0].replace("_", " ") if len(scenes) == 1 else "overall"
+        cells = [Cell(label)]
         for group in source.groups:
             top = max(group.numbers[i])
-            for (_, method), number in zip(group.methods, group.numbers[i], strict=True):
-                if number == top:
-                    best.add((i, len(cells)))
+            for (_, method), paper in zip(group.methods, group.numbers[i], strict=True):
                 by = group.protocol or protocol
                 mine = run.number(source.format, scenes, method, by, group.metric)
-                cells.append((f"{number:.2f}", mine))
-        label = scenes[0].replace("_", " ") if len(scenes) == 1 else "overall"
-        lines.append((Name(label), tuple(cells)))
-    used = [group.protocol or protocol for group in source.groups]
-    return Printed(
-        source.title,
-        run.by(used),
-        tuple((group.title, len(group.methods)) for group in source.groups),
-        tuple(run.name(*method) for group in source.groups for method in group.methods),
-        tuple(lines),
-        frozenset(best),
-        _any_number(lines),
-    )
+                cells.append(Cell(f"{paper:.2f}", mine, "best" if paper == top else ""))
+        lines.append(Line(tuple(cells), style="" if len(scenes) == 1 else "mean"))
+    columns = [
+        Column(paper, group=group.title, note=run.name(method))
+        for group in source.groups
+        for paper, method in group.methods
+    ]
+    notes = run.notes([group.protocol or protocol for group in source.groups])
+    head = Column("", is_text=True)
+    return Table((head, *columns), tuple(lines), source.title, notes)
 
 
-def _ablation(run: _Run, protocol: str) -> Printed:
+def _ablation_table(run: _Run, protocol: str) -> Table:
     lines = []
-    for (parts, method), numbers in zip(PAPER_ABLATION.items(), ABLATION_NUMBERS, strict=True):
+    last = len(ABLATION_NUMBERS) - 1
+    for k, ((parts, method), numbers) in enumerate(
+        zip(PAPER_ABLATION.items(), ABLATION_NUMBERS, strict=True)
+    ):
         names = ("feed-forward model", "MA", "MV-LMB")
         label = " + ".join(n for n, on in zip(names, parts, strict=True) if on) or "none of them"
-        cells = tuple(
-            (f"{number:.2f}", run.number(format, (scene,), method, protocol, "iou"))
-            for (format, scene), number in zip(ABLATED, numbers, strict=True)
-        )
-        lines.append((run.name(label, method), cells))
-    columns = tuple(Name(scene.replace("_", " ")) for _, scene in ABLATED)
-    best = frozenset((len(lines) - 1, k) for k in range(len(columns)))
-    groups = (("Chosen IoU (%)", len(columns)),)
-    return Printed(
-        ABLATION, run.by((protocol,)), groups, columns, tuple(lines), best, _any_number(lines)
-    )
-
-
-def _query_2d(run: _Run, protocol: str) -> Printed:
-    names = {"query-2d": "2D Query", "slgaussian": "SLGaussian"}
-    lines = []
-    for method, numbers in QUERY_2D_NUMBERS.items():
         cells = [
-            (f"{number:.2f}", run.number(LERF, TABLES[0].scenes, method, protocol, metric))
-            for number, metric in zip(numbers, ("iou", "hit_box"), strict=True)
+            Cell(
+                f"{paper:.2f}",
+                run.number(format, (scene,), method, protocol, "iou"),
+                "best" if k == last else "",
+            )
+            for (format, scene), paper in zip(ABLATED, numbers, strict=True)
         ]
-        seconds = (f"{SECONDS[method]:g}", "under the times")
-        lines.append((run.name(names[method], method), (*cells, seconds)))
-    columns = (Name("Chosen IoU (%)"), Name("Localization accuracy (%)"), Name("Speed (s/q)"))
-    best = frozenset({(0, 0), (1, 1), (1, 2)})
-    return Printed(
-        QUERY_2D,
-        run.by((protocol,)),
-        (),
-        columns,
-        tuple(lines),
-        best,
-        _any_number([(name, cells[:-1]) for name, cells in lines]),
-    )
+        lines.append(Line((Cell(label), *cells), run.name(method)))
+    columns = [Column(scene.replace("_", " "), group="Chosen IoU (%)") for _, scene in ABLATED]
+    head = Column("", is_text=True)
+    return Table((head, *columns), tuple(lines), ABLATION, run.notes((protocol,)))
 
 
-def _any_number(lines: Sequence[tuple[Name, Sequence[tuple[str, str]]]]) -> bool:
-    return any(mine[:1].isdigit() and ", n " in mine for _, cells in lines for _, mine in cells)
+def _query_2d_table(run: _Run, protocol: str) -> Table:
+    best = {("query-2d", "iou"), ("slgaussian", "hit_box"), ("slgaussian", "seconds")}
+    lines = []
+    for method, title in (("query-2d", "2D Query"), ("slgaussian", "SLGaussian")):
+        cells = [Cell(title)]
+        for paper, metric in zip(QUERY_2D_NUMBERS[method], ("iou", "hit_box"), strict=True):
+            mine = run.number(LERF, TABLES[0].scenes, method, protocol, metric)
+            cells.append(Cell(f"{paper:.2f}", mine, "best" if (method, metric) in best else ""))
+        mark = "best" if (method, "seconds") in best else ""
+        cells.append(Cell(f"{PAPER_SECONDS[method]:g}", "under the times", mark))
+        lines.append(Line(tuple(cells), run.name(method)))
+    heads = [
+        Column("", is_text=True),
+        *map(Column, ("Chosen IoU (%)", "Localization accuracy (%)")),
+    ]
+    columns = (*heads, Column("Speed (s/q)"))
+    return Table(columns, tuple(lines), QUERY_2D, run.notes((protocol,)))

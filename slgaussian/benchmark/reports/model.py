@@ -1,0 +1,382 @@
+"""The model of a report: sections of blocks, rendered to HTML, Markdown and text for a terminal.
+
+Prose is one line of Markdown, in which names have passed :func:`escape`; what stands in cells,
+captions and titles is plain text. Pictures and plots are in the HTML alone.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import groupby
+from typing import Any, ClassVar
+
+import jinja2
+from markdown_it import MarkdownIt
+from markupsafe import Markup
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text as RichText
+
+NO_VALUE = "–"
+
+WIDE = 100
+"""Characters of a line that fit a terminal."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes
+    ----------
+    title : str
+    help : str
+        What stands in it, in a line.
+    group : str
+        A heading that neighbouring columns share.
+    note : str
+        Printed below the title.
+    is_text : bool
+        Whether it is set to the left; numbers are set to the right.
+    """
+
+    title: str
+    help: str = ""
+    group: str = ""
+    note: str = ""
+    is_text: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table.
+
+    Attributes
+    ----------
+    value : str
+    below : str
+        Printed small: an interval, or a second number.
+    mark : str
+        ``best`` (bold); ``better``, ``worse``, ``noise`` or ``few`` of a difference; ``yes`` or
+        ``no``.
+    note : str
+        What a pointer over it shows.
+    link : str
+        Id of the part of the page to which it leads.
+    """
+
+    value: str
+    below: str = ""
+    mark: str = ""
+    note: str = ""
+    link: str = ""
+
+    @property
+    def text(self) -> str:
+        """Value and what is printed below it, in one line."""
+        return f"{self.value} ({self.below})" if self.below else self.value
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a table: ``about`` explains its first cell, ``style`` is ``mean`` or ``ours``."""
+
+    cells: tuple[Cell, ...]
+    about: str = ""
+    style: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; ``notes`` are prose below it."""
+
+    columns: tuple[Column, ...]
+    lines: tuple[Line, ...]
+    title: str = ""
+    notes: tuple[str, ...] = ()
+    kind: ClassVar[str] = "table"
+
+    @staticmethod
+    def of(
+        columns: Sequence[Any],
+        rows: Sequence[Sequence[Any]],
+        title: str = "",
+        notes: Sequence[str] = (),
+    ) -> Table:
+        """Return a table of plain values; the first column is text.
+
+        ``columns`` are texts or :class:`Column`; values are texts, :class:`Cell`, or None where
+        there is none.
+        """
+        heads = [
+            column if isinstance(column, Column) else Column(column, is_text=k == 0)
+            for k, column in enumerate(columns)
+        ]
+        return Table(tuple(heads), tuple(map(line_of, rows)), title, tuple(notes))
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """The headings above the columns, and of how many; empty where no column has one."""
+        spans = [(name, len(list(own))) for name, own in groupby(c.group for c in self.columns)]
+        return spans if any(name for name, _ in spans) else []
+
+    def as_text(self) -> str:
+        """Return the table as text for a terminal, cells two spaces apart.
+
+        One that is too wide, of few lines, is turned around: a line a column.
+        """
+        text = self._drawn()
+        if len(text.partition("\n")[0]) > WIDE and len(self.lines) < len(self.columns):
+            heads = [self.columns[0].title, *(line.cells[0].text for line in self.lines)]
+            rows = [
+                [column.title, *(line.cells[place].text for line in self.lines)]
+                for place, column in enumerate(self.columns)
+            ]
+            return Table.of(heads, rows[1:])._drawn()
+        return text
+
+    def _drawn(self) -> str:
+        table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=True)
+        for column in self.columns:
+            side: Any = "left" if column.is_text else "right"
+            table.add_column(RichText(column.title), justify=side, no_wrap=True)
+        for line in self.lines:
+            table.add_row(*(RichText(cell.text) for cell in line.cells))
+        out = io.StringIO()
+        Console(file=out, width=10_000, color_system=None).print(table)
+        return "\n".join(row.rstrip() for row in out.getvalue().splitlines())
+
+
+def line_of(cells: Sequence[Cell | str | None], about: str = "", style: str = "") -> Line:
+    """Return a line of plain values, None where there is none."""
+    values = (NO_VALUE if cell is None else cell for cell in cells)
+    made = (value if isinstance(value, Cell) else Cell(value) for value in values)
+    return Line(tuple(made), about, style)
+
+
+def number(value: float | None, digits: int, unit: float = 1) -> str | None:
+    """Return a number in some unit as text; None of None."""
+    return None if value is None else f"{value / unit:,.{digits}f}"
+
+
+@dataclass(frozen=True)
+class Prose:
+    """A paragraph; ``style`` is a class of the style sheet."""
+
+    text: str
+    style: str = "soft"
+    kind: ClassVar[str] = "prose"
+
+
+@dataclass(frozen=True)
+class Points:
+    """Sentences in a list, each with its mark, as a :class:`Cell` has it."""
+
+    points: Sequence[tuple[str, str]]
+    kind: ClassVar[str] = "points"
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What names mean; of some a ``swatch``, a class of the style sheet, stands beside the name."""
+
+    terms: Mapping[str, str]
+    swatches: Mapping[str, str] = field(default_factory=dict)
+    kind: ClassVar[str] = "terms"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: its address, which is itself, its caption, and words in place of it."""
+
+    source: str
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Pictures side by side; ``layout`` is a class of the style sheet, ``walk`` the slider's."""
+
+    pictures: Sequence[Picture]
+    layout: str
+    kind: ClassVar[str] = "gallery"
+
+
+@dataclass(frozen=True)
+class Card:
+    """An answer: its text, what is said of it in chips (text, class), its pictures, and a note."""
+
+    title: str
+    chips: Sequence[tuple[str, str]]
+    pictures: Sequence[Picture]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Answers side by side."""
+
+    cards: Sequence[Card]
+    layout: str = "cards"
+    kind: ClassVar[str] = "cards"
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Plots as SVG text, by caption."""
+
+    plots: Mapping[str, str]
+    kind: ClassVar[str] = "plots"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Blocks side by side."""
+
+    blocks: Sequence[Block]
+    kind: ClassVar[str] = "columns"
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Blocks that are folded up below a line of text."""
+
+    summary: str
+    blocks: Sequence[Block]
+    is_open: bool = False
+    kind: ClassVar[str] = "fold"
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Key numbers by title: lines of data set, value, interval and number of another method."""
+
+    numbers: Mapping[str, Sequence[tuple[str, str | Slot, str, str]]]
+    kind: ClassVar[str] = "numbers"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A place that is filled after rendering, such as the section of times."""
+
+    text: str
+    kind: ClassVar[str] = "slot"
+
+
+Block = Table | Prose | Points | Terms | Gallery | Cards | Plots | Columns | Fold | Numbers | Slot
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report.
+
+    Attributes
+    ----------
+    title : str
+    blocks : sequence of Block
+    id : str
+        By which links find it.
+    note : str
+        Printed beside the title.
+    link : str
+        What the list of links at the top calls it; it is not there if this is empty.
+    style : str
+        A class of the style sheet: ``failed`` or ``look``.
+    is_folded : bool
+    only_html : bool
+        Whether it is of pictures, and not in the Markdown.
+    """
+
+    title: str
+    blocks: Sequence[Block]
+    id: str = ""
+    note: str = ""
+    link: str = ""
+    style: str = ""
+    is_folded: bool = False
+    only_html: bool = False
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report: what it opens with, and its sections; the same model gives the same bytes."""
+
+    title: str
+    opening: Sequence[Block]
+    sections: Sequence[Section]
+
+    def as_html(self) -> str:
+        """Return a page that needs no network."""
+        return _template("page.html.j2").render(report=self)
+
+    def as_markdown(self) -> str:
+        """Return the report as Markdown, without pictures."""
+        return _compact(_template("page.md.j2").render(report=self))
+
+    def as_text(self) -> str:
+        """Return sentences and tables of the report as text for a terminal."""
+        parts = [plain(block.text) for block in self.opening if isinstance(block, Prose)]
+        for section in self.sections:
+            tables = [block.as_text() for block in section.blocks if isinstance(block, Table)]
+            if tables:
+                parts.append("\n".join([section.title, *tables]))
+        return "\n\n".join(parts)
+
+
+def blocks_as(form: str, blocks: Sequence[Block]) -> str:
+    """Return blocks of a section alone, as ``html`` or ``md``."""
+    template: Any = _template(f"page.{form}.j2").make_module({"report": None})
+    if form == "html":
+        return str(template.show(blocks))
+    return _compact(str(template.show(blocks, 3)))
+
+
+def _compact(markdown: str) -> str:
+    """Leave one empty line where a template left several."""
+    return re.sub(r"\n{3,}", "\n\n", markdown).rstrip() + "\n"
+
+
+def escape(text: Any) -> str:
+    """Return a text of one line as Markdown that shows it, without markup."""
+    flat = " ".join(str(text).split())
+    for mark in "\\`*_<>|[]&":
+        flat = flat.replace(mark, f"\\{mark}")
+    return flat
+
+
+def plain(text: str) -> str:
+    """Return prose without the marks that :func:`escape` put into names."""
+    return re.sub(r"\\(.)", r"\1", text)
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """List the leaves of nested mappings as text, keys joined by dots."""
+    flat: list[tuple[str, str]] = []
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            flat += flatten(value, f"{prefix}{key}.")
+        else:
+            flat.append((f"{prefix}{key}", str(value)))
+    return flat
+
+
+@cache
+def _template(name: str) -> jinja2.Template:
+    """Load a template; in one for HTML names are text and never markup."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("slgaussian.benchmark.reports", "."),
+        autoescape=lambda file: file is not None and file.endswith(".html.j2"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    inline = MarkdownIt("commonmark", {"html": False})
+    environment.filters["cell"] = escape
+    environment.filters["prose"] = lambda text: Markup(inline.renderInline(text))
+    return environment.get_template(name)

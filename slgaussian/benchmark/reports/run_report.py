@@ -1,0 +1,407 @@
+"""The report of a benchmark: a sentence, a few numbers, a scene to look at, then all the rest.
+
+It depends on its arguments alone, same results, same bytes. What a run costs is put in afterwards
+by :func:`with_times`: a section, and the seconds beside the first numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from slgaussian.benchmark.attribution import STAND_INS
+from slgaussian.benchmark.costs import Times
+from slgaussian.benchmark.outputs import mask_place
+from slgaussian.benchmark.reports import look
+from slgaussian.benchmark.reports.model import (
+    Block,
+    Cards,
+    Column,
+    Fold,
+    Plots,
+    Points,
+    Prose,
+    Report,
+    Section,
+    Slot,
+    Table,
+    Terms,
+    blocks_as,
+    escape,
+    flatten,
+    line_of,
+    number,
+)
+from slgaussian.benchmark.reports.paper_tables import paper_section
+from slgaussian.benchmark.reports.plots import plot_curves, plot_reliability
+from slgaussian.benchmark.reports.scenes import Scene, accounts_table, metrics_table
+from slgaussian.benchmark.reports.score_tables import (
+    MAIN,
+    MORE,
+    claims,
+    conditions,
+    difference_tables,
+    is_of_curve,
+    method_tables,
+)
+from slgaussian.benchmark.reports.speed import speed_blocks
+from slgaussian.benchmark.reports.summary import summarize
+from slgaussian.benchmark.scores import GOOD, key_of, of_first_protocol, reliability, score_table
+from slgaussian.datasets.published import Standing
+
+Row = Mapping[str, Any]
+Images = Mapping[str, np.ndarray]
+
+FEW = 6
+"""Scenes up to which all are shown at once, with large pictures."""
+
+MOST = 24
+"""Scenes that get pictures: of more, those answered worst. All are in the tables."""
+
+LEFT_OUT = 3
+"""Scenes left out for one reason that are named."""
+
+FIRST_SCORES = ("iou", "miou", "hit_mask", "hit_peak", "accuracy")
+"""Metrics of the first table, in the order of its columns."""
+
+TIMES = "<!-- times -->"
+"""Where :func:`with_times` puts its section."""
+
+
+def run_report(
+    scenes: Sequence[Scene],
+    manifest: Mapping[str, Any],
+    failures: Sequence[Mapping[str, str]] = (),
+    attribution: Sequence[Row] = (),
+) -> Report:
+    """Make the report of a run.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    manifest : mapping
+        Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``published``
+        says which published scene it is (the fields of
+        :class:`slgaussian.datasets.published.Standing`), and ``cameras`` whether they were given.
+    failures : sequence of mapping
+        Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
+    attribution : sequence of mapping
+        Rows of the spec ``attribution``: what lost each miss of our method.
+    """
+    by_method: dict[str, list[Row]] = {}
+    for scene in scenes:
+        for row in scene.rows:
+            by_method.setdefault(row["method"], []).append(row)
+    ours, rows = next(iter(by_method.items()), ("", []))
+    asked = of_first_protocol(rows)
+    scores = [score for own in by_method.values() for score in score_table(own).to_pylist()]
+    leading = [score for score in scores if asked and score["protocol"] == asked[0]["protocol"]]
+    lost_by = {key_of(row): row["lost"] or "" for row in attribution}
+    drawn = _drawn(scenes, asked, lost_by)
+    sections = [*drawn.looks, *_score_sections(by_method, scores, leading)]
+    if failures:
+        sections.append(_failures_section(failures))
+    sections.append(Section("Speed against error", [Slot(TIMES)], "times", link="Speed"))
+    if drawn.worst:
+        sections.append(_worst_section(asked, drawn, attribution))
+    entries = manifest.get("data", {}).items()
+    standing = {name: Standing(**of["published"]) for name, of in entries if of.get("published")}
+    every = [row for own in by_method.values() for row in own]
+    if (paper := paper_section(every, standing, ours)) is not None:
+        sections.append(paper)
+    if scenes:
+        sections.append(_scenes_section(scenes, leading, ours, manifest))
+    sections += [*drawn.scenes, _manifest_section(manifest)]
+    opening = summarize(scenes, by_method, asked, leading, manifest, len(failures))
+    return Report("SLGaussian report", opening, sections)
+
+
+def with_times(
+    pages: Mapping[str, str],
+    times: Times,
+    rows: Sequence[Row] = (),
+    novel: Sequence[tuple[str, str, float]] = (),
+) -> dict[str, str]:
+    """Complete a report of :func:`run_report` with what is true of one run on one machine only.
+
+    Parameters
+    ----------
+    pages : {form: text}
+        The forms ``html`` and ``markdown`` of the report.
+    times, rows, novel
+        As :func:`slgaussian.benchmark.reports.speed.speed_blocks` takes them.
+    """
+    blocks = speed_blocks(times, rows, novel)
+    costs = {(cost.dataset, cost.method): cost for cost in times.costs}
+
+    def filled(match: re.Match[str]) -> str:
+        dataset, method = (bytes.fromhex(match[k]).decode() for k in (2, 3))
+        value = getattr(costs.get((dataset, method)), match[1], None)
+        text = "–" if value is None else f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
+        return f'<span class="took">{text}</span>'
+
+    html = re.sub(r"<!-- (\w+) ((?:[0-9a-f]{2})*) ((?:[0-9a-f]{2})*) -->", filled, pages["html"])
+    return {
+        "html": html.replace(TIMES, blocks_as("html", blocks)),
+        "markdown": pages["markdown"].replace(TIMES, blocks_as("md", blocks)),
+    }
+
+
+@dataclass
+class _Drawn:
+    """The sections of pictures: scenes that open the page, the worst answers, and all scenes."""
+
+    looks: list[Section]
+    worst: list[Any]
+    scenes: list[Section]
+
+
+def _drawn(
+    scenes: Sequence[Scene], asked: Sequence[Row], lost_by: Mapping[look.Key, str]
+) -> _Drawn:
+    """Draw the pictures of all scenes, of which one is in memory at a time."""
+    worst = look.few_a_scene(look.ranked(asked), look.WORST)
+    cards: dict[look.Key, Any] = {}
+    opens = look.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
+    worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
+    pictured = {scene.name for scene in worst_first[:MOST]}
+    few = len(scenes) <= FEW
+    drawn = _Drawn([], [], [])
+    for place, scene in enumerate(scenes):
+        rows = [row for row in asked if row["scene"] == scene.name]
+        chosen = [row for row in worst if row["scene"] == scene.name]
+        images: Images = {}
+        if scene.name in pictured | opens.keys() or chosen:
+            images = scene.pictures()
+        if scene.name in opens:
+            reason = opens[scene.name]
+            truth, masks = scene.truth(), scene.masks()
+            shown = look.look_section(scene.name, reason, rows, images, truth, masks, lost_by)
+            drawn.looks.append(shown)
+        for row in chosen:
+            lost = lost_by.get(key_of(row), "")
+            cards[key_of(row)] = look.answer_card(row, images, look.ANSWER, lost)
+        own = images if scene.name in pictured else {}
+        drawn.scenes.append(
+            look.scene_section(
+                scene.name, f"scene-{place}", rows, scene.metrics, own, few, scene.name in opens
+            )
+        )
+    if drawn.looks:
+        drawn.looks[0] = replace(drawn.looks[0], id="look", link="Look")
+    drawn.worst = [(row, cards[key_of(row)]) for row in worst]
+    return drawn
+
+
+def _score_sections(
+    by_method: Mapping[str, Sequence[Row]], scores: Sequence[Row], leading: Sequence[Row]
+) -> Iterator[Section]:
+    """Return one table a data set, and all others folded up below."""
+    if not leading:
+        return
+    ours, *others = by_method
+    protocol = leading[0]["protocol"]
+    shown = [
+        score
+        for metric in FIRST_SCORES
+        for score in (*MAIN, *MORE)
+        if score.metric == metric and score.protocol == protocol.partition("@")[0]
+    ]
+    pairs = {method: (by_method[ours], by_method[method]) for method in others}
+    gains = {table.title: table for table in difference_tables(pairs)}
+    more = {table.title: table for table in method_tables(scores, MORE)}
+    blocks: list[Block] = []
+    for table in method_tables(leading, shown):
+        best_first = sorted(table.lines, key=lambda line: line.cells[1].value, reverse=True)
+        lines = tuple(
+            replace(line, style="ours" if others and line.cells[0].value == ours else "")
+            for line in best_first
+        )
+        blocks.append(replace(table, lines=lines))
+        if points := claims(gains[table.title]) if table.title in gains else []:
+            blocks += [Prose(f"By {MAIN[0].title}, {escape(ours)} is", ""), Points(points)]
+    terms = {score.title: score.help for score in shown}
+    terms["near-best"] = (
+        "all objects that lead the canonical phrases by the given share of the best "
+    )
+    terms["near-best"] += "one's lead"
+    blocks.append(Terms(terms))
+    if others:
+        note = "Best IoU first; the best of each column is bold. What is called “like” is not the "
+        note += "original, but what it is known for on the same photographs, Gaussians and encoder."
+        blocks.append(Prose(note))
+    title = "How good, by method" if others else "How good"
+    yield Section(title, blocks, "scores", link="Scores")
+    every: list[Block] = []
+    for table in method_tables(scores):
+        every.append(table)
+        if table.title in more:
+            every.append(replace(more[table.title], title="By other protocols, and calibration"))
+        every.append(Plots(_plots(table.title, scores, by_method)))
+        if table.title in gains:
+            every.append(replace(gains[table.title], title=f"{ours} minus each other method"))
+    note = f"by every protocol, plots{', differences' if others else ''}"
+    yield Section("Every score", every, note=note, is_folded=True)
+
+
+def _plots(
+    dataset: str, scores: Sequence[Row], by_method: Mapping[str, Sequence[Row]]
+) -> dict[str, str]:
+    """Return the plots of a data set, each with its caption."""
+    ours = next(iter(by_method))
+    curves: dict[str, dict[float, float]] = {}
+    for score in scores:
+        if score["dataset"] == dataset and is_of_curve(score):
+            curves.setdefault(score["method"], {})[score["threshold"]] = score["value"]
+    sure = {}
+    for method, rows in by_method.items():
+        own = reliability(
+            row
+            for row in rows
+            if row["dataset"] == dataset and row["protocol"].startswith("slgaussian@")
+        )
+        if own.counts.any():
+            sure[method] = own
+    plots = {}
+    if curves:
+        plots["IoU with each threshold of the relevancy"] = plot_curves(curves, ours)
+    if sure:
+        caption = "Calibration: how often the point is right, by how sure; larger: more queries"
+        plots[caption] = plot_reliability(sure, ours)
+    return plots
+
+
+def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
+    """List scenes that were left out, those of one reason in one line."""
+    scenes: dict[tuple[str, str], list[str]] = {}
+    for failure in failures:
+        scenes.setdefault((failure["stage"], failure["reason"]), []).append(failure["scene"])
+    rows = []
+    for (stage, reason), names in scenes.items():
+        more = len(names) - LEFT_OUT
+        listed = "; ".join(names[:LEFT_OUT]) + (f"; and {more} more" if more > 0 else "")
+        rows.append([listed, stage, reason])
+    heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
+    return Section("Left out", [Table.of(heads, rows)], "left-out", link="Left out", style="failed")
+
+
+def _worst_section(asked: Sequence[Row], drawn: _Drawn, attribution: Sequence[Row]) -> Section:
+    """Show the answers that scored least, and what lost them."""
+    blocks: list[Block] = []
+    for dataset in dict.fromkeys(row["dataset"] for row in asked):
+        scored = [r for r in asked if r["dataset"] == dataset and r["iou"] is not None]
+        if scored:
+            low = {key_of(row) for row in scored if row["iou"] < GOOD}
+            beside = {key_of(row) for row in scored if not row["hit_mask"]}
+            blocks.append(
+                Prose(
+                    f"**{escape(dataset)}**: {len(low | beside)} of {len(scored)} queries are "
+                    f"missed, {len(low)} with an IoU below {GOOD} and {len(beside)} with a "
+                    "point beside the object."
+                )
+            )
+    by = f"{escape(asked[0]['protocol'])} ({escape(conditions(asked[0]))})"
+    blocks.append(Prose(f"Here are the lowest, a few of a scene, by {by}."))
+    blocks += [look.ANSWER_TERMS, Cards([card for _, card in drawn.worst])]
+    rows = [
+        [
+            row["query"],
+            f"{row['scene']}, {row['frame']}",
+            number(row["iou"], 3),
+            f"predictions/{mask_place(row).as_posix()}",
+        ]
+        for row, _ in drawn.worst
+    ]
+    places = [Column(name, is_text=True) for name in ("Scene and frame", "Mask")]
+    table = Table.of(["Query", places[0], "IoU", places[1]], rows)
+    blocks.append(Fold("Where their masks are", [table]))
+    if attribution:
+        blocks += _attribution_blocks(attribution)
+    return Section("Answered worst", blocks, "worst", link="Worst answers")
+
+
+def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
+    """Say what lost the queries of each data set, and of all of them in the last line."""
+    blocks: list[Block] = [
+        Prose(
+            "Mean IoU as it is, and with the truth in the place of one stage after another, from "
+            "the end; each column keeps what those before it put right. The first that mends a "
+            "miss, IoU and point, is what lost it."
+        )
+    ]
+    columns = [Column("lost by", is_text=True), Column("Queries")]
+    columns += [Column(title, help) for title, help in STAND_INS.values()]
+    for dataset in dict.fromkeys(row["dataset"] for row in attribution):
+        own = [row for row in attribution if row["dataset"] == dataset]
+        counts = Counter(row["lost"] or "no miss" for row in own)
+        lines = []
+        for lost in sorted(counts, key=lambda name: (name == "no miss", -counts[name])):
+            rows = [row for row in own if (row["lost"] or "no miss") == lost]
+            lines.append(line_of([lost, str(len(rows)), *_mean_ious(rows)]))
+        lines.append(line_of(["all", str(len(own)), *_mean_ious(own)], style="mean"))
+        title = f"Which stage lost them, {dataset}"
+        blocks.append(Table(tuple(columns), tuple(lines), title))
+    blocks.append(Terms({title: help for title, help in STAND_INS.values() if help}))
+    return blocks
+
+
+def _mean_ious(rows: Sequence[Row]) -> list[str | None]:
+    known = ([row[name] for row in rows if row[name] is not None] for name in STAND_INS)
+    return [number(float(np.mean(ious)), 3) if ious else None for ious in known]
+
+
+def _scenes_section(
+    scenes: Sequence[Scene], leading: Sequence[Row], ours: str, manifest: Mapping[str, Any]
+) -> Section:
+    """List the metrics of every scene, and what its field is made of."""
+    blocks: list[Block] = [
+        Prose(
+            "Each scene's field is a folder below `fields/`, by the name that `fields.csv` has; "
+            "`slgaussian query` asks it. The mean gives every scene that has a number the same "
+            "weight."
+        )
+    ]
+    if cameras := _estimated(manifest):
+        blocks.append(Prose(f"Cameras were not given, but found, of {', '.join(cameras)}."))
+    links = {scene.name: f"scene-{place}" for place, scene in enumerate(scenes)}
+    tables = []
+    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
+        metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
+        scores = [s for s in leading if (s["dataset"], s["method"]) == (dataset, ours)]
+        tables.append(metrics_table(metrics, scores, dataset, links))
+    terms = {c.title: c.help for table in tables for c in table.columns if c.help}
+    accounts = accounts_table({scene.name: scene.account for scene in scenes})
+    blocks += [*tables, Terms(terms), Fold("What the fields are made of", [accounts])]
+    return Section("Scene by scene", blocks, "scenes", link="Scene by scene")
+
+
+def _estimated(manifest: Mapping[str, Any]) -> list[str]:
+    """Describe the scenes whose cameras were not given."""
+    texts = []
+    for name, of in manifest.get("data", {}).items():
+        cameras, left_out = of.get("cameras", "given"), list(of.get("left_out", {}))
+        aside = f"; without {', '.join(left_out)}, which cannot be placed" if left_out else ""
+        if cameras != "given":
+            texts.append(f"{escape(name)} ({escape(cameras + aside)})")
+    return texts
+
+
+def _manifest_section(manifest: Mapping[str, Any]) -> Section:
+    """List settings, methods, versions and data."""
+    rows = flatten({k: v for k, v in manifest.items() if k != "data"})
+    data = [
+        (f"{name}, {key}", value)
+        for name, entry in manifest.get("data", {}).items()
+        for key, value in flatten(entry)
+    ]
+    heads = [Column("", is_text=True)] * 2
+    blocks: list[Block] = [Table.of(heads, rows)]
+    if data:
+        blocks.append(Fold("Data of each scene, by digest", [Table.of(heads, data)]))
+    note = "settings, methods, versions, data: with these it can be run again"
+    return Section("What ran", blocks, "ran", note, "What ran", is_folded=True)

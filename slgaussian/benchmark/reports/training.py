@@ -1,0 +1,190 @@
+"""The report of a training: scores and gains, the course of the loss, and pictures of labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from slgaussian.benchmark.pictures import encode_png, paint_labels
+from slgaussian.benchmark.reports.encoding import data_uri
+from slgaussian.benchmark.reports.model import (
+    Block,
+    Cell,
+    Column,
+    Gallery,
+    Picture,
+    Plots,
+    Prose,
+    Report,
+    Section,
+    Table,
+    escape,
+    flatten,
+)
+from slgaussian.benchmark.reports.plots import as_svg
+from slgaussian.benchmark.significance import clip_scores, gain
+from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
+
+ABOUT = {
+    "hard": "each Gaussian has the object of its own pixel; no network",
+    "filled": "the same, after pixels without an object took one from other views; no network",
+    "identity": "the branch before training: equals filled, or hard if it sees single views",
+    "branch": "the branch that was trained",
+    "before": "the weights that training began from, or that are in use",
+}
+"""Descriptions of the liftings."""
+
+SMOOTH = 0.02
+"""Fraction of the steps over which the curve of the loss is averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """One target view of a held-out lesson, all pictures int32 [H, W] object ids.
+
+    ``shown`` is the first context view as the liftings saw it, ``truth`` the target labels, and
+    ``found`` by lifting the answers, with the IoU of the lesson under ``ious``.
+    """
+
+    sample: str
+    labels: str
+    shown: np.ndarray
+    truth: np.ndarray
+    found: Mapping[str, np.ndarray]
+    ious: Mapping[str, float]
+
+
+def training_report(
+    metrics: pa.Table,
+    judgements: pa.Table,
+    examples: Sequence[Example],
+    manifest: Mapping[str, Any],
+) -> Report:
+    """Make the report of a training.
+
+    Parameters
+    ----------
+    metrics, judgements : tables of these specs
+    examples : sequence of Example
+    manifest : mapping
+        Numbers of lessons and settings, nested mappings allowed.
+    """
+    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
+    plots = {
+        "Loss of every step and its running mean; grey: learning rate": as_svg(
+            lambda: _loss_curve(metrics)
+        ),
+        "A point a held-out clip; above the line the branch is better": as_svg(
+            lambda: _gain_by_clip(judgements, kinds)
+        ),
+    }
+    sections = [
+        Section("Scores", [scores_table(judgements), _gains_table(judgements, kinds)]),
+        Section("Course", [Plots(plots)]),
+    ]
+    if examples:
+        note = (
+            "Where the branch gains most, in the middle, and where it gains least, labels "
+            "corrupted. IoU is of all target views of the lesson."
+        )
+        shown: list[Block] = [Prose(note)]
+        for example in examples:
+            shown += [Prose(escape(example.sample)), Gallery(_pictures(example), "labels")]
+        sections.append(Section("Held-out lessons", shown))
+    sections.append(Section("What ran", [Table.of(["", _text("")], flatten(manifest))]))
+    opening = "Judged by the objects seen in new views of clips that it was not trained on."
+    return Report("Training of the semantic branch", [Prose(opening)], sections)
+
+
+def scores_table(judgements: pa.Table) -> Table:
+    """Return the mean IoU of each lifting by kind of labels."""
+    kinds = dict.fromkeys(judgements["labels"].to_pylist())
+    scores = {kind: clip_scores(judgements, kind) for kind in kinds}
+    rows = [
+        [name, *(f"{np.mean(scores[kind][name]):.4f}" for kind in kinds), ABOUT[name]]
+        for name in dict.fromkeys(judgements["lifting"].to_pylist())
+    ]
+    return Table.of(["lifting", *(f"IoU, labels {kind}" for kind in kinds), _text("")], rows)
+
+
+def _gains_table(judgements: pa.Table, kinds: Sequence[str]) -> Table:
+    others = [n for n in dict.fromkeys(judgements["lifting"].to_pylist()) if n != "branch"]
+    gains = [(other, kind, gain(judgements, other, kind)) for other in others for kind in kinds]
+    rows = [
+        [
+            other,
+            kind,
+            Cell(f"{one.difference:+.4f}", f"{one.low:+.4f} to {one.high:+.4f}", _mark(one)),
+            str(one.samples),
+        ]
+        for other, kind, one in gains
+    ]
+    note = (
+        f"Below a difference: where it lies in {LEVEL:.0%} of the resamplings of a paired "
+        f"bootstrap over clips; of fewer than {LEAST} it says little."
+    )
+    heads = ["Against", _text("Labels"), "Difference", "Clips"]
+    return Table.of(heads, rows, "What the branch gains", [note])
+
+
+def _mark(found: Comparison) -> str:
+    if found.samples < LEAST:
+        return "few"
+    return "better" if found.low > 0 else "worse" if found.high < 0 else "noise"
+
+
+def _text(title: str) -> Column:
+    return Column(title, is_text=True)
+
+
+def _loss_curve(metrics: pa.Table) -> Figure:
+    steps, loss = metrics["step"].to_numpy(), metrics["loss"].to_numpy()
+    figure = Figure((7.4, 3.0), layout="constrained")
+    axes = figure.subplots()
+    width = max(1, round(SMOOTH * len(steps)))
+    for corrupted, colour, name in ((False, "#12833f", "as found"), (True, "#3b5bdb", "corrupted")):
+        mine = metrics["corrupted"].to_numpy() == corrupted
+        if not mine.any():
+            continue
+        axes.plot(steps[mine], loss[mine], ".", ms=2, alpha=0.25, color=colour)
+        smooth = np.convolve(loss[mine], np.ones(width) / width, "valid")
+        axes.plot(steps[mine][width - 1 :], smooth, color=colour, label=f"labels {name}")
+    if (loss > 0).any():
+        axes.set_yscale("log")
+    axes.set(xlabel="step", ylabel="loss")
+    axes.legend(frameon=False)
+    rate = axes.twinx()
+    rate.plot(steps, metrics["rate"].to_numpy(), color="#b3bac6", lw=1)
+    rate.set_ylabel("learning rate", color="#667085")
+    rate.set_ylim(0)
+    return figure
+
+
+def _gain_by_clip(judgements: pa.Table, kinds: Sequence[str]) -> Figure:
+    figure = Figure((7.4, 3.0), layout="constrained")
+    axes = figure.subplots()
+    for kind, colour in zip(kinds, ("#12833f", "#3b5bdb"), strict=False):
+        scores = clip_scores(judgements, kind)
+        axes.plot(scores["hard"], scores["branch"], ".", color=colour, label=f"labels {kind}")
+    low, high = axes.get_xlim()
+    axes.plot((low, high), (low, high), color="#b3bac6", lw=1, zorder=0)
+    axes.set(xlabel="IoU of hard", ylabel="IoU of branch")
+    axes.legend(frameon=False)
+    return figure
+
+
+def _pictures(example: Example) -> list[Picture]:
+    def picture(ids: np.ndarray, caption: str) -> Picture:
+        flat = np.full((*ids.shape, 3), 170, np.uint8)
+        return Picture(data_uri(encode_png(paint_labels(ids, flat)), "png"), caption, caption)
+
+    found = [
+        picture(ids, f"{name}, IoU {example.ious[name]:.3f}") for name, ids in example.found.items()
+    ]
+    shown = picture(example.shown, f"a context view, labels {example.labels}")
+    return [shown, picture(example.truth, "a target view"), *found]

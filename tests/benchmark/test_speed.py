@@ -1,0 +1,64 @@
+"""The Pareto front against its definition, and the section of what a run cost."""
+
+import math
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+from pages import tables_of
+
+from slgaussian.benchmark.costs import Cost, StageCost, Times
+from slgaussian.benchmark.hard_cases import HardCase
+from slgaussian.benchmark.reports.model import blocks_as
+from slgaussian.benchmark.reports.speed import front, speed_blocks
+
+STEPS = st.integers(0, 4)  # few, so that many are equal
+
+
+@given(st.lists(st.tuples(STEPS | st.none(), STEPS), max_size=8))
+def test_the_front_is_what_no_other_beats(points):
+    costs, values = [p[0] for p in points], [p[1] for p in points]
+    on = front(costs, values)
+    for k, (cost, value) in enumerate(points):
+        beaten = cost is None
+        for other, worth in points:
+            if cost is not None and other is not None:
+                no_worse = other <= cost and worth >= value
+                beaten |= no_worse and (other, worth) != (cost, value)
+        assert on[k] == (not beaten)
+
+
+def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
+    good = HardCase("rasteriser", "needles", "long", "of alpha", 2e-7, 5e-6)
+    name, other = result.dataset, "no-bank"
+    times = Times(
+        {"field": StageCost(1.25, 0.75, 64_000_000, 30.0), "masks": StageCost(3.75, 1.5)},
+        [
+            ("slgaussian", "room", {"first_query": 0.5}),
+            ("query-2d", "room", {"prepare": 2.0, "first_query": 6.0}),
+        ],
+        {"machine": "a machine", "processor": "this"},
+        {"this": 5, "another": 12},
+        [
+            Cost(name, "slgaussian", view_query=0.5, grown=300_000_000),
+            Cost(name, other, view_query=0.1, grown=500_000_000),
+        ],
+        [good, replace(good, case="on its edge", error=math.nan)],
+    )
+    rows = [*result.rows, *({**row, "method": other, "iou": 0.0} for row in result.rows)]
+    text = blocks_as("md", speed_blocks(times, rows, [(name, "slgaussian", 20.0)]))
+    worth, stages, hard, machine = tables_of(text)
+    front_of = [(line[0], line[1], line[3], line[7], line[9], line[10]) for line in worth[1:]]
+    assert front_of == [
+        ("slgaussian", f"{result.scene_metrics['iou']:.3f}", "20.0", "0.5000", "300",
+         "time, memory"),
+        (other, "0.000", "–", "0.1000", "500", "time"),
+    ]  # fmt: skip
+    assert stages[1] == ["field", "0.75", "1.25", "25 %", "64"]
+    assert [line[-1] for line in hard[1:]] == ["ok", "beyond"]
+    assert "**1 are beyond their bounds**: on its edge (rasteriser)" in text
+    assert ["made elsewhere", "12 results, with their seconds, on another"] in machine
+    assert "12 times as long as slgaussian, 6 s against 0.5 s; the paper says 18 s" in text
+    assert "took 30 s more" in text
+    page = blocks_as("html", speed_blocks(times, rows, []))
+    assert page.count("<svg") == 2 and "0.5000" in page
