@@ -62,7 +62,7 @@ def test_a_room_is_the_same_at_any_resolution():
 def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre(clean_ends):
     view, _ = clean_ends
     scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
-    room = scene.read.__self__.room
+    room = scene.read.args[1]
     solids = [solid for thing in room.things for solid in thing.solids]
     owners = room.owners()
     points = view.camera.unproject(view.depth)
@@ -81,7 +81,7 @@ def test_true_depth_warps_one_end_of_the_arc_onto_the_other(clean_ends):
     inside = (pixels > 0.5).all(-1) & (pixels < (b.camera.width - 1, b.camera.height - 1)).all(-1)
     # Seen by both, judged by the exact ray of b through the warped point.
     rays = points - b.camera.center
-    room = reader.read(seed=5).read.__self__.room
+    room = reader.read(seed=5).read.args[1]
     t, index = raycast.cast(room.solids(), b.camera.center, rays)
     seen = inside & (np.abs(t - 1) < 1e-5)
     assert 0.6 < seen.mean() < 0.95
@@ -139,7 +139,7 @@ def test_every_object_is_seen_from_both_ends(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_stands_inside_anything_else_or_floats(seed):
     rng = np.random.default_rng(seed)
-    things = reader.read(seed=seed, objects=12, **SMALL).read.__self__.room.things
+    things = reader.read(seed=seed, objects=12, **SMALL).read.args[1].things
     for a, b in itertools.permutations(things, 2):
         for solid in a.solids:
             points = solid.centre + rng.uniform(-1, 1, (4000, 3)) * solid.reach
@@ -163,7 +163,7 @@ def test_nothing_stands_inside_anything_else_or_floats(seed):
 
 def test_shadows_fall_where_an_object_hides_the_lamp():
     scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
-    room = scene.read.__self__.room
+    room = scene.read.args[1]
     view = scene.read("view_00")
     points = view.camera.unproject(view.depth)
     t, _ = raycast.cast(room.solids(casters=True), room.light.centre, points - room.light.centre)

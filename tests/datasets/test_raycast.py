@@ -82,7 +82,7 @@ def test_normals_are_unit_and_along_the_gradient_of_the_implicit_function(kind, 
     if not np.isfinite(t):
         return
     local = (origin + t * ray - solid.centre) @ solid.rotation
-    normal = np.array(normal_at(kind, np.array((*solid.size, 0, 0)[:3], float), *local))
+    normal = np.array(normal_at(kind, np.array((*solid.size, 0, 0)[:3], float), tuple(local)))
     assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-6)
     assert normal @ (ray @ solid.rotation) < 1e-6 * np.linalg.norm(ray)  # faces the ray
     level = Solid(solid.kind, solid.size, (0.0, 0.0, 0.0))

@@ -13,7 +13,9 @@ from slgaussian.datasets.procedural.textures import Material, albedo, linear, pa
 def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.ndarray:
     materials = pack([material], np.random.default_rng(0))
     size = np.array((*size, 0, 0)[:3], np.float64)
-    return np.array(albedo(materials, 0, kind, size, *point, *normal_at(kind, size, *point)))
+    return np.array(
+        albedo(materials, 0, kind, size, tuple(point), normal_at(kind, size, tuple(point)))
+    )
 
 
 def on_round(kind: int, angle: float, up: float) -> tuple[tuple[float, ...], np.ndarray]:

@@ -38,22 +38,20 @@ VOCABULARY = frozenset((*COLOURS, *PATTERNS, *MATERIALS, *SHAPES, *STUFF))
 
 # The colour that a material shows: "brown box" must not stand beside a "wooden box".
 _LOOKS = {"wooden": "brown", "marble": "white", "brick": "red", "gravel": "grey", "grass": "green"}
+_PAINTS = {
+    "wooden": (textures.WOODEN, (0.66, 0.43, 0.24), (0.47, 0.28, 0.14), 0.0, 0.06),
+    "marble": (textures.MARBLE, (0.9, 0.9, 0.89), (0.5, 0.52, 0.56), 0.35, 0.05),
+    "brick": (textures.BRICK, (0.62, 0.27, 0.2), (0.72, 0.69, 0.65), 0.08, 0.0),
+}  # pattern, two sRGB colours, cell if it is always the same, gloss
 _TINTS = {"gravel": (0.56, 0.55, 0.53), "grass": (0.35, 0.52, 0.20)}
 
 
 def material(rng: np.random.Generator, words: str, cell: float) -> Material:
-    """The material that ``words`` names: a colour, a colour and a pattern, or a material."""
+    """Make the material that ``words`` name: a colour, a colour and a pattern, or a material."""
     colour, _, pattern = words.partition(" ")
-    if colour == "wooden":
-        light, dark = ((0.66, 0.43, 0.24), (0.47, 0.28, 0.14))
-        return Material(textures.WOODEN, jitter(rng, light), jitter(rng, dark), cell, gloss=0.06)
-    if colour == "marble":
-        return Material(
-            textures.MARBLE, jitter(rng, (0.9, 0.9, 0.89)), jitter(rng, (0.5, 0.52, 0.56)), 0.35
-        )
-    if colour == "brick":
-        clay, mortar = ((0.62, 0.27, 0.2), (0.72, 0.69, 0.65))
-        return Material(textures.BRICK, jitter(rng, clay), jitter(rng, mortar), 0.08, gloss=0.0)
+    if colour in _PAINTS:
+        kind, light, dark, size, gloss = _PAINTS[colour]
+        return Material(kind, jitter(rng, light), jitter(rng, dark), size or cell, gloss=gloss)
     if colour in _TINTS:
         tint = jitter(rng, _TINTS[colour])
         return Material(textures.PHOTO, tint, cell=max(cell, 0.9), photo=colour, gloss=0.0)
@@ -71,13 +69,13 @@ def material(rng: np.random.Generator, words: str, cell: float) -> Material:
 
 
 def jitter(rng: np.random.Generator, srgb: RGB) -> RGB:
-    """Linear colour near an sRGB one: a little lighter or darker, a little off in hue."""
+    """Return a linear colour near an sRGB one: a little lighter or darker, a little off in hue."""
     values = np.clip(np.array(srgb) * rng.uniform(0.94, 1.05) + rng.normal(0, 0.008, 3), 0.02, 0.97)
     r, g, b = linear(values).tolist()
     return r, g, b
 
 
 def look(words: str) -> str:
-    """The basic colour that ``words`` show, for telling things apart."""
+    """Return the basic colour that ``words`` show, for telling things apart."""
     first = words.split(" ")[0]
     return _LOOKS.get(first, first)

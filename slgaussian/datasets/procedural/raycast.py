@@ -56,7 +56,7 @@ class Solids(NamedTuple):
 
 
 def pack(solids: Sequence[Solid]) -> Solids:
-    """The arrays of a sequence of solids, in its order."""
+    """Return the arrays of a sequence of solids, in its order."""
     return Solids(
         kind=np.array([s.kind for s in solids], np.int64),
         size=np.array([(*s.size, 0.0, 0.0)[:3] for s in solids], np.float64),
@@ -67,7 +67,7 @@ def pack(solids: Sequence[Solid]) -> Solids:
 
 
 def cast(solids: Solids, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First solid that each ray meets.
+    """Find the first solid that each ray meets.
 
     Parameters
     ----------
@@ -93,48 +93,49 @@ def cast(solids: Solids, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarr
 
 @kernel
 def _cast(counter, solids, origin, rays, t, index):
+    eye = (origin[0], origin[1], origin[2])
     row = take(counter)
     while row < len(rays):
         for col in range(rays.shape[1]):
-            dx, dy, dz = rays[row, col]
-            t[row, col], index[row, col] = nearest(
-                solids, origin[0], origin[1], origin[2], dx, dy, dz, np.inf
-            )
+            ray = (rays[row, col, 0], rays[row, col, 1], rays[row, col, 2])
+            t[row, col], index[row, col] = nearest(solids, eye, ray, np.inf)
         row = take(counter)
 
 
 @kernel
-def nearest(solids, ox, oy, oz, dx, dy, dz, limit):
-    """The smallest t in (0, limit) at which a ray meets a solid, and the solid's row or -1."""
+def dot(a, b):
+    """Return the dot product of two vectors, tuples of three."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def turned(matrix, v):
+    """Return ``matrix`` [3, 3] times a vector, both as tuples of three."""
+    return dot(matrix[0], v), dot(matrix[1], v), dot(matrix[2], v)
+
+
+@kernel
+def nearest(solids, origin, ray, limit):
+    """Return the smallest t in (0, limit) at which a ray meets a solid, and its row, or -1."""
     best, which = limit, -1
-    dd = dx * dx + dy * dy + dz * dz
     for p in range(len(solids.kind)):
-        x = ox - solids.centre[p, 0]
-        y = oy - solids.centre[p, 1]
-        z = oz - solids.centre[p, 2]
-        along = x * dx + y * dy + z * dz
-        beyond = x * x + y * y + z * z - solids.reach[p] ** 2
-        if beyond > 0 and (along > 0 or along * along < beyond * dd):
+        centre = solids.centre[p]
+        start = (origin[0] - centre[0], origin[1] - centre[1], origin[2] - centre[2])
+        along = dot(start, ray)
+        beyond = dot(start, start) - solids.reach[p] ** 2
+        if beyond > 0 and (along > 0 or along * along < beyond * dot(ray, ray)):
             continue
         a = solids.to_local[p]
-        t = _intersect(
-            solids.kind[p],
-            solids.size[p],
-            a[0, 0] * x + a[0, 1] * y + a[0, 2] * z,
-            a[1, 0] * x + a[1, 1] * y + a[1, 2] * z,
-            a[2, 0] * x + a[2, 1] * y + a[2, 2] * z,
-            a[0, 0] * dx + a[0, 1] * dy + a[0, 2] * dz,
-            a[1, 0] * dx + a[1, 1] * dy + a[1, 2] * dz,
-            a[2, 0] * dx + a[2, 1] * dy + a[2, 2] * dz,
-        )
+        t = _intersect(solids.kind[p], solids.size[p], turned(a, start), turned(a, ray))
         if 0 < t < best:
             best, which = t, p
     return best, which
 
 
 @kernel
-def normal_at(kind, size, x, y, z):
-    """Outward unit normal, in the local frame, at a local point on the solid's surface."""
+def normal_at(kind, size, point):
+    """Return the outward unit normal, in the local frame, at a local point on the surface."""
+    x, y, z = point
     if kind == BOX:
         fx, fy, fz = abs(x) / size[0], abs(y) / size[1], abs(z) / size[2]
         if fx >= fy and fx >= fz:
@@ -161,67 +162,33 @@ def normal_at(kind, size, x, y, z):
 
 
 @kernel
-def _intersect(kind, size, x, y, z, dx, dy, dz):
+def _intersect(kind, size, start, ray):
+    """Return the first t > 0 at which a local ray meets a solid; infinity if it does not."""
+    x, y, z = start
+    dx, dy, dz = ray
+    lo, hi = -np.inf, np.inf
     if kind == BOX:
-        lo, hi = _slab(x, dx, size[0], -np.inf, np.inf)
-        lo, hi = _slab(y, dy, size[1], lo, hi)
-        lo, hi = _slab(z, dz, size[2], lo, hi)
+        for axis in range(3):
+            lo, hi = _slab(start[axis], ray[axis], size[axis], lo, hi)
         return _entry(lo, hi)
     if kind == BALL:
-        a = dx * dx + dy * dy + dz * dz
-        b = x * dx + y * dy + z * dz
-        lo, hi = _roots(a, b, x * x + y * y + z * z - size[0] ** 2)
+        lo, hi = _roots(dot(ray, ray), dot(start, ray), dot(start, start) - size[0] ** 2)
         return _entry(lo, hi)
+    if kind == RING:
+        return _torus(size[0], size[1], start, ray)
+    lo, hi = _slab(z, dz, size[1], lo, hi)
     if kind == CYLINDER:
-        lo, hi = _slab(z, dz, size[1], -np.inf, np.inf)
         a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - size[0] ** 2
         if a == 0.0:
             return _entry(lo, hi) if c <= 0 else np.inf
         t0, t1 = _roots(a, b, c)
         return _entry(max(lo, t0), min(hi, t1))
-    if kind == CONE:
-        return _cone(size[0], size[1], x, y, z, dx, dy, dz)
-    return _torus(size[0], size[1], x, y, z, dx, dy, dz)
-
-
-@kernel
-def _slab(x, dx, half, lo, hi):
-    """Clip the interval [lo, hi] of t to where |x + t dx| <= half."""
-    if dx == 0.0:
-        return (lo, hi) if abs(x) <= half else (np.inf, -np.inf)
-    t0, t1 = (-half - x) / dx, (half - x) / dx
-    return max(lo, min(t0, t1)), min(hi, max(t0, t1))
-
-
-@kernel
-def _entry(lo, hi):
-    """First positive end of an interval of t; infinity if it is empty or behind."""
-    if lo > hi or hi <= 0:
-        return np.inf
-    return lo if lo > 0 else hi
-
-
-@kernel
-def _roots(a, b, c):
-    """Ordered roots of a t^2 + 2 b t + c with a != 0, without cancellation; (inf, -inf) if none."""
-    disc = b * b - a * c
-    if disc < 0:
-        return np.inf, -np.inf
-    q = -(b + math.copysign(math.sqrt(disc), b))
-    t0 = q / a
-    t1 = c / q if q != 0.0 else 0.0
-    return min(t0, t1), max(t0, t1)
-
-
-@kernel
-def _cone(radius, half, x, y, z, dx, dy, dz):
-    lo, hi = _slab(z, dz, half, -np.inf, np.inf)
-    k2 = (radius / (2 * half)) ** 2
-    w = half - z
+    k2 = (size[0] / (2 * size[1])) ** 2
+    w = size[1] - z
     a = dx * dx + dy * dy - k2 * dz * dz
     b = x * dx + y * dy + k2 * w * dz
     c = x * x + y * y - k2 * w * w
-    if a == 0.0:  # parallel to the side: the inside is a half line
+    if a == 0.0:  # parallel to the cone's side: the inside is a half line
         if b == 0.0:
             return _entry(lo, hi) if c <= 0 else np.inf
         edge = -c / (2 * b)
@@ -237,14 +204,43 @@ def _cone(radius, half, x, y, z, dx, dy, dz):
 
 
 @kernel
-def _torus(ring, tube, x, y, z, dx, dy, dz):
-    """First positive root of the torus quartic, isolated by the roots of its derivatives."""
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    dx, dy, dz = dx / length, dy / length, dz / length
+def _slab(x, dx, half, lo, hi):
+    """Clip the interval [lo, hi] of t to where |x + t dx| <= half."""
+    if dx == 0.0:
+        return (lo, hi) if abs(x) <= half else (np.inf, -np.inf)
+    t0, t1 = (-half - x) / dx, (half - x) / dx
+    return max(lo, min(t0, t1)), min(hi, max(t0, t1))
+
+
+@kernel
+def _entry(lo, hi):
+    """Return the first positive end of an interval of t; infinity if it is empty or behind."""
+    if lo > hi or hi <= 0:
+        return np.inf
+    return lo if lo > 0 else hi
+
+
+@kernel
+def _roots(a, b, c):
+    """Return ordered roots of a t^2 + 2 b t + c, a != 0, without cancellation; inf, -inf of none."""
+    disc = b * b - a * c
+    if disc < 0:
+        return np.inf, -np.inf
+    q = -(b + math.copysign(math.sqrt(disc), b))
+    t0 = q / a
+    t1 = c / q if q != 0.0 else 0.0
+    return min(t0, t1), max(t0, t1)
+
+
+@kernel
+def _torus(ring, tube, origin, ray):
+    """Find the first positive root of the torus quartic, by the roots of its derivatives."""
+    length = math.sqrt(dot(ray, ray))
+    d = (ray[0] / length, ray[1] / length, ray[2] / length)
     # Measured from the point nearest the centre the quartic has no cubic term and is well scaled.
-    start = x * dx + y * dy + z * dz
-    x, y, z = x - start * dx, y - start * dy, z - start * dz
-    m = x * x + y * y + z * z
+    start = dot(origin, d)
+    p = (origin[0] - start * d[0], origin[1] - start * d[1], origin[2] - start * d[2])
+    m = dot(p, p)
     span = (ring + tube) ** 2 - m
     if span <= 0:
         return np.inf
@@ -254,9 +250,9 @@ def _torus(ring, tube, x, y, z, dx, dy, dz):
         return np.inf
     k = m + ring * ring - tube * tube
     four = 4 * ring * ring
-    c2 = 2 * k - four * (dx * dx + dy * dy)
-    c1 = -2 * four * (x * dx + y * dy)
-    c0 = k * k - four * (x * x + y * y)
+    c2 = 2 * k - four * (d[0] * d[0] + d[1] * d[1])
+    c1 = -2 * four * (p[0] * d[0] + p[1] * d[1])
+    c0 = k * k - four * (p[0] * p[0] + p[1] * p[1])
 
     # Turning points of the slope, then of the quartic: between two of them it is monotone.
     bend = math.sqrt(-c2 / 6) if c2 < 0 else 0.0
@@ -279,7 +275,7 @@ def _torus(ring, tube, x, y, z, dx, dy, dz):
 
 @kernel
 def _monotone_root(c4, c3, c2, c1, c0, lo, hi):
-    """Root of a quartic that is monotone on [lo, hi], by Newton kept inside a shrinking bracket."""
+    """Find the root of a quartic that is monotone on [lo, hi], by Newton in a shrinking bracket."""
     at_lo = (((c4 * lo + c3) * lo + c2) * lo + c1) * lo + c0
     at_hi = (((c4 * hi + c3) * hi + c2) * hi + c1) * hi + c0
     if at_lo * at_hi > 0 or at_lo == at_hi:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def read(
     half = math.asin(baseline / 2 / distance)
 
     def camera(fraction: float, h: int, w: int) -> Camera:
-        """The camera at ``fraction`` (-1 to 1) of the arc."""
+        """Return the camera at ``fraction`` (-1 to 1) of the arc."""
         angle = start + fraction * half
         eye = FOCUS + [distance * math.sin(angle), -distance * math.cos(angle), lift - FOCUS[2]]
         focal = FOCAL * max(h, w)
@@ -92,41 +92,27 @@ def read(
     cameras = {
         f"view_{i:02d}": camera(2 * i / (views - 1) - 1, height, width) for i in range(views)
     }
-    reader = _Reader(seed, name, room, cameras, noise, exposure)
-    return Scene(name, cameras, reader.read, room.phrases)
+    return Scene(name, cameras, partial(_read, seed, room, cameras, noise, exposure), room.phrases)
 
 
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    seed: int
-    scene: str
-    room: Room
-    cameras: dict[str, Camera]
-    noise: float
-    exposure: float
-
-    def read(self, name: str) -> View:
-        """Ray-cast one view."""
-        if name not in self.cameras:
-            raise InputError(f"scene {self.scene!r}: no view {name!r}; see its cameras")
-        camera = self.cameras[name]
-        solids = self.room.solids()
-        materials = self.room.materials(rng_for(self.seed, self.scene, "materials"))
-        casters = self.room.solids(casters=True)
-        light = photograph(solids, casters, materials, self.room.light, camera)
-        depth, index = raycast.cast(solids, camera.center, camera.rays())
-        rng = rng_for(self.seed, self.scene, name)
-        gain = math.exp(rng.normal(0.0, 1.0) * self.exposure)
-        srgb = _encoded(light * gain)
-        if self.noise:
-            srgb += rng.normal(0.0, self.noise, srgb.shape)
-        return View(
-            name=name,
-            camera=camera,
-            image=np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8),
-            depth=depth.astype(np.float32),
-            instances=self.room.owners()[index],
-        )
+def _read(
+    seed: int, room: Room, cameras: dict[str, Camera], noise: float, exposure: float, name: str
+) -> View:
+    """Ray-cast one view."""
+    scene = f"procedural_{seed}"
+    if name not in cameras:
+        raise InputError(f"scene {scene!r}: no view {name!r}; see its cameras")
+    camera, solids = cameras[name], room.solids()
+    materials = room.materials(rng_for(seed, scene, "materials"))
+    light = photograph(solids, room.solids(casters=True), materials, room.light, camera)
+    depth, index = raycast.cast(solids, camera.center, camera.rays())
+    rng = rng_for(seed, scene, name)
+    gain = math.exp(rng.normal(0.0, 1.0) * exposure)
+    srgb = _encoded(light * gain)
+    if noise:
+        srgb += rng.normal(0.0, noise, srgb.shape)
+    image = np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8)
+    return View(name, camera, image, depth.astype(np.float32), room.owners()[index])
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:
@@ -139,7 +125,7 @@ def _check(name: str, value: float, least: float, most: float) -> None:
 
 
 def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Camera-to-world of a level camera at ``eye`` looking at ``target``; z is up."""
+    """Return camera-to-world of a level camera at ``eye`` looking at ``target``; z is up."""
     forward = target - eye
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -151,7 +137,7 @@ def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _encoded(light: np.ndarray) -> np.ndarray:
-    """SRGB in [0, 1] of linear light (IEC 61966-2-1), the brightest parts rolled off softly."""
+    """Encode linear light as sRGB in [0, 1] (IEC 61966-2-1), the brightest parts rolled off."""
     knee = 0.8
     over = np.maximum(light - knee, 0) / (1 - knee)
     light = np.where(light > knee, knee + (1 - knee) * over / (1 + over), light)

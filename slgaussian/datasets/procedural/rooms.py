@@ -60,26 +60,26 @@ class Room:
 
     @property
     def phrases(self) -> dict[int, str]:
-        """What each id is called."""
+        """Name each id."""
         return {i: thing.phrase for i, thing in enumerate(self.things, 1)}
 
     def solids(self, casters: bool = False) -> raycast.Solids:
-        """All solids, or without the walls, floor and ceiling (which cannot cast a shadow)."""
+        """Pack all solids, or without the walls, floor and ceiling (which cannot cast a shadow)."""
         return raycast.pack([s for t in self.things for s in t.solids][6 if casters else 0 :])
 
     def materials(self, rng: np.random.Generator) -> textures.Materials:
-        """A material for each solid, in their order."""
+        """Pack a material for each solid, in their order."""
         return textures.pack([t.material for t in self.things for _ in t.solids], rng)
 
     def owners(self) -> np.ndarray:
-        """Object id of each solid, int32 [P]."""
+        """Return the object id of each solid, int32 [P]."""
         return np.repeat(
             np.arange(1, len(self.things) + 1, dtype=np.int32), [len(t.solids) for t in self.things]
         )
 
 
 def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room:
-    """A room with that many free-standing objects, each seen by every one of ``cameras``.
+    """Furnish a room with that many free-standing objects, each seen by every one of ``cameras``.
 
     Raises
     ------
@@ -111,10 +111,14 @@ def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) 
         if len(things) - fixed == objects:
             break
         candidate = _object(rng, ground, taken)
-        if candidate is not None and _all_seen([*things, candidate.thing], fixed, cameras):
-            things.append(candidate.thing)
-            taken.add(candidate.key)
-            ground.occupy(candidate)
+        if candidate is None:
+            continue
+        thing, key, place, circle, top = candidate
+        if _all_seen([*things, thing], fixed, cameras):
+            things.append(thing)
+            taken.add(key)
+            place.circles.append(circle)
+            ground.tops += [] if top is None else [top]
     if len(things) - fixed < objects:
         return None
     light = Light(
@@ -128,7 +132,7 @@ def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) 
 
 
 def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) -> bool:
-    """Whether all objects past the first ``fixed`` things fill enough of every camera's image."""
+    """Tell whether objects past the first ``fixed`` things fill enough of every camera's image."""
     room = Room(tuple(things), Light(np.zeros(3), 0, 0, 1, 0))
     owners, solids = room.owners(), room.solids()
     for camera in cameras:
@@ -140,7 +144,7 @@ def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) ->
 
 
 def _paler(material: Material) -> Material:
-    """The material, its paint thinned: walls are large, and strong colours there drown all else."""
+    """Thin the paint of a material: walls are large, and strong colours there drown all else."""
     if material.pattern == textures.BRICK:
         return material
     r, g, b = (0.88 * value + 0.12 * 0.8 for value in material.first)
@@ -148,42 +152,22 @@ def _paler(material: Material) -> Material:
 
 
 def _shell(rng: np.random.Generator, taken: set[tuple[str, str]]) -> list[Thing]:
-    """Floor, ceiling, back wall and side walls (one thing, with the wall behind the cameras)."""
+    """Make floor, ceiling, back wall and, as one thing, side walls and the one behind cameras."""
     floor = str(rng.choice(_FLOORS))
     back = str(rng.choice(_WALLS))
     side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
-    middle, depth, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, 0.1
-
-    def slab(size: tuple[float, ...], centre: tuple[float, float, float]) -> Solid:
-        return Solid(BOX, size, centre)
-
-    upright = (_HEIGHT / 2,)
+    middle, depth, half, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, _HEIGHT / 2, 0.1
     taken.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
+    below = Solid(BOX, (_WIDTH, depth, t), (0, middle, -t))
+    above = Solid(BOX, (_WIDTH, depth, t), (0, middle, _HEIGHT + t))
+    ends = [Solid(BOX, (_WIDTH, t, half), (0, y, half)) for y in (_BACK + t, _FRONT - t)]
+    sides = [Solid(BOX, (t, depth, half), (x, middle, half)) for x in (-_WIDTH - t, _WIDTH + t)]
+    tiles = material(rng, floor, 0.35 if floor == "checked" else 0.16)
     return [
-        Thing(
-            f"{floor} floor",
-            replace(material(rng, floor, {"checked": 0.35}.get(floor, 0.16)), gloss=0.03),
-            (slab((_WIDTH, depth, t), (0, middle, -t)),),
-        ),
-        Thing(
-            "white ceiling",
-            material(rng, "white", 1.0),
-            (slab((_WIDTH, depth, t), (0, middle, _HEIGHT + t)),),
-        ),
-        Thing(
-            f"{back} wall",
-            _paler(material(rng, back, 0.9)),
-            (slab((_WIDTH, t, *upright), (0, _BACK + t, _HEIGHT / 2)),),
-        ),
-        Thing(
-            f"{side} wall",
-            _paler(material(rng, side, 0.9)),
-            (
-                slab((t, depth, *upright), (-_WIDTH - t, middle, _HEIGHT / 2)),
-                slab((t, depth, *upright), (_WIDTH + t, middle, _HEIGHT / 2)),
-                slab((_WIDTH, t, *upright), (0, _FRONT - t, _HEIGHT / 2)),
-            ),
-        ),
+        Thing(f"{floor} floor", replace(tiles, gloss=0.03), (below,)),
+        Thing("white ceiling", material(rng, "white", 1.0), (above,)),
+        Thing(f"{back} wall", _paler(material(rng, back, 0.9)), (ends[0],)),
+        Thing(f"{side} wall", _paler(material(rng, side, 0.9)), (*sides, ends[1])),
     ]
 
 
@@ -198,20 +182,11 @@ class _Place:
     circles: list[tuple[float, float, float]]
 
     def distance(self, x: float, y: float) -> float:
-        """Signed distance from a point to the rectangle's edge, negative inside."""
+        """Return the signed distance from a point to the rectangle's edge, negative inside."""
         dx, dy = x - self.centre[0], y - self.centre[1]
         c, s = math.cos(self.angle), math.sin(self.angle)
         qx, qy = abs(c * dx + s * dy) - self.half[0], abs(c * dy - s * dx) - self.half[1]
         return math.hypot(max(qx, 0), max(qy, 0)) + min(max(qx, qy), 0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    thing: Thing
-    key: tuple[str, str]
-    place: _Place
-    circle: tuple[float, float, float]
-    top: _Place | None
 
 
 class _Ground:
@@ -224,13 +199,8 @@ class _Ground:
         self.table: _Place | None = None
         self.tops: list[_Place] = []
 
-    def occupy(self, candidate: _Candidate) -> None:
-        candidate.place.circles.append(candidate.circle)
-        if candidate.top is not None:
-            self.tops.append(candidate.top)
-
     def find(self, rng: np.random.Generator, radius: float) -> tuple[float, float, _Place] | None:
-        """A free spot for a circle, on whichever surface it falls."""
+        """Find a free spot for a circle, on whichever surface it falls."""
         raised = [p for p in self.tops if not p.circles and min(p.half) > radius]
         if self.table is not None and min(self.table.half) > radius:
             raised.append(self.table)
@@ -306,8 +276,11 @@ def _picture(rng: np.random.Generator) -> Thing:
 
 def _object(
     rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]]
-) -> _Candidate | None:
-    """A free-standing object at a free spot, with a look and shape that no other has; or None."""
+) -> tuple[Thing, tuple[str, str], _Place, tuple[float, float, float], _Place | None] | None:
+    """Make an object of a look and shape that no other has at a free spot, if there is one.
+
+    Returns the object, its shape and look, the place and circle where it stands, and its top.
+    """
     shape = str(rng.choice(list(SHAPES)))
     draw = rng.random()
     if draw < 0.2 and shape in ("box", "cylinder"):
@@ -349,7 +322,7 @@ def _object(
             solid = Solid(RING, (ring, tube), (x, y, z + scale), turn)
     cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
     thing = Thing(f"{words} {shape}", material(rng, words, cell), (solid,))
-    return _Candidate(thing, (shape, look(words)), place, (x, y, scale), top)
+    return thing, (shape, look(words)), place, (x, y, scale), top
 
 
 _QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # tips local z over to face -y

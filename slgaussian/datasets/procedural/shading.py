@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slgaussian.datasets.procedural.raycast import Solids, nearest, normal_at
+from slgaussian.datasets.procedural.raycast import Solids, dot, nearest, normal_at, turned
 from slgaussian.datasets.procedural.textures import Materials, albedo
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
@@ -36,7 +36,7 @@ class Light(NamedTuple):
 def photograph(
     solids: Solids, casters: Solids, materials: Materials, light: Light, camera: Camera
 ) -> np.ndarray:
-    """Linear-light image float64 [H, W, 3] (unclipped) of the solids.
+    """Draw the linear-light image float64 [H, W, 3] (unclipped) of the solids.
 
     ``casters`` are the solids that may throw shadows: walls around a lamp cannot, and leaving them
     out saves most of the time. Where no solid is met the image is black.
@@ -51,15 +51,14 @@ def photograph(
 @kernel
 def _photograph(counter, solids, casters, materials, light, eye, to_world, image):
     n, row = SAMPLES, take(counter)
+    origin = (eye[0], eye[1], eye[2])
     while row < len(image):
         for col in range(image.shape[1]):
             red, green, blue = 0.0, 0.0, 0.0
             for k in range(n * n):
-                u, v = col + (k % n + 0.5) / n, row + (k // n + 0.5) / n
-                dx = to_world[0, 0] * u + to_world[0, 1] * v + to_world[0, 2]
-                dy = to_world[1, 0] * u + to_world[1, 1] * v + to_world[1, 2]
-                dz = to_world[2, 0] * u + to_world[2, 1] * v + to_world[2, 2]
-                r, g, b = _radiance(solids, casters, materials, light, eye, dx, dy, dz, k)
+                pixel = (col + (k % n + 0.5) / n, row + (k // n + 0.5) / n, 1.0)
+                ray = turned(to_world, pixel)
+                r, g, b = _radiance(solids, casters, materials, light, origin, ray, k)
                 red, green, blue = red + r, green + g, blue + b
             image[row, col, 0] = red / (n * n)
             image[row, col, 1] = green / (n * n)
@@ -68,28 +67,24 @@ def _photograph(counter, solids, casters, materials, light, eye, to_world, image
 
 
 @kernel
-def _radiance(solids, casters, materials, light, eye, dx, dy, dz, sample):
-    t, p = nearest(solids, eye[0], eye[1], eye[2], dx, dy, dz, np.inf)
+def _radiance(solids, casters, materials, light, eye, ray, sample):
+    t, p = nearest(solids, eye, ray, np.inf)
     if p < 0:
         return 0.0, 0.0, 0.0
-    px, py, pz = eye[0] + t * dx, eye[1] + t * dy, eye[2] + t * dz
+    px, py, pz = eye[0] + t * ray[0], eye[1] + t * ray[1], eye[2] + t * ray[2]
     a, c = solids.to_local[p], solids.centre[p]
-    x, y, z = px - c[0], py - c[1], pz - c[2]
-    lx = a[0, 0] * x + a[0, 1] * y + a[0, 2] * z
-    ly = a[1, 0] * x + a[1, 1] * y + a[1, 2] * z
-    lz = a[2, 0] * x + a[2, 1] * y + a[2, 2] * z
+    local = turned(a, (px - c[0], py - c[1], pz - c[2]))
     kind, size = solids.kind[p], solids.size[p]
-    mx, my, mz = normal_at(kind, size, lx, ly, lz)
-    red, green, blue = albedo(materials, p, kind, size, lx, ly, lz, mx, my, mz)
-    nx = a[0, 0] * mx + a[1, 0] * my + a[2, 0] * mz
-    ny = a[0, 1] * mx + a[1, 1] * my + a[2, 1] * mz
-    nz = a[0, 2] * mx + a[1, 2] * my + a[2, 2] * mz
+    normal = normal_at(kind, size, local)
+    red, green, blue = albedo(materials, p, kind, size, local, normal)
+    nx, ny, nz = turned(a.T, normal)
 
     # Light from everywhere: more from the bright ceiling than from the floor, and a little less
     # from one side than the other, so that faces of a box differ also in the shade.
     diffuse = light.ambient * (0.75 + 0.25 * nz + 0.06 * nx)
     shine = 0.0
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    length = math.sqrt(dot(ray, ray))
+    lifted = (px + _LIFT * nx, py + _LIFT * ny, pz + _LIFT * nz)
     n = SAMPLES
     for k in range(n * n):
         # The n^4 points of the lamp form one grid; each sub-pixel takes its own n^2 of them.
@@ -98,20 +93,17 @@ def _radiance(solids, casters, materials, light, eye, dx, dy, dz, sample):
         vx = light.centre[0] + light.half * gx - px
         vy = light.centre[1] + light.half * gy - py
         vz = light.centre[2] - pz
-        d2 = vx * vx + vy * vy + vz * vz
+        to_lamp = (vx, vy, vz)
+        d2 = dot(to_lamp, to_lamp)
         d = math.sqrt(d2)
-        facing = (nx * vx + ny * vy + nz * vz) / d
-        if facing <= 0:
-            continue
-        sx, sy, sz = px + _LIFT * nx, py + _LIFT * ny, pz + _LIFT * nz
-        if nearest(casters, sx, sy, sz, vx, vy, vz, 1.0)[1] >= 0:
+        facing = dot((nx, ny, nz), to_lamp) / d
+        if facing <= 0 or nearest(casters, lifted, to_lamp, 1.0)[1] >= 0:
             continue
         # A lamp in a room falls off slower than in the open, since walls send light back.
         strength = light.power / (n * n) * 2 / (1 + d2 / light.reach**2)
         diffuse += strength * facing
-        hx, hy, hz = vx / d - dx / length, vy / d - dy / length, vz / d - dz / length
-        half = math.sqrt(hx * hx + hy * hy + hz * hz)
-        cosine = (nx * hx + ny * hy + nz * hz) / max(half, 1e-12)
+        half = (vx / d - ray[0] / length, vy / d - ray[1] / length, vz / d - ray[2] / length)
+        cosine = dot((nx, ny, nz), half) / max(math.sqrt(dot(half, half)), 1e-12)
         shine += strength * max(cosine, 0.0) ** 40
     shine *= materials.gloss[p]
     return red * diffuse + shine, green * diffuse + shine, blue * diffuse + shine

@@ -74,7 +74,7 @@ class Materials(NamedTuple):
 
 
 def pack(materials: Sequence[Material], rng: np.random.Generator) -> Materials:
-    """The arrays of one material a solid; ``rng`` cuts each from its own place in the noise."""
+    """Pack one material a solid; ``rng`` cuts each from its own place in the noise."""
     return Materials(
         pattern=np.array([m.pattern for m in materials], np.int64),
         first=np.array([m.first for m in materials], np.float64),
@@ -88,7 +88,7 @@ def pack(materials: Sequence[Material], rng: np.random.Generator) -> Materials:
 
 
 def linear(srgb: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
+    """Return the linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
     srgb = np.asarray(srgb, np.float64)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
@@ -110,25 +110,24 @@ def _photos() -> np.ndarray:
 
 
 @kernel
-def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
-    """Linear RGB of solid ``p`` at a local surface point with local outward normal."""
+def albedo(materials, p, kind, size, point, normal):
+    """Return the linear RGB of solid ``p`` at a local surface point with local outward normal."""
     pattern = materials.pattern[p]
     first, second = materials.first[p], materials.second[p]
-    cell = materials.cell[p]
-    ox, oy, oz = x + materials.offset[p, 0], y + materials.offset[p, 1], z + materials.offset[p, 2]
+    cell, cut = materials.cell[p], materials.offset[p]
+    x, y, z = point
+    ox, oy, oz = x + cut[0], y + cut[1], z + cut[2]
+    u, v = _surface(kind, size, point, normal, cell, pattern == DOTTED)
     # Nothing real is perfectly even: a faint mottle and a fine grain, both well under a pattern's.
     tone = (
         1.0 + 0.10 * _clouds(ox * 7, oy * 7, oz * 7, 2) + 0.12 * _noise(ox * 70, oy * 70, oz * 70)
     )
     mix = 0.0
     if pattern == STRIPED:
-        u, v = _surface(kind, size, x, y, z, nx, ny, nz, cell, False)
         mix = math.floor(u if kind == RING else v) % 2
     elif pattern == CHECKED:
-        u, v = _surface(kind, size, x, y, z, nx, ny, nz, cell, False)
         mix = (math.floor(u) + math.floor(v)) % 2
     elif pattern == DOTTED:
-        u, v = _surface(kind, size, x, y, z, nx, ny, nz, cell, True)
         du, dv = u - math.floor(u) - 0.5, v - math.floor(v) - 0.5
         mix = 1.0 if du * du + dv * dv < 0.09 else 0.0
     elif pattern == SPECKLED:
@@ -137,11 +136,8 @@ def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
         tone *= 1.0 - 0.6 * _ramp(-fleck, 0.24, 0.32)
     elif pattern == WOODEN:
         plank = math.floor(oy / cell)
-        tone *= (
-            1.0
-            + 0.25 * _hash(plank, 7, 3)
-            - 0.45 * _ramp(abs(oy / cell - plank - 0.5), 0.455, 0.475)
-        )
+        gap = _ramp(abs(oy / cell - plank - 0.5), 0.455, 0.475)
+        tone *= 1.0 + 0.25 * _hash(plank, 7, 3) - 0.45 * gap
         warp = _clouds(ox * 1.5, oy * 6 + plank * 9.1, oz * 6, 3)
         ring = math.sin((oy + oz) * 45 + plank * 2.4 + warp * 14)
         fibre = _noise(ox * 12, oy * 160, oz * 160)
@@ -151,7 +147,6 @@ def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
         vein = abs(math.sin(((ox + 0.6 * oy + 0.4 * oz) / cell + warp * 1.6) * math.pi))
         mix = 0.75 * (1.0 - vein) ** 4 + 0.6 * max(0.0, -warp)
     elif pattern == BRICK:
-        u, v = _surface(kind, size, x, y, z, nx, ny, nz, cell, False)
         course = math.floor(v)
         along = u / 3 + 0.5 * (course % 2)
         brick = math.floor(along)
@@ -159,13 +154,12 @@ def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
         mix = 1.0 - _ramp(edge, 0.05, 0.09)
         tone *= 1.0 + (1.0 - mix) * 0.5 * _hash(course, brick, 5)
     elif pattern == PHOTO:
-        u, v = _surface(kind, size, x, y, z, nx, ny, nz, cell, False)
         r, g, b = _sample(materials.photos[materials.photo[p]], u, v)
         return r * first[0], g * first[1], b * first[2]
     elif pattern == PICTURE:
-        u, v = 0.5 + 0.5 * x / size[0], 0.5 + 0.5 * z / size[2]
         rim = FRAME * min(size[0], size[2])
-        if ny < 0 and abs(x) < size[0] - 2 * rim and abs(z) < size[2] - 2 * rim:
+        if normal[1] < 0 and abs(x) < size[0] - 2 * rim and abs(z) < size[2] - 2 * rim:
+            u, v = 0.5 + 0.5 * x / size[0], 0.5 + 0.5 * z / size[2]
             return _sample(materials.photos[materials.photo[p]], u, v)
     mix = min(max(mix, 0.0), 1.0)
     return (
@@ -176,41 +170,39 @@ def albedo(materials, p, kind, size, x, y, z, nx, ny, nz):
 
 
 @kernel
-def _surface(kind, size, x, y, z, nx, ny, nz, cell, rows):
-    """Where a local surface point lies in the grid of pattern cells: (along, up).
+def _surface(kind, size, point, normal, cell, rows):
+    """Return the place of a local surface point in the grid of pattern cells: along, up.
 
     With ``rows`` each row of a ball or cone gets as many cells as fit around it, so that dots stay
     round; without, every row has the same even number, so that checks meet.
     """
+    x, y, z = point
     if kind == BOX:
-        if abs(nx) > 0.5:
+        if abs(normal[0]) > 0.5:
             return _fit(y, size[1], cell), _fit(z, size[2], cell)
-        if abs(ny) > 0.5:
+        if abs(normal[1]) > 0.5:
             return _fit(x, size[0], cell), _fit(z, size[2], cell)
         return _fit(x, size[0], cell), _fit(y, size[1], cell)
-    turn = 0.5 + math.atan2(y, x) / (2 * math.pi)
-    if kind == BALL:
-        radius = size[0]
-        count = max(2.0, round(math.pi * radius / cell))
-        latitude = math.asin(min(1.0, max(-1.0, z / radius)))
-        v = (latitude / math.pi + 0.5) * count
-        if not rows:
-            return turn * _even(2 * math.pi * radius / cell), v
-        middle = ((math.floor(v) + 0.5) / count - 0.5) * math.pi
-        return turn * max(1.0, round(2 * count * math.cos(middle))), v
+    turn, radius = 0.5 + math.atan2(y, x) / (2 * math.pi), size[0]
     if kind == RING:
-        around = math.atan2(z, math.hypot(x, y) - size[0]) / (2 * math.pi) + 0.5
-        return turn * _even(2 * math.pi * size[0] / cell), around * _even(
-            2 * math.pi * size[1] / cell
-        )
-    if (kind == CYLINDER and abs(nz) > 0.5) or (kind == CONE and nz < -0.5):
-        return _fit(x, size[0], cell), _fit(y, size[0], cell)
+        around = math.atan2(z, math.hypot(x, y) - radius) / (2 * math.pi) + 0.5
+        along = turn * _even(2 * math.pi * radius / cell)
+        return along, around * _even(2 * math.pi * size[1] / cell)
+    if (kind == CYLINDER and abs(normal[2]) > 0.5) or (kind == CONE and normal[2] < -0.5):
+        return _fit(x, radius, cell), _fit(y, radius, cell)
+    count = _even(2 * math.pi * radius / cell)
+    if kind == BALL:
+        latitudes = max(2.0, round(math.pi * radius / cell))
+        v = (math.asin(min(1.0, max(-1.0, z / radius))) / math.pi + 0.5) * latitudes
+        if rows:
+            middle = ((math.floor(v) + 0.5) / latitudes - 0.5) * math.pi
+            count = max(1.0, round(2 * latitudes * math.cos(middle)))
+        return turn * count, v
     v = _fit(z, size[1], cell)
-    width = size[0]
     if kind == CONE and rows:
         fraction = (math.floor(v) + 0.5) / max(1.0, round(2 * size[1] / cell))
-        return turn * max(1.0, round(2 * math.pi * width * (1 - fraction) / cell)), v
-    return turn * _even(2 * math.pi * width / cell), v
+        count = max(1.0, round(2 * math.pi * radius * (1 - fraction) / cell))
+    return turn * count, v
 
 
 @kernel
@@ -230,7 +222,7 @@ def _ramp(x, lo, hi):
 
 @kernel
 def _sample(photo, u, v):
-    """Bilinear pixel of a photograph whose tiles are mirrored at whole u and v; v points up."""
+    """Sample a photograph, bilinearly, whose tiles are mirrored at whole u and v; v points up."""
     side = photo.shape[0]
     u, v = abs((u + 1) % 2 - 1), 1 - abs((v + 1) % 2 - 1)
     col = min(max(u * side - 0.5, 0.0), side - 1.001)
@@ -248,7 +240,7 @@ def _sample(photo, u, v):
 
 @kernel
 def _hash(i, j, k):
-    """A fixed pseudo-random number in [-0.5, 0.5) for a lattice point (integer mixing, 32 bit)."""
+    """Return a pseudo-random number in [-0.5, 0.5) of a lattice point (integer mixing, 32 bit)."""
     h = (int(i) * 374761393 + int(j) * 668265263 + int(k) * 2654435761) & 0xFFFFFFFF
     h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
     h = ((h ^ (h >> 16)) * 1911520717) & 0xFFFFFFFF
@@ -257,7 +249,7 @@ def _hash(i, j, k):
 
 @kernel
 def _noise(x, y, z):
-    """Value noise in [-0.5, 0.5] with unit cells: hashed lattice values, smoothly interpolated."""
+    """Interpolate hashed lattice values smoothly: noise in [-0.5, 0.5] with unit cells."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     a, b, c = x - i, y - j, z - k
     a, b, c = a * a * (3 - 2 * a), b * b * (3 - 2 * b), c * c * (3 - 2 * c)
@@ -272,7 +264,7 @@ def _noise(x, y, z):
 
 @kernel
 def _clouds(x, y, z, octaves):
-    """Sum of ``octaves`` of noise, each twice as fine and half as strong."""
+    """Sum ``octaves`` of noise, each twice as fine and half as strong."""
     total, strength = 0.0, 1.0
     for _ in range(octaves):
         total += strength * _noise(x, y, z)
