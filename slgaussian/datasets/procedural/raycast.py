@@ -222,7 +222,7 @@ def _entry(lo, hi):
 
 @kernel
 def _roots(a, b, c):
-    """Return ordered roots of a t^2 + 2 b t + c, a != 0, without cancellation; inf, -inf of none."""
+    """Return ordered roots of a t^2 + 2 b t + c, a != 0, uncancelled; inf, -inf of none."""
     disc = b * b - a * c
     if disc < 0:
         return np.inf, -np.inf
