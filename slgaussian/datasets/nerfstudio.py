@@ -9,81 +9,23 @@ the image, with pixel centres at +0.5, as here.
 from __future__ import annotations
 
 import json
-import math
 import os
-import re
-import warnings
-from collections import ChainMap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any, overload
-
-import cv2
-import numpy as np
+from typing import Any
 
 from slgaussian.cameras.found import FoundCameras
-from slgaussian.datasets.intrinsics import checked_camera
-from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
-from slgaussian.datasets.photographs import (
-    EXTENSIONS,
-    absent,
-    is_there,
-    masked,
-    name_in,
-    open_photograph,
-    stored_size,
-)
+from slgaussian.datasets.lens import straight_mask, straightened
+from slgaussian.datasets.nerfstudio_frame import OPENGL, OWN, Frame
+from slgaussian.datasets.photographs import absent, name_in
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
-from slgaussian.formats.images import opened, read_npy, unreadable
-from slgaussian.formats.resampling import Window
 from slgaussian.io import write_atomic
-from slgaussian.scene import Camera, Estimated, Scene, View
+from slgaussian.scene import Camera, Scene, View
 
 FILE = "transforms.json"
-PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-FISHEYE = "OPENCV_FISHEYE"
-OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
-"""By which the columns of a pose in OpenCV's axes become those of one in OpenGL's, and back."""
-
-OWN = "slgaussian"
-"""The key of what this package adds: at the top how cameras were found, as
-:meth:`slgaussian.cameras.found.FoundCameras.as_json` has it, and in each frame what else a camera
-is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
-
-USED = frozenset(
-    ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
-    + ("camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path")
-    + ("depth_unit_scale_factor", "applied_scale")
-)
-"""The keys that are read of those that :data:`CHANGES_PIXELS` knows."""
-
-IGNORED = ("aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale")
-"""Keys that change neither where a point is seen nor what is: ``scale`` and ``aabb_scale`` place
-the scene in instant-ngp's cube, and ``integer_depth_scale`` is of depth that is not read."""
-
-CHANGES_PIXELS = re.compile(
-    r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
-    r"|ortho|rectangular|latlong|pano(?!ptic)|spheri|omnidir|theta|projection|camera_?(model|type)"
-    r"|focal|fov|field_of_view|camera_?angle|intrinsic|principal|shift_?[xy]|matrix_(start|end)"
-    r"|^f(l?_?[xy])?$|^c_?[xy]$|^[kpsb]_?\d+$|^xi$",
-    re.IGNORECASE,
-)
-"""What names of keys have in them that say a lens, a distortion, a mask, a shutter or a scale."""
-
-NEUTRAL = ("", "none", "pinhole", "perspective", "global")
-"""Values of such keys, besides 0, false and null, that change nothing."""
-
-DEPTH_FILES = (".png", ".npy", ".tif", ".tiff", ".pgm", ".jpg", ".jpeg", ".webp", ".bmp")
-"""Endings of depth that is read."""
-
-AGREEMENT = 0.01
-"""Largest difference of two focal lengths for one axis, as a fraction, that say the same."""
-
-DEPTH_UNIT = 0.001
-"""Scene units in one unit of a depth file, where ``depth_unit_scale_factor`` does not say."""
 
 
 def read(path: str | Path) -> Scene:
@@ -114,13 +56,14 @@ def read(path: str | Path) -> Scene:
     ------
     InputError
         If the file is missing or damaged, a frame of it cannot be used, or it has a key that may
-        change the picture (:data:`CHANGES_PIXELS`) and is not read. A missing or unreadable
-        photograph is an error only of its own view.
+        change the picture and is not read (``CHANGES_PIXELS`` of
+        :mod:`slgaussian.datasets.nerfstudio_frame`). A missing or unreadable photograph is an error
+        only of its own view.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
     meta = _load(file)
-    frames: dict[str, _Frame] = {}
+    frames: dict[str, Frame] = {}
     shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
     found = meta.get(OWN, {})
     if not isinstance(found, dict):
@@ -132,7 +75,7 @@ def read(path: str | Path) -> Scene:
         name = name_in(file.parent, name)
         if name in frames:
             raise InputError(f"{file}: two frames have the file_path {name!r}; remove one")
-        frames[name] = _Frame.of(file, name, entry, shared)
+        frames[name] = Frame.of(file, name, entry, shared)
     size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
 
@@ -141,7 +84,7 @@ def read(path: str | Path) -> Scene:
     return Scene(name, cameras, read_view, found=found, sources=sources)
 
 
-def _read_view(frames: Mapping[str, _Frame], cameras: Mapping[str, Camera], name: str) -> View:
+def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name: str) -> View:
     """Open and undistort a frame."""
     if name not in frames:
         file = next(iter(frames.values())).file
@@ -159,7 +102,7 @@ def _read_view(frames: Mapping[str, _Frame], cameras: Mapping[str, Camera], name
     return View(name, camera, image, depth, opaque=opaque)
 
 
-def _sources(frames: Mapping[str, _Frame], name: str) -> list[Path]:
+def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
     """List the camera file, the photograph of a frame and all else that is named for it."""
     frame = frames[name]
     named = [frame.place(value) for key, value in frame.values.items() if key.endswith("_path")]
@@ -193,20 +136,10 @@ def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> N
         own: dict[str, Any] = {"near": camera.near, "far": camera.far}
         if camera.estimated is not None:
             own["estimated"] = asdict(camera.estimated)
-        frames.append(
-            {
-                "file_path": paths[name],
-                "transform_matrix": (camera.c2w * OPENGL).tolist(),
-                "fl_x": fx,
-                "fl_y": fy,
-                "cx": cx,
-                "cy": cy,
-                "w": camera.width,
-                "h": camera.height,
-                "k1": found.k1[name],
-                OWN: own,
-            }
-        )
+        frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL).tolist()}
+        frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        frame |= {"w": camera.width, "h": camera.height, "k1": found.k1[name], OWN: own}
+        frames.append(frame)
     about = found.as_json()
     for key in ("focals", "k1", "left_out"):
         about[key] = {paths[name]: value for name, value in about[key].items()}
@@ -220,7 +153,7 @@ def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> N
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
-    """The cameras of a file by name; no photograph is needed, if it says their size.
+    """Read the cameras of a file by name; no photograph is needed, if it says their size.
 
     Parameters
     ----------
@@ -239,242 +172,8 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     content = _parsed(file)
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
-        return {name: _Frame.of(file, name, content).camera(None)}
+        return {name: Frame.of(file, name, content).camera(None)}
     return dict(read(path).cameras)
-
-
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """One frame; its own values come before the file's, and none is null."""
-
-    file: Path
-    name: str
-    values: ChainMap[str, Any]
-
-    @staticmethod
-    def of(file: Path, name: str, *levels: Mapping[str, Any]) -> _Frame:
-        """The frame with its values, and those of the file where it has none."""
-        known = ({k: v for k, v in level.items() if v is not None} for level in levels)
-        return _Frame(file, name, ChainMap(*known))
-
-    def error(self, what: str) -> InputError:
-        return InputError(f"{self.file}: frame {self.name!r}: {what}")
-
-    @overload
-    def number(self, key: str, default: float) -> float: ...
-    @overload
-    def number(self, key: str, default: float | None = None) -> float | None: ...
-    def number(self, key: str, default: float | None = None) -> float | None:
-        value = self.values.get(key)
-        if value is None:
-            return default
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
-            raise self.error(f"{key} is {value!r}, expected a finite number")
-        return float(value)
-
-    @cached_property
-    def image_path(self) -> Path | None:
-        stem = self.file.parent / self.name
-        tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
-        return next((p for p in tries if is_there(p)), None)
-
-    def stored_size(self) -> tuple[int, int] | None:
-        """Width and height of the stored photograph, None if it cannot be opened."""
-        return None if self.image_path is None else stored_size(self.image_path)
-
-    def camera(self, size: tuple[int, int] | None) -> Camera:
-        """The pinhole camera of the undistorted view; ``size`` stands in for absent w and h."""
-        self._refuse_unread()
-        self._is_fisheye()  # raises for a model that cannot be read
-        w, h = self.number("w"), self.number("h")
-        if w is None or h is None:
-            if size is None:
-                raise self.error("has neither w and h nor a photograph to take them from; add them")
-            w, h = size
-        if w != int(w) or h != int(h):
-            raise self.error(f"w and h are {w:g} and {h:g}, expected whole numbers of pixels")
-        fx = self._focal("x", w)
-        if fx is None:
-            raise self.error("has neither fl_x nor camera_angle_x; add the focal length in pixels")
-        fy = self._focal("y", h)
-        fy = fx if fy is None else fy
-        cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
-        if "transform_matrix" not in self.values:
-            raise self.error("has no transform_matrix; add its camera-to-world pose, or remove it")
-        try:
-            c2w = np.array(self.values["transform_matrix"], np.float64)
-        except (TypeError, ValueError):
-            raise self.error("transform_matrix is not a 4x4 matrix of numbers") from None
-        if c2w.shape != (4, 4):
-            raise self.error(f"transform_matrix has shape {c2w.shape}, expected (4, 4)")
-        c2w *= OPENGL
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        try:
-            camera = checked_camera(Camera(K, c2w, int(w), int(h)))
-            return camera if self.own is None else self._more(camera, self.own)
-        except InputError as bad:
-            raise self.error(str(bad)) from None
-
-    def _refuse_unread(self) -> None:
-        for key, value in self.values.items():
-            if key in USED or key in IGNORED or not CHANGES_PIXELS.search(key):
-                continue
-            is_colour = "mask" in key  # black is one, as any other
-            numbers = value if isinstance(value, list) and not is_colour else [value]
-            changes_nothing = str(value).lower() in NEUTRAL or not any(numbers)
-            if not changes_nothing and not (value == 1 and re.search("scale|aspect", key)):
-                raise self.error(
-                    f"{key} is {value!r:.60}, which may change where points are seen and is not "
-                    "read; undistort the photographs to a PINHOLE camera, or remove the key if it "
-                    "does not matter"
-                )
-
-    def _focal(self, axis: str, size: float) -> float | None:
-        """The focal length in pixels along x or y, by the first level that has one; else None."""
-        for level in self.values.maps:
-            stated = {}
-            alone = _Frame(self.file, self.name, ChainMap(level))
-            for key in (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov"):
-                value = alone.number(key)
-                if value is None:
-                    continue
-                if not key.startswith("fl"):
-                    angle = math.radians(value) if key.endswith("fov") else value
-                    if not 0 < angle < math.pi:
-                        unit = "degrees below 180" if key.endswith("fov") else "radians below pi"
-                        raise self.error(f"{key} is {value:g}, expected {unit} and above 0")
-                    value = size / 2 / math.tan(angle / 2)
-                stated[key] = value
-            for key, value in stated.items():
-                first, expected = next(iter(stated.items()))
-                if abs(value - expected) > AGREEMENT * abs(expected):
-                    raise self.error(
-                        f"{first} says a focal length of {expected:.6g} pixels and {key} one of "
-                        f"{value:.6g}; remove the wrong one"
-                    )
-            if stated:
-                return next(iter(stated.values()))
-        return None
-
-    def _is_fisheye(self) -> bool:
-        """Whether the lens is OpenCV's fisheye, by the first level that says so or otherwise."""
-        for level in self.values.maps:
-            model, flag = level.get("camera_model"), level.get("is_fisheye")
-            if flag not in (None, True, False):
-                raise self.error(f"is_fisheye is {flag!r}, expected true or false")
-            if model not in (None, *PERSPECTIVE, FISHEYE):
-                raise self.error(
-                    f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
-                    f"{FISHEYE}; undistort the photographs to PINHOLE first"
-                )
-            if None not in (model, flag) and (model == FISHEYE) != flag:
-                raise self.error(
-                    f"camera_model is {model} and is_fisheye {flag}, which contradict each other; "
-                    "remove the wrong one"
-                )
-            if model is not None or flag is not None:
-                return bool(flag) or model == FISHEYE
-        return False
-
-    @property
-    def own(self) -> dict[str, Any] | None:
-        """What :func:`write` added; None in a file by others."""
-        own = self.values.get(OWN)
-        if own is not None and not isinstance(own, dict):
-            raise self.error(f"{OWN} is {own!r}, expected an object")
-        return own
-
-    def _more(self, camera: Camera, own: Mapping[str, Any]) -> Camera:
-        more = _Frame.of(self.file, self.name, own)
-        said = own.get("estimated")
-        try:
-            estimated = None if said is None else Estimated.of(said)
-        except ValueError as bad:
-            raise self.error(f"estimated {bad}") from None
-        return replace(
-            camera, near=more.number("near"), far=more.number("far"), estimated=estimated
-        )
-
-    def undistortion(self, camera: Camera) -> Maps | None:
-        """Where each pixel of the view lies in the stored photograph, as maps for cv2.remap."""
-        k = [self.number(f"k{i}", 0.0) for i in range(1, 5)]
-        p = [self.number(f"p{i}", 0.0) for i in range(1, 3)]
-        fisheye = self._is_fisheye()
-        if not fisheye and not any((*k, *p)):
-            return None
-        size = (camera.width, camera.height)
-        if fisheye:
-            K = camera.K.copy()
-            K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
-            return cv2.fisheye.initUndistortRectifyMap(
-                K, np.array(k), np.eye(3), K, size, cv2.CV_32FC1
-            )
-        if k[3]:
-            raise self.error(
-                f"k4 is {k[3]:g}, but a perspective camera has only k1, k2, k3, p1 and p2; set it "
-                "to 0 or the camera_model to OPENCV_FISHEYE"
-            )
-        lens = np.array([k[0], k[1], p[0], p[1], k[2]])
-        return perspective_maps(camera.K, size, lens)
-
-    def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
-        size = (camera.width, camera.height)
-        pixels, opaque = open_photograph(path, size, upright=self.own is not None)
-        if pixels.shape[:2] != (camera.height, camera.width):
-            raise InputError(
-                f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
-                f"says {camera.width}x{camera.height}; resize it, or scale w, h, fl_x, fl_y, cx "
-                "and cy to its size"
-            )
-        mask = self.values.get("mask_path")
-        return (pixels, opaque) if mask is None else masked(pixels, opaque, self.place(mask))
-
-    def place(self, name: Any) -> Path:
-        """The file of that name beside the camera file."""
-        return self.file.parent / name_in(self.file.parent, str(name))
-
-    def depth(self, camera: Camera) -> np.ndarray | None:
-        name = self.values.get("depth_file_path")
-        if name is None:
-            return None
-        path = self.place(name)
-        if not is_there(path):
-            return None
-        if path.suffix.lower() not in DEPTH_FILES:
-            warnings.warn(
-                f"{path}: is depth of a kind that is not read, and its photograph goes without; "
-                "convert it to .npy, or a 16-bit .png in millimetres",
-                stacklevel=2,
-            )
-            return None
-        try:
-            if path.suffix == ".npy":
-                raw = read_npy(path)
-            else:
-                with opened(path) as image:
-                    raw = np.asarray(image)
-        except (OSError, ValueError) as bad:
-            raise unreadable(path, bad) from None
-        raw = raw.squeeze()
-        if raw.ndim != 2 or not raw.size or raw.dtype.kind not in "uif":
-            raise InputError(
-                f"{path}: depth is {raw.dtype} {raw.shape}, expected one number a pixel"
-            )
-        unit = 1.0
-        for key, default in (("depth_unit_scale_factor", DEPTH_UNIT), ("applied_scale", 1.0)):
-            factor = self.number(key, default)
-            if factor <= 0:
-                raise self.error(f"{key} is {factor:g}, expected a positive number")
-            unit *= factor
-        depth = (raw.astype(np.float64) * unit).astype(np.float32)
-        depth[~(np.isfinite(depth) & (depth > 0))] = 0
-        photograph = Window.whole(camera.width, camera.height)
-        photograph.check_shape(path, *depth.shape[::-1])
-        return photograph.depth(depth, camera.height, camera.width)
 
 
 def _parsed(file: Path) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -145,44 +145,24 @@ def _checked(file: Path, read: Callable[[Path], T]) -> T:
 def write_text(folder: Path, model: SparseModel, maker: str) -> None:
     """Write the text files of a model; points have no colour, and no image shows them.
 
-    ``maker`` goes into the first line of each, for people.
-
-    Raises
-    ------
-    InputError
-        If they cannot be written.
+    ``maker`` goes into the first line of each, for people. InputError if they cannot be written.
     """
-
-    def words(*entries: object) -> str:
-        return " ".join(map(str, entries))
-
-    lines: dict[str, list[str]] = {
-        "cameras": [
-            words(number, one.model, one.width, one.height, *map(float, one.params))
-            for number, one in model.cameras.items()
-        ],
-        "images": [
-            line
-            for number, one in model.images.items()
-            for line in (words(number, *_pose(one.w2c), one.camera, one.name), "")
-        ],
-        "points3D": [
-            words(number, *point, 128, 128, 128, 0)
-            for number, point in enumerate(model.points.tolist(), 1)
-        ],
-    }
+    rows: dict[str, list[Sequence[object]]] = {"cameras": [], "images": [], "points3D": []}
+    for number, camera in model.cameras.items():
+        size = camera.width, camera.height
+        rows["cameras"].append((number, camera.model, *size, *map(float, camera.params)))
+    for number, image in model.images.items():
+        turn = Rotation.from_matrix(image.w2c[:3, :3]).as_quat(canonical=True)
+        pose = *np.roll(turn, 1).tolist(), *image.w2c[:3, 3].tolist()  # w first
+        rows["images"] += [(number, *pose, image.camera, image.name), ()]
+    for number, point in enumerate(model.points.tolist(), 1):
+        rows["points3D"].append((number, *point, 128, 128, 128, 0))
     try:
-        for kind, text in lines.items():
-            content = "\n".join([f"# {maker}", *text]) + "\n"
-            write_atomic(folder / f"{kind}.txt", content.encode())
+        for kind, entries in rows.items():
+            text = "\n".join([f"# {maker}", *(" ".join(map(str, row)) for row in entries)])
+            write_atomic(folder / f"{kind}.txt", f"{text}\n".encode())
     except OSError as bad:
         raise InputError(f"{folder}: cannot be written ({bad.strerror}); choose another") from bad
-
-
-def _pose(w2c: np.ndarray) -> list[float]:
-    """Quaternion, w first, and translation."""
-    turn = Rotation.from_matrix(w2c[:3, :3]).as_quat(canonical=True)
-    return [*np.roll(turn, 1).tolist(), *w2c[:3, 3].tolist()]
 
 
 class _Wrong(Exception):
@@ -197,7 +177,7 @@ class _Bytes:
         self.at = 0
 
     def take(self, layout: str) -> tuple:
-        """The next values, as :mod:`struct` calls them."""
+        """Return the next values, as :mod:`struct` calls them."""
         start = self.skip(struct.calcsize(f"<{layout}"))
         return struct.unpack_from(f"<{layout}", self.data, start)
 
@@ -210,7 +190,7 @@ class _Bytes:
         return start
 
     def text(self) -> str:
-        """The text up to the next zero byte."""
+        """Return the text up to the next zero byte."""
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise _Wrong("ends in the middle of a name")
@@ -218,7 +198,7 @@ class _Bytes:
         return self.data[start:end].decode("utf-8", "replace")
 
     def entries(self, least: int) -> Iterator[int]:
-        """As many times as a count says that comes next, if entries of ``least`` bytes can fit."""
+        """Count the entries that follow, as a number before them says; each has ``least`` bytes."""
         (count,) = self.take("Q")
         if count * least > len(self.data) - self.at:
             raise _Wrong(f"says that it has {count} entries, but ends after {len(self.data)} bytes")
@@ -231,16 +211,13 @@ def _binary_cameras(file: Path) -> dict[int, SparseCamera]:
     data = _Bytes(file)
     cameras: dict[int, SparseCamera] = {}
     for _ in data.entries(24):
-        number, model, width, height = data.take("iiQQ")
-        if model not in MODELS:
-            raise _Wrong(f"camera {number} is of model {model}, which is not known")
-        name, count = MODELS[model]
-        _add_camera(cameras, number, name, width, height, data.take(f"{count}d"))
+        number, kind, width, height = data.take("iiQQ")
+        model, count = MODELS.get(kind, (str(kind), 0))
+        _add_camera(cameras, number, model, width, height, data.take(f"{count}d"))
     return cameras
 
 
 def _text_cameras(file: Path) -> dict[int, SparseCamera]:
-    counts = dict(MODELS.values())
     cameras: dict[int, SparseCamera] = {}
     for line, text in _lines(file):
         words = text.split()
@@ -251,12 +228,6 @@ def _text_cameras(file: Path) -> dict[int, SparseCamera]:
             params = tuple(map(float, words[4:]))
         except (ValueError, IndexError):
             raise _Wrong(f"line {line} is no camera") from None
-        if model not in counts:
-            raise _Wrong(f"camera {number} is of model {model!r}, which is not known")
-        if len(params) != counts[model]:
-            raise _Wrong(
-                f"line {line}: {model} has {counts[model]} parameters, found {len(params)}"
-            )
         _add_camera(cameras, number, model, width, height, params)
     return cameras
 
@@ -269,8 +240,13 @@ def _add_camera(
     height: int,
     params: tuple[float, ...],
 ) -> None:
+    count = dict(MODELS.values()).get(model)
     if number in cameras:
         raise _Wrong(f"has two cameras {number}")
+    if count is None:
+        raise _Wrong(f"camera {number} is of model {model}, which is not known")
+    if len(params) != count:
+        raise _Wrong(f"camera {number}: {model} has {count} parameters, found {len(params)}")
     if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
         raise _Wrong(f"camera {number} is {width}x{height} pixels with parameters {params}")
     cameras[number] = SparseCamera(model, width, height, params)
@@ -309,7 +285,7 @@ def _text_images(file: Path) -> dict[int, SparseImage]:
 
 
 def _are_points(text: str) -> bool:
-    """Whether a line is triples of x, y and the id of a point, -1 for none."""
+    """Tell whether a line is triples of x, y and the id of a point, -1 for none."""
     numbers = text.split()
     try:
         for k in range(0, len(numbers), 3):
@@ -327,11 +303,10 @@ def _add_image(
         raise _Wrong(f"has two images {number}")
     if not name.strip():
         raise _Wrong(f"image {number} has no name")
-    w, *xyz = pose[:4]
     length = float(np.linalg.norm(pose[:4]))
     if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
         raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
-    w, (x, y, z) = w / length, np.array(xyz) / length
+    w, (x, y, z) = pose[0] / length, np.array(pose[1:4]) / length
     w2c = np.eye(4)
     w2c[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

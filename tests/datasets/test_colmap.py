@@ -374,7 +374,7 @@ class TestDamage:
     @pytest.mark.parametrize(
         ("kind", "old", "new", "sentence"),
         [
-            ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model 'MAGIC', which is not known"),
+            ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model MAGIC, which is not known"),
             ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "OPENCV has 8 parameters, found 3"),
             ("cameras", "2 SIMPLE_PINHOLE", "1 SIMPLE_PINHOLE", "two cameras 1"),
             ("cameras", "2 SIMPLE_PINHOLE 96", "2 SIMPLE_PINHOLE 0", "camera 2 is 0x64 pixels"),
