@@ -14,6 +14,7 @@ from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.datasets import lerf_ovs, ovs3d
 from slgaussian.datasets.pair_selection import Bounds, Pair, Rule, Surrounding, Views, surround
+from slgaussian.datasets.published import SETS
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
@@ -90,7 +91,7 @@ def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
     """The pair of every labelled frame, or why there is none; under the pair's name."""
-    known = lerf_ovs.labelled(name)
+    known = SETS["lerf_ovs"][name].frames if name in SETS["lerf_ovs"] else ()
     views, out = _views_of(scene, frames, known)
     names, clip, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}

@@ -1,4 +1,4 @@
-"""What the file of a photograph says of the lens and of the way up: EXIF, and Apple's maker note.
+"""Lens and way up of a photograph, as its file has them: EXIF, and Apple's maker note.
 
 Tags and their meaning are those of CIPA DC-008, "Exchangeable image file format for digital still
 cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html,
@@ -32,7 +32,7 @@ TURNS = {
     1: ((1, 0), (0, 1)), 2: ((-1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 4: ((1, 0), (0, -1)),
     5: ((0, 1), (1, 0)), 6: ((0, -1), (1, 0)), 7: ((0, -1), (-1, 0)), 8: ((0, 1), (-1, 0)),
 }  # fmt: skip
-"""By EXIF orientation, what takes directions (right, down) in stored pixels to upright ones."""
+"""By EXIF orientation, matrices from directions (right, down) in stored pixels to upright ones."""
 
 SIDEWAYS = (5, 6, 7, 8)
 """EXIF orientations whose upright photograph is as wide as the stored one is high."""
@@ -48,8 +48,8 @@ SIGNED_RATIONAL = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What the file of a photograph says.
+class LensData:
+    """Lens, focal length and way up of a photograph.
 
     Attributes
     ----------
@@ -57,47 +57,44 @@ class Told:
         As :class:`slgaussian.cameras.photograph.Photograph` has them.
     """
 
-    lens: str
-    focal: float | None
-    up: np.ndarray | None
+    lens: str = ""
+    focal: float | None = None
+    up: np.ndarray | None = None
 
 
 def orientation_of(image: Image.Image) -> int:
-    """The EXIF orientation of an opened image, 1 to 8; 1 if it says none, or nonsense.
+    """Return the EXIF orientation of an opened image, 1 to 8; 1 if it says none, or nonsense.
 
     Pillow turns TIFF itself when it loads the pixels: after that, it is 1.
     """
     try:
-        found = image.getexif().get(ExifTags.Base.Orientation, 1)
+        stated = image.getexif().get(ExifTags.Base.Orientation, 1)
     except Exception:  # a damaged header raises almost anything
         return 1
-    return found if found in TURNS else 1
+    return stated if stated in TURNS else 1
 
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
-    """What an image of an EXIF orientation shows; Pillow's own way chokes on other bad tags."""
+    """Turn an image of an EXIF orientation; Pillow's own way chokes on other bad tags."""
     return image if orientation == 1 else image.transpose(TRANSPOSED[orientation])
 
 
-def told_by(image: Image.Image) -> Told:
-    """What the header of an opened image says; nonsense counts as nothing said."""
+def read_lens(image: Image.Image) -> LensData:
+    """Read the header of an opened image; nonsense counts as nothing said."""
     try:
-        return _told_by(image)
+        exif = image.getexif()
+        base, own = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
+        # pillow-heif turns pixels upright itself, and keeps here how they had been.
+        orientation = image.info.get("original_orientation") or orientation_of(image)
+        lens = _lens_name(base, own)
+        note = own.get(ExifTags.Base.MakerNote)
+        up = None if "front" in lens.lower() else _up(note, orientation)
+        return LensData(lens, _focal(own, *image.size), up)
     except Exception:  # a damaged header raises almost anything, and the pixels may be good
-        return Told("", None, None)
+        return LensData()
 
 
-def _told_by(image: Image.Image) -> Told:
-    exif = image.getexif()
-    base, own = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
-    # pillow-heif turns pixels upright itself, and keeps here how they had been.
-    orientation = image.info.get("original_orientation") or orientation_of(image)
-    lens = _lens(base, own)
-    up = None if "front" in lens.lower() else _up(own.get(ExifTags.Base.MakerNote), orientation)
-    return Told(lens, _focal(own, *image.size), up)
-
-
-def _lens(base: Mapping[int, Any], own: Mapping[int, Any]) -> str:
+def _lens_name(base: Mapping[int, Any], own: Mapping[int, Any]) -> str:
     tags = ExifTags.Base
     named = [base.get(tags.Make), base.get(tags.Model), own.get(tags.LensModel)]
     words = [" ".join(name.replace("\0", " ").split()) for name in named if isinstance(name, str)]
@@ -108,7 +105,7 @@ def _lens(base: Mapping[int, Any], own: Mapping[int, Any]) -> str:
 
 
 def _focal(own: Mapping[int, Any], width: int, height: int) -> float | None:
-    """Focal length in pixels of a photograph of that size, upright or not."""
+    """Return the focal length in pixels of a photograph of that size, upright or not."""
     tags = ExifTags.Base
     across, down = (_number(own.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
     taken = (across, down) if across and down else (float(width), float(height))
@@ -116,38 +113,33 @@ def _focal(own: Mapping[int, Any], width: int, height: int) -> float | None:
     was, is_now = max(taken) / min(taken), max(width, height) / min(width, height)
     if abs(np.log(was / is_now)) > 0.01:
         return None
-    for found in (_by_film(own, width, height), _by_sensor(own, taken, width, height)):
-        if found is not None and WIDEST <= found / max(width, height) <= LONGEST_FOCAL:
-            return found
+    film = _number(own.get(tags.FocalLengthIn35mmFilm))  # of the same angle; digital zoom is in it
+    by_film = film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
+    for focal in (by_film, _focal_by_sensor(own, taken, max(width, height))):
+        if focal is not None and WIDEST <= focal / max(width, height) <= LONGEST_FOCAL:
+            return focal
     return None
 
 
-def _by_film(own: Mapping[int, Any], width: int, height: int) -> float | None:
-    """By the focal length that has the same angle on film; digital zoom is in it."""
-    film = _number(own.get(ExifTags.Base.FocalLengthIn35mmFilm))
-    return film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
-
-
-def _by_sensor(
-    own: Mapping[int, Any], taken: tuple[float, float], width: int, height: int
+def _focal_by_sensor(
+    own: Mapping[int, Any], taken: tuple[float, float], longest: int
 ) -> float | None:
-    """By the focal length in millimetres and the pixels of the sensor in one, both ways alike."""
+    """Return it by its millimetres and the pixels of the sensor in one, both ways alike."""
     tags = ExifTags.Base
     focal = _number(own.get(tags.FocalLength))
-    across, down = (
-        _number(own.get(tag)) for tag in (tags.FocalPlaneXResolution, tags.FocalPlaneYResolution)
-    )
+    across = _number(own.get(tags.FocalPlaneXResolution))
+    down = _number(own.get(tags.FocalPlaneYResolution))
     unit = UNITS.get(own.get(tags.FocalPlaneResolutionUnit, 2))
     if not (focal and across and down and unit) or abs(np.log(across / down)) > 0.05:
         return None
     if not SENSOR_WIDTHS[0] <= max(taken) * unit / across <= SENSOR_WIDTHS[1]:
         return None
     zoom = _number(own.get(tags.DigitalZoomRatio)) or 1.0
-    return focal * zoom * across / unit * max(width, height) / max(taken)
+    return focal * zoom * across / unit * longest / max(taken)
 
 
 def _number(value: Any) -> float | None:
-    """A positive finite number, of whatever a file has under a tag; else None."""
+    """Return a positive finite number, of whatever a file has under a tag; else None."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
@@ -156,7 +148,7 @@ def _number(value: Any) -> float | None:
 
 
 def _up(note: Any, orientation: Any) -> np.ndarray | None:
-    """Up in OpenCV's axes of the upright photograph, by the accelerometer of an iPhone.
+    """Return up in OpenCV's axes of the upright photograph, by the accelerometer of an iPhone.
 
     At rest it measures one g upwards. Its x, y and z, seen from the front, point to the left, to
     the bottom and into the phone (ExifTool), and stored rows lie along its side: the sensor's right

@@ -8,11 +8,9 @@ A scene is a folder with ``images``, ``sparse`` or ``poses_bounds.npy`` or both,
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from slgaussian.datasets import colmap, llff
-from slgaussian.datasets.labelled_scene import LabelledScene
 from slgaussian.datasets.lerf_ovs import find_scene
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.scene import Scene
@@ -21,39 +19,6 @@ LABELS = "segmentations"
 """Folder of the masks in that of a scene."""
 
 CAMERAS = {"colmap": colmap, "llff": llff}
-
-
-PUBLISHED = {
-    "bed": LabelledScene(
-        ("00", "04", "10", "23", "30"),
-        ("banana", "black leather shoe", "camera", "hand", "red bag", "white sheet"),
-    ),
-    "bench": LabelledScene(
-        ("02", "05", "25", "27", "32"),
-        (
-            "dressing doll", "green grape", "mini offroad car", "orange cat",
-            "pebbled concrete wall", "Portuguese egg tart", "wood",
-        ),
-    ),
-    "blue_sofa": LabelledScene(
-        ("03", "05", "13", "24", "27"),
-        (
-            "a JBL Bluetooth speaker", "a bottle of perfume", "a squirrel pig doll",
-            "an aircon controller", "blue-grey sofa", "sunglasses",
-        ),
-    ),
-    "covered_desk": LabelledScene(("00", "01", "11", "26", "29")),
-    "lawn": LabelledScene(
-        ("01", "03", "09", "13", "29"),
-        (
-            "black headphone", "green lawn", "hand soap", "New York Yankees cap", "red apple",
-            "stapler",
-        ),
-    ),
-}  # fmt: skip
-"""The scenes of the paper's table: the views with masks as evaluations of others list them, and the
-classes as papers and programs print them (LangSplat's figure 8, SegSplat's figure 5). The classes
-of covered_desk were not found in print."""
 
 
 def read(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
@@ -75,22 +40,18 @@ def read(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
         If there is no such scene, or it cannot be read.
     """
     folder = find_scene(path, scene, scenes(path))
-    return _reader(folder, cameras).read(folder)
-
-
-def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """The scenes of the set by name, each with what :func:`read` takes besides the path."""
-    marks = ("sparse", llff.FILE)
-    found = {folder.parent.name for mark in marks for folder in Path(path).glob(f"*/{mark}")}
-    return {name: {"scene": name} for name in sorted(found)}
-
-
-def _reader(folder: Path, cameras: str | None) -> ModuleType:
     if cameras is None:
-        return colmap if (folder / "sparse").is_dir() else llff
+        cameras = "colmap" if (folder / "sparse").is_dir() else "llff"
     if cameras not in CAMERAS:
         raise InputError(
             f"cameras: found {cameras!r}, expected one of {', '.join(CAMERAS)}"
             f"{did_you_mean(cameras, CAMERAS)}"
         )
-    return CAMERAS[cameras]
+    return CAMERAS[cameras].read(folder)
+
+
+def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """List the scenes of the set by name, each with what :func:`read` takes besides the path."""
+    marks = ("sparse", llff.FILE)
+    found = {folder.parent.name for mark in marks for folder in Path(path).glob(f"*/{mark}")}
+    return {name: {"scene": name} for name in sorted(found)}

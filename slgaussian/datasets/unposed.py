@@ -7,7 +7,6 @@ the first are those by name.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,11 +20,12 @@ from PIL import Image
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
-from slgaussian.datasets.exif import SIDEWAYS, orientation_of, told_by, upright
+from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
+from slgaussian.io import file_sha256
 from slgaussian.scene import Camera, Sample, Scene, Size, View
 
 Place = str | Path
@@ -34,7 +34,7 @@ Place = str | Path
 def photographs(
     *files: Place, size: Size = "auto", near: float | None = None, far: float | None = None
 ) -> Sample:
-    """Two or more photographs, or folders of them, as a sample whose cameras are found.
+    """Make a sample of photographs, or folders of them, whose cameras are found.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def photographs(
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
-    """A scene of photographs, called by their names; the cameras of all of them are found at once.
+    """Read a scene of photographs by their names; the cameras of all of them are found at once.
 
     They are found anew only if a photograph, or the order, is another than before in the process.
 
@@ -87,7 +87,7 @@ def _taken(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[st
 
 
 def named(places: Sequence[Place]) -> dict[str, Path]:
-    """The photographs at some places, by their path below the folder that holds all of them.
+    """List the photographs at some places, by their path below the folder that holds all of them.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
 
 
 def folder_of(files: Mapping[str, Path]) -> Path:
-    """The folder from which photographs are named, absolute."""
+    """Return the folder from which photographs are named, absolute."""
     return _common([Path(os.path.abspath(file)) for file in files.values()])
 
 
@@ -132,14 +132,20 @@ def _common(files: Sequence[Path]) -> Path:
 
 
 def find(files: Mapping[str, Path]) -> FoundCameras:
-    """The cameras of photographs by name; of the same files in the same order, found once.
+    """Find the cameras of photographs by name; of the same files in the same order, found once.
 
     Raises
     ------
     InputError
         As :func:`photographs`.
     """
-    return _find(tuple((name, str(file), _digest(file)) for name, file in files.items()))
+    try:
+        known = [(name, str(file), file_sha256(file)) for name, file in files.items()]
+    except OSError as bad:
+        raise InputError(
+            f"{bad.filename}: cannot be read ({bad.strerror}); give the files of photographs"
+        ) from None
+    return _find(tuple(known))
 
 
 @lru_cache(maxsize=8)
@@ -147,18 +153,8 @@ def _find(files: tuple[tuple[str, str, str], ...]) -> FoundCameras:
     return find_cameras([photograph(Path(file), name) for name, file, _ in files])
 
 
-def _digest(file: Path) -> str:
-    try:
-        with file.open("rb") as content:
-            return hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError as bad:
-        raise InputError(
-            f"{file}: cannot be read ({bad.strerror}); give the files of photographs"
-        ) from None
-
-
 def photograph(file: Path, name: str) -> Photograph:
-    """A photograph as cameras are found from: upright, small, and with what its file says.
+    """Read a photograph as cameras are found from: upright, small, and with what its file says.
 
     Raises
     ------
@@ -169,7 +165,7 @@ def photograph(file: Path, name: str) -> Photograph:
         with opened(file) as image:
             if image.format == "TIFF":
                 image.load()  # which Pillow turns as it loads them
-            whole, told = image.size, told_by(image)
+            whole, stated = image.size, read_lens(image)
             orientation = orientation_of(image)
             small_size = _shrunk(*whole)
             # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
@@ -182,7 +178,7 @@ def photograph(file: Path, name: str) -> Photograph:
         raise unreadable(file, bad) from None
     pixels = rgb(upright(small, orientation))
     width, height = whole[::-1] if orientation in SIDEWAYS else whole
-    return Photograph(name, pixels, width, height, told.lens, told.focal, told.up)
+    return Photograph(name, pixels, width, height, stated.lens, stated.focal, stated.up)
 
 
 def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
@@ -200,7 +196,7 @@ def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
 def refined(
     scene: Scene, names: Sequence[str], files: Mapping[str, Path]
 ) -> tuple[Scene, FoundCameras]:
-    """Some views of a scene with cameras that are found anew, in the world of those that it has.
+    """Find cameras of some views of a scene anew, in the world of those that it has.
 
     Parameters
     ----------
@@ -233,15 +229,15 @@ def refined(
 
 
 def _of_view(view: View, file: Path | None) -> Photograph:
-    """A view that was read as a photograph; its size and its turn may be other than its file's."""
+    """Return a read view as a photograph; its size and turn may be other than its file's."""
     height, width = view.image.shape[:2]
     small = cv2.resize(view.image, _shrunk(width, height), interpolation=cv2.INTER_AREA)
     if file is None:
         return Photograph(view.name, small, width, height)
-    told = photograph(file, view.name)
-    part = max(width, height) / max(told.width, told.height)
-    focal = None if told.focal is None else told.focal * part
-    return Photograph(view.name, small, width, height, told.lens, focal)
+    stored = photograph(file, view.name)
+    part = max(width, height) / max(stored.width, stored.height)
+    focal = None if stored.focal is None else stored.focal * part
+    return Photograph(view.name, small, width, height, stored.lens, focal)
 
 
 def _lens(camera: Camera, k1: float) -> Maps:
@@ -249,7 +245,7 @@ def _lens(camera: Camera, k1: float) -> Maps:
 
 
 def is_turned(file: Path) -> bool:
-    """Whether a photograph is stored otherwise than upright."""
+    """Tell whether a photograph is stored otherwise than upright."""
     try:
         with opened(file) as image:
             return orientation_of(image) != 1

@@ -47,9 +47,3 @@ def test_an_unknown_scene_is_said_with_those_there(folder):
         load("lerf_ovs", folder, "bouquet")
     with pytest.raises(InputError, match=r"found none \(give the folder of the whole set\)"):
         load("lerf_ovs", folder / "ramen", "ramen")
-
-
-def test_labelled_frames_are_known_of_published_scenes():
-    assert sum(len(scene.frames) for scene in lerf_ovs.PUBLISHED.values()) == 22
-    assert lerf_ovs.labelled("figurines")[0] == "frame_00041"
-    assert lerf_ovs.labelled("my own scene") == []

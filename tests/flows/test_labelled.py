@@ -20,7 +20,8 @@ from flows.room_scenes import room_scene
 from flows.scene import baseline_tasks, scene_task
 from flows.settings import SceneSettings, make_settings
 from slgaussian.benchmark.index import Index, read_index
-from slgaussian.datasets import lerf_ovs, re10k
+from slgaussian.datasets import re10k
+from slgaussian.datasets.published import SETS
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
@@ -288,7 +289,7 @@ class TestPublished:
         assert told in tables and f"{told}frame_00005, " in (out / "report.html").read_text()
 
     def test_photographs_and_labels_are_what_a_scene_is_known_by(self, lerf):
-        known = lerf_ovs.PUBLISHED["teatime"]
+        known = SETS["lerf_ovs"]["teatime"]
         images, labels = lerf / "ramen/images", lerf / "mine"
         label(labels, "frame_00002.jpg", *known.texts[:5])
         scene = SceneSettings(
