@@ -233,11 +233,10 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
 
 def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
     """Parse the clip of an entry, whose images have ``most`` bytes at most."""
-
-    def wrong(what: str) -> InputError:
-        return InputError(f"{file}: clip {number}: {what}")
-
     import torch
+
+    def wrong(problem: str) -> InputError:
+        return InputError(f"{file}: clip {number}: {problem}")
 
     if not isinstance(entry, dict):
         raise wrong(f"found a {type(entry).__name__}, expected a dict")
@@ -245,15 +244,14 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
     for name, kind in {**kinds, "images": list}.items():
         if not isinstance(entry.get(name), kind):
             raise wrong(f"{name} is {type(entry.get(name)).__name__}, expected {kind.__name__}")
-    images, cameras = entry["images"], entry["cameras"]
-    for name, types in (("timestamps", WHOLE), ("cameras", REAL)):
-        tensor = entry[name]
+    times, cameras, images = entry["timestamps"], entry["cameras"], entry["images"]
+    for name, tensor, types in (("timestamps", times, WHOLE), ("cameras", cameras, REAL)):
         if not _is_plain(tensor) or str(tensor.dtype) not in types or not tensor.ndim:
             raise wrong(f"{name} is a tensor of {tensor.dtype}, expected one of {types[0]}")
-    if tuple(cameras.shape) != (len(images), ROW) or len(entry["timestamps"]) != len(images):
+    if tuple(cameras.shape) != (len(images), ROW) or len(times) != len(images):
         raise wrong(
-            f"found {len(images)} images, cameras {tuple(cameras.shape)} and "
-            f"{len(entry['timestamps'])} timestamps, expected as many rows of {ROW}"
+            f"found {len(images)} images, cameras {tuple(cameras.shape)} and {len(times)} "
+            f"timestamps, expected as many rows of {ROW}"
         )
     if not all(
         isinstance(i, torch.Tensor) and i.dtype == torch.uint8 and _is_plain(i) for i in images
@@ -261,13 +259,9 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
         raise wrong("images are not all uint8 tensors of JPEG bytes")
     if sum(image.numel() for image in images) > most:
         raise wrong("has more bytes of images than the file")
-    return Clip(
-        entry["key"],
-        entry["url"],
-        entry["timestamps"].numpy().astype(np.int64),
-        cameras.numpy().astype(np.float32),
-        tuple(image.numpy().tobytes() for image in images),
-    )
+    encoded_images = tuple(image.numpy().tobytes() for image in images)
+    rows = cameras.numpy().astype(np.float32)
+    return Clip(entry["key"], entry["url"], times.numpy().astype(np.int64), rows, encoded_images)
 
 
 def _is_plain(tensor: torch.Tensor) -> bool:

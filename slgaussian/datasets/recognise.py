@@ -22,7 +22,7 @@ EXPECTED = (
 
 
 def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scene, Path]:
-    """The scene whose cameras ``path`` holds, and the folder from which its views are named.
+    """Read the scene whose cameras ``path`` holds, and the folder from which its views are named.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
 
 
 def cameras_in(path: str | Path) -> Mapping[str, Camera]:
-    """The cameras that ``path`` holds, by name, as :func:`posed_scene` knows them.
+    """Read the cameras that ``path`` holds, by name, as :func:`posed_scene` knows them.
 
     No photograph is needed where the format says their size and names, as all do but LLFF.
 
@@ -83,7 +83,7 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
 
 
 def recognise(path: Path) -> tuple[str, Path]:
-    """Name of the format of the cameras in a file or folder, and what its reader takes.
+    """Return the format of the cameras in a file or folder, and what its reader takes.
 
     Raises
     ------
@@ -91,18 +91,15 @@ def recognise(path: Path) -> tuple[str, Path]:
         If there are none of a format that is known.
     """
     if path.is_dir():
-        if (path / nerfstudio.FILE).is_file():
-            return "nerfstudio", path
-        if colmap.models_in(path):
+        marks = {"nerfstudio": nerfstudio.FILE, "llff": llff.FILE, "re10k": re10k.INDEX}
+        held = [format for format, mark in marks.items() if (path / mark).is_file()]
+        if colmap.models_in(path) and "nerfstudio" not in held:
             return "colmap", _scene_of(path)
-        if (path / llff.FILE).is_file():
-            return "llff", path
-        if (path / re10k.INDEX).is_file():
-            return "re10k", path
-        photographs = photographs_of(path)
-        if photographs and not _scenes_in(path) and not any(path.glob("*.json")):
+        if held:
+            return held[0], path
+        if photographs_of(path) and not _scenes_in(path) and not any(path.glob("*.json")):
             return "photographs", path
-        raise InputError(f"{path}: holds no cameras: {_found_in(path)}; expected {EXPECTED}")
+        raise InputError(f"{path}: holds no cameras: {_describe(path)}; expected {EXPECTED}")
     try:
         with path.open("rb") as file:
             start = file.read(64)
@@ -120,14 +117,14 @@ def recognise(path: Path) -> tuple[str, Path]:
 
 
 def _scene_of(path: Path) -> Path:
-    """The folder of a scene, if its model in ``path`` is the one that is read there; else that."""
+    """Return the folder of a scene if its model in ``path`` is read there; else that path."""
     scene = colmap.scene_folder(path)
     model, usual = (colmap.largest(colmap.models_in(place)) for place in (path, scene))
     return scene if model.resolve() == usual.resolve() else path
 
 
 def _root(scene: Path, files: Sequence[Path]) -> Path | None:
-    """The folder from which the first file that the model of a scene names is called so."""
+    """Return the folder from which the first file that the model of a scene names is called so."""
     for name in colmap.read(scene).cameras:
         for file in files:
             if file.as_posix().endswith(f"/{name}"):
@@ -153,23 +150,16 @@ def _clip(place: Path, photographs: Sequence[str]) -> Scene:
 
 
 def _scenes_in(folder: Path) -> list[str]:
-    return sorted(
-        {
-            inside.relative_to(folder).parts[0]
-            for mark in (nerfstudio.FILE, llff.FILE, "sparse")
-            for inside in folder.glob(f"*/{mark}")
-        }
-    )
+    marks = (nerfstudio.FILE, llff.FILE, "sparse")
+    return sorted({inside.parent.name for mark in marks for inside in folder.glob(f"*/{mark}")})
 
 
-def _found_in(folder: Path) -> str:
-    scenes = _scenes_in(folder)
-    if scenes:
+def _describe(folder: Path) -> str:
+    if scenes := _scenes_in(folder):
         return (
             f"it holds the folders of {len(scenes)} scenes, such as {scenes[0]}; give one of them"
         )
-    others = sorted(file.name for file in folder.glob("*.json"))
-    if others:
+    if others := sorted(file.name for file in folder.glob("*.json")):
         return f"it has {', '.join(others[:3])}; give the file itself"
     names = sorted(inside.name for inside in folder.iterdir())[:4]
     return f"it has {', '.join(names)}" if names else "it is empty"

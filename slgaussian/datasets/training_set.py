@@ -108,8 +108,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
                     f"are {', '.join(rows.column_names)}"
                 ) from None
         if not rows.num_rows:
-            what = "" if split is None else f" of the split {split!r}"
-            raise InputError(f"{self.folder}: has no sample{what}" + " that was asked for")
+            which = "" if split is None else f" of the split {split!r}"
+            raise InputError(f"{self.folder}: has no sample{which} that was asked for")
         self.rows = rows
         places = ("shard", "offset", "bytes")
         self._places = list(zip(*(rows[name].to_pylist() for name in places), strict=True))
@@ -121,7 +121,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return len(self._places)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """One sample; SpecError, which names the shard, if it is damaged or gone."""
+        """Read one sample; SpecError, which names the shard, if it is damaged or gone."""
         members = self.members(index)
         arrays = {
             name: self.arrays(index, name, members)
@@ -131,18 +131,15 @@ class TrainingSet(Dataset[dict[str, Any]]):
         about = self._about(index, members)
         contexts = len(about["context"])
         geometry, labels, bank = (arrays[name] for name in ("geometry", "labels", "bank"))
+        numbers = ("K", "c2w", "near_far", "depth")
+        views = {name: torch.from_numpy(geometry[name].astype(np.float32)) for name in numbers}
+        views["labels"] = torch.from_numpy(labels["labels"].astype(np.int64))
+        views["margin"] = torch.from_numpy(labels["margin"])
         row = self.rows.slice(index, 1).select(["sample", "clip", "place"])
         item: dict[str, Any] = row.to_pylist()[0]
-        for role, part in (("context", np.s_[:contexts]), ("target", np.s_[contexts:])):
-            item[role] = {
-                "image": self._images(index, members, role),
-                **{
-                    name: torch.from_numpy(geometry[name][part].astype(np.float32))
-                    for name in ("K", "c2w", "near_far", "depth")
-                },
-                "labels": torch.from_numpy(labels["labels"][part].astype(np.int64)),
-                "margin": torch.from_numpy(labels["margin"][part].copy()),
-            }
+        for role, part in (("context", slice(contexts)), ("target", slice(contexts, None))):
+            images = self._images(index, members, role)
+            item[role] = {"image": images, **{name: of[part] for name, of in views.items()}}
         item["context"]["confirmed"] = torch.from_numpy(geometry["confirmed"])
         item["objects"] = {
             "ids": torch.from_numpy(bank["ids"].astype(np.int64)),
@@ -156,7 +153,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return item
 
     def members(self, index: int) -> dict[str, bytes]:
-        """The members of a sample as they are stored, by the end of their names."""
+        """Read the members of a sample as they are stored, by the end of their names."""
         shard, offset, length = self._places[index]
         file = f"{self.folder}/{shard}"
         try:
@@ -171,7 +168,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
             raise SpecError(f"{file}: is damaged ({error}); {ANEW}") from error
 
     def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
-        """The arrays of one of :data:`SPECS` of a sample, as they are stored and not as tensors.
+        """Read the arrays of one of :data:`SPECS` of a sample, as stored and not as tensors.
 
         Raises
         ------
@@ -179,12 +176,12 @@ class TrainingSet(Dataset[dict[str, Any]]):
             If they are not there or damaged.
         """
         members = self.members(index) if members is None else members
-        data = self._member(index, members, f"{name}.npz")
-        return decode_arrays(data, load_spec(SPECS[name]), self._named(index, f"{name}.npz"), ANEW)
+        label, data = self._member(index, members, f"{name}.npz")
+        return decode_arrays(data, load_spec(SPECS[name]), label, ANEW)
 
     @staticmethod
     def collate(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Items as one batch: tensors stacked, texts in lists.
+        """Make one batch of items: tensors stacked, texts in lists.
 
         Objects and Gaussians, of which samples have different numbers, are filled up with zeros at
         their end: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
@@ -202,36 +199,33 @@ class TrainingSet(Dataset[dict[str, Any]]):
             key=lambda name: int(name.partition(".")[0].rpartition("_")[2]),
         )
         pixels = []
-        for name in names:
+        for name in names or [f"{role}_0.jpg"]:
+            label, data = self._member(index, members, name)
             try:
-                with opened(io.BytesIO(members[name])) as image:
+                with opened(io.BytesIO(data)) as image:
                     pixels.append(rgb(image))
             except ValueError as error:
-                named = self._named(index, name)
-                raise SpecError(f"{named}: cannot be decoded ({error}); {ANEW}") from None
-        if not pixels:
-            raise SpecError(f"{self._named(index, f'{role}_0')}: is not there; {ANEW}")
+                raise SpecError(f"{label}: cannot be decoded ({error}); {ANEW}") from None
         return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 
     def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
+        label, data = self._member(index, members, "about.json")
         try:
-            about = strict_json.parse(self._member(index, members, "about.json"))
+            about = strict_json.parse(data)
             if not isinstance(about, dict):
                 raise ValueError("it is no object")
-            return about
         except ValueError as error:
-            named = self._named(index, "about.json")
-            raise SpecError(f"{named}: cannot be read ({error}); {ANEW}") from None
+            raise SpecError(f"{label}: cannot be read ({error}); {ANEW}") from None
+        return about
 
-    def _member(self, index: int, members: Mapping[str, bytes], name: str) -> bytes:
+    def _member(self, index: int, members: Mapping[str, bytes], name: str) -> tuple[str, bytes]:
+        """Return a label of a member for messages, and its bytes."""
+        sample = self.rows["sample"][index].as_py()
+        label = f"{self.folder}/{self._places[index][0]}: {sample}.{name}"
         if name not in members:
             more = " with --gaussians" if name == "gaussians.npz" else ""
-            raise SpecError(f"{self._named(index, name)}: is not there; {ANEW}{more}")
-        return members[name]
-
-    def _named(self, index: int, member: str) -> str:
-        sample = self.rows["sample"][index].as_py()
-        return f"{self.folder}/{self._places[index][0]}: {sample}.{member}"
+            raise SpecError(f"{label}: is not there; {ANEW}{more}")
+        return label, members[name]
 
     def _index(self) -> pa.Table:
         file = f"{self.folder}/{INDEX}"
