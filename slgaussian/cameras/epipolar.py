@@ -1,9 +1,10 @@
 """The relative pose of two photographs from their matches, with focal lengths known or not.
 
-Essential matrices for a few focal lengths across what is usual (five points, Nister 2004, drawn by
-OpenCV's USAC) are starting points. From each, pose and focal lengths together descend on the
-robust Sampson distance of all matches that lie in front of both cameras, plus what is usual of
-focal lengths; the best end wins, and the curvature there says how sure it is.
+PoseLib (Larsson, https://github.com/PoseLib/PoseLib) draws the starting points: a calibrated pose
+(five points, Nister 2004) at the usual focal lengths, and, of one lens, a pose with its focal length
+(six points, Kukelova et al. 2012). From each, pose and focal lengths together descend on the robust
+Sampson distance of all matches that lie in front of both cameras, plus what is usual of focal
+lengths; the best end wins, and the curvature there says how sure it is.
 
 Image coordinates here are pixels from the principal point.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import poselib
 
 from slgaussian.io import short_repr
 
@@ -32,15 +34,21 @@ pixels, is added in quadrature: what model and detector do not tell."""
 START = 0.6
 """That scale at first."""
 
-TRIED = np.array([-3.4, -2.6, -1.9, -1.2, -0.6, 0.0, 0.6, 1.2, 1.9, 2.6, 3.6])
-"""Focal lengths to start from, deviations from what is usual."""
+APART = np.array([(0.0, 0.0), (-0.75, 0.75), (0.75, -0.75)])
+"""Focal lengths of two lenses to start from, deviations from what is usual."""
 
-APART = np.array([-1.5, 0.0, 1.5])
-"""By so many deviations two lenses are tried apart."""
+RANSAC = {
+    "max_epipolar_error": 1.0, "success_prob": 0.999, "max_iterations": 1000,
+    "min_iterations": 100, "seed": 0,
+}  # fmt: skip
+"""Options of PoseLib's estimators; the error is in pixels."""
 
 ZOOMED = 6.0
 """Two photographs that should share a focal length do not, if so much of the posterior's logarithm
 speaks for it: among pairs that do, at most 4 did."""
+
+FARTHEST = 4.0
+"""Deviations from what is usual up to which the focal length of a start is taken."""
 
 ROUGHLY, FINELY = 400, 5
 """From every start the posterior of so many matches is descended; from so many of the best ends
@@ -102,10 +110,19 @@ class TwoViews:
 
     def fundamental(self) -> np.ndarray:
         """F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
-        u, v, w = self.t
-        E = np.array([[0, -w, v], [w, 0, -u], [-v, u, 0]]) @ self.R
         fa, fb = self.focals
-        return E / np.outer([fb, fb, 1], [fa, fa, 1])
+        return _cross_matrix(self.t) @ self.R / np.outer([fb, fb, 1], [fa, fa, 1])
+
+    def fundamental_slopes(self, prior: FocalPrior) -> np.ndarray:
+        """Derivatives [5 + F, 3, 3] of :meth:`fundamental` by the steps of :meth:`moved`."""
+        F = self.fundamental()
+        fa, fb = self.focals
+        pixels = np.outer([fb, fb, 1], [fa, fa, 1])
+        turned = [_cross_matrix(self.t) @ _cross_matrix(axis) @ self.R for axis in np.eye(3)]
+        shifted = [_cross_matrix(axis) @ self.R for axis in _across(self.t)]
+        in_a, in_b = np.array([-1.0, -1, 0]), np.array([[-1.0], [-1], [0]])
+        zoomed = [F * (da * in_a + db * in_b) for da, db in prior.directions]
+        return np.stack([*(slope / pixels for slope in (*turned, *shifted)), *zoomed])
 
     def depths(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """z-depths [2, M] of matches in either camera, baselines; not positive behind one."""
@@ -131,12 +148,7 @@ class TwoViews:
 
     def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
         """Turned by ``step[:3]``, t by ``step[3:5]`` across itself, focal lengths by the rest."""
-        side = np.zeros(3)
-        side[np.abs(self.t).argmin()] = 1
-        first = _cross(self.t, side)
-        first /= np.sqrt(first @ first)
-        across = np.stack([first, _cross(self.t, first)])
-        t = self.t + step[3:5] @ across
+        t = self.t + step[3:5] @ _across(self.t)
         moves = self.moves + step[5:]
         focals = np.exp(prior.mean + moves @ prior.directions)
         R = cv2.Rodrigues(step[:3])[0] @ self.R
@@ -224,31 +236,28 @@ def posterior(
 
 
 def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
+    """Yield poses to descend from, of the surest half of the matches [M, 2] and [M, 2]."""
     directions = prior.directions
-    x, y = x[: MOST // 2], y[: MOST // 2]
-    ends = TRIED[:, None] if len(directions) else np.zeros((1, 0))
-    if len(directions) == 2:
-        ends = np.array([(m - d / 2, m + d / 2) for m in TRIED[1:-1] for d in APART])
-    for moves in ends:
-        fa, fb = focals = np.exp(prior.mean + moves @ directions)
-        a, b = x / fa, y / fb
-        near = [1.0] if len(directions) else [0.5, 1.0, 2.0]
-        for pixels in near:
-            try:
-                E, kept = cv2.findEssentialMat(
-                    a,
-                    b,
-                    np.eye(3),
-                    method=cv2.USAC_ACCURATE,
-                    prob=0.999,
-                    threshold=pixels / float(np.sqrt(fa * fb)),
-                )
-            except cv2.error:  # all of them on one line, for instance
-                continue
-            if E is None or E.shape != (3, 3):
-                continue
-            _, R, t, _ = cv2.recoverPose(E, a.copy(), b.copy(), np.eye(3), mask=kept.copy())
-            yield TwoViews(R, t[:, 0], focals, moves)
+    x, y = (np.ascontiguousarray(points[: MOST // 2]) for points in (x, y))
+    for moves in APART if len(directions) == 2 else np.zeros((1, len(directions))):
+        focals = np.exp(prior.mean + moves @ directions)
+        lenses = [{"model": "SIMPLE_PINHOLE", "params": [f, 0, 0]} for f in focals]
+        pose, _ = poselib.estimate_relative_pose(x, y, *lenses, RANSAC)
+        yield from _two_views(pose, focals, moves)
+    if len(directions) == 1:
+        both, _ = poselib.estimate_shared_focal_relative_pose(x, y, np.zeros(2), RANSAC)
+        log_focal = np.log(max(both.camera1.params[0], 1.0))
+        moves = np.clip((log_focal - prior.mean[:1]) / directions[:, 0], -FARTHEST, FARTHEST)
+        yield from _two_views(both.pose, np.exp(prior.mean + moves @ directions), moves)
+
+
+def _two_views(
+    pose: poselib.CameraPose, focals: np.ndarray, moves: np.ndarray
+) -> Iterator[TwoViews]:
+    """Yield a pose of PoseLib unless it is none: without a model its translation is zero."""
+    length = np.linalg.norm(pose.t)
+    if length > 0:
+        yield TwoViews(np.array(pose.R), np.array(pose.t) / length, focals, moves)
 
 
 def _descended(
@@ -314,19 +323,13 @@ def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
     :meth:`TwoViews.moved`."""
     numerator, a, b = _sampson(views.fundamental(), x, y)
     square = (a**2).sum(1) + (b**2).sum(1)
-    root = np.sqrt(square)
-    columns = []
-    size = 5 + len(views.moves)
-    small = 1e-5
-    for k in range(size):
-        step = np.zeros(size)
-        step[k] = small
-        # The matrix is smooth in the step, so differences of it are exact to ten digits.
-        forth, back = (views.moved(s, prior).fundamental() for s in (step, -step))
-        n, da, db = _sampson((forth - back) / (2 * small), x, y)
-        slope = (a * da).sum(1) + (b * db).sum(1)
-        columns.append(n / root - numerator * slope / (square * root))
-    return np.stack(columns, 1)
+    slopes = views.fundamental_slopes(prior)
+    at_x, at_y = _homogeneous(x), _homogeneous(y)
+    there = at_x @ slopes.transpose(0, 2, 1)
+    here = at_y @ slopes[:, :, :2]
+    slope = (a * there[..., :2]).sum(2) + (b * here).sum(2)
+    columns = ((at_y * there).sum(2) - numerator * slope / square) / np.sqrt(square)
+    return columns.T
 
 
 def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
@@ -351,6 +354,21 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
+
+
+def _cross_matrix(v: np.ndarray) -> np.ndarray:
+    """Return the matrix [3, 3] that multiplies by ``v`` [3] as its cross product does."""
+    x, y, z = v
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def _across(t: np.ndarray) -> np.ndarray:
+    """Return two unit vectors [2, 3] at right angles to a unit vector [3] and each other."""
+    side = np.zeros(3)
+    side[np.abs(t).argmin()] = 1
+    first = _cross(t, side)
+    first /= np.sqrt(first @ first)
+    return np.stack([first, _cross(t, first)])
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:

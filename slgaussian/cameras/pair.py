@@ -68,6 +68,9 @@ APART = 8.0
 MIRRORED = 3
 """Photographs are mirrored if so many times the matches agree once one is turned over."""
 
+SUSPECT = 0.35
+"""Share of matches that agree below which a mirrored photograph is looked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Described:
@@ -204,6 +207,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     flaw = _flaw_of_points(pose, SMALL, min)
     if flaw is not None:
         return _refused(pose, *flaw)
+    if count < SUSPECT * len(i) and (mirrored := _mirrored(pose)) is not None:
+        return mirrored
     angle, uncertainty = float(np.median(best.angles(pose.x, pose.y))), _uncertainty(best)
     probability = _probability(answers)
     said = replace(pose.found, angle=angle, uncertainty=uncertainty)
