@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slgaussian.cameras.check import check_pairs, refuse
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.component import Component
 from slgaussian.components.method import BANK, Method
@@ -88,11 +89,12 @@ def build_field(
     method = method or Method()
     method.check()
     compiling.watch()
-    sample, left_out = usable(sample)
+    sample, graph, left_out = usable(sample)
     for name, why in left_out.items():
         warnings.warn(f"{name} is left out: {why}", stacklevel=2)
     with _timed("geometry", took):
-        gaussians, quality, depths = predict(sample, method.predictor, method.seed, trust_cameras)
+        predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
+        gaussians, quality, depths = predicted
         geometry = SceneGeometry.of(sample.context, gaussians)
     with _timed("masks", took):
         label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
@@ -104,9 +106,13 @@ def build_field(
 
 
 def predict(
-    sample: Sample, predictor: Component, seed: int, trust_cameras: bool = False
+    sample: Sample,
+    graph: MatchGraph,
+    predictor: Component,
+    seed: int,
+    trust_cameras: bool = False,
 ) -> Predicted:
-    """Gaussians from the context views (paper, section 3.1), and what there is to say of them.
+    """Predict Gaussians from context views and their matches (paper, section 3.1), with quality.
 
     Raises
     ------
@@ -114,14 +120,14 @@ def predict(
         As :func:`slgaussian.cameras.check.refuse`, unless cameras are trusted, and as the
         predictor.
     """
-    checks = check_pairs(sample)
+    checks = check_pairs(sample.context, graph)
     if not trust_cameras:
         refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
     loaded, depths = predictor.load(), None
     if isinstance(loaded, CountingPredictor):
-        gaussians, depths = loaded.counted(sample, seed)
+        gaussians, depths = loaded.counted(sample, seed, graph)
     else:
-        gaussians = loaded(sample, seed)
+        gaussians = loaded(sample, seed, graph)
     opaque = _opaque(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]

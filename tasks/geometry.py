@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slgaussian.build import predict
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.component import Component
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
@@ -26,7 +27,12 @@ def geometry(
     how many, or None.
     """
     shown = run.read(sample, sample_from_arrays)
-    gaussians, quality, depths = predict(shown, predictor, seed, trust_cameras)
+    if "matches" in sample.meta:
+        stored = ArtifactRef("matches", **sample.meta["matches"])
+        graph = MatchGraph.from_arrays(run.store.get(stored))
+    else:  # of a clip
+        graph = MatchGraph.of(shown.context)
+    gaussians, quality, depths = predict(shown, graph, predictor, seed, trust_cameras)
     gaussians.check()
     meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
     return run.store.put("gaussians", gaussians.to_arrays(), meta)

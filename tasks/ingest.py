@@ -101,22 +101,30 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=9)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=10)  # to be raised too when other cameras are found in photographs
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """The sample of a scene: spec ``sample``.
 
     ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
     ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
-    and why; ``meta["targets"]`` the full names of the targets. InputError if the data were changed
+    and why; ``meta["targets"]`` the full names of the targets; ``meta["matches"]`` the place of the
+    graph of the context views (spec ``matches``). InputError if the data were changed
     meanwhile.
     """
-    sample, useless = usable(photographs.read())
+    sample, graph, useless = usable(photographs.read())
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED}")
     left_out = {**sample.found.get("left_out", {}), **useless}
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
     targets = [view.name for view in sample.targets]
-    meta = {"cameras": told_of(cameras), "left_out": left_out, "targets": targets}
+    matches = run.store.put("matches", graph.to_arrays())
+    meta = {
+        "cameras": told_of(cameras),
+        "left_out": left_out,
+        "targets": targets,
+        "matches": {"uri": matches.uri, "digest": matches.digest},
+        "parts": [matches.uri],
+    }
     source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
     if photographs.path is not None:
         licence = licence or licences.stated(photographs.path)

@@ -9,6 +9,7 @@ import pytest
 
 from slgaussian import datasets
 from slgaussian.build import build_field, label_views, predict, remember
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
@@ -191,7 +192,9 @@ def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
     ):
         counted(module, name)
     method = Method()
-    geometry = SceneGeometry.of(pair.context, predict(pair, method.predictor, 0).gaussians)
+    geometry = SceneGeometry.of(
+        pair.context, predict(pair, MatchGraph.of(pair.context), method.predictor, 0).gaussians
+    )
     maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     remember(pair, geometry, maps, method.encoder, method.codes, 0)
     assert calls == {

@@ -23,6 +23,7 @@ from benches.common.machine import measured
 from benches.predict import hard_pairs
 from slgaussian import datasets
 from slgaussian.cameras.check import BETTER, BOUND, PairCheck, check_pair
+from slgaussian.cameras.matches import sift_matches
 from slgaussian.scene import Camera, Scene, View
 
 SEEDS = range(12)
@@ -31,6 +32,11 @@ GAPS = (1, 2, 4)
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 Pair = tuple[View, View]
+
+
+def checked(a: View, b: View) -> PairCheck:
+    """The check of two views by all of their matches."""
+    return check_pair(a, b, *sift_matches(a.grey, b.grey))
 
 
 def sets(data: Path) -> Iterator[tuple[str, Pair]]:
@@ -119,16 +125,16 @@ def main() -> None:
     seconds, before = [], {}
     for group, (a, b) in sets(Path(sys.argv[1])):
         start = time.process_time()
-        true.setdefault(group, []).append(check_pair(a, b))
+        true.setdefault(group, []).append(checked(a, b))
         seconds.append(time.process_time() - start)
         for name, change in WRONG.items():
             cameras = change(a.camera, b.camera)
             pair = (replace(v, camera=c) for v, c in zip((a, b), cameras, strict=True))
-            wrong[name].setdefault(group, []).append(check_pair(*pair))
+            wrong[name].setdefault(group, []).append(checked(*pair))
         # The second photograph with the pose of the pair before, as a wrong file name gives.
         if group in before:
             other = replace(b.camera, c2w=before[group].camera.c2w)
-            strangers.setdefault(group, []).append(check_pair(a, replace(b, camera=other)))
+            strangers.setdefault(group, []).append(checked(a, replace(b, camera=other)))
         before[group] = b
     print(f"{measured()}\n")
     print(f"CPU seconds a pair: median {np.median(seconds):.2f}, most {max(seconds):.2f}\n")

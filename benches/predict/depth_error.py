@@ -23,6 +23,7 @@ import slgaussian.kernels.threads
 from benches.common.photograph_pairs import photographs
 from slgaussian import datasets
 from slgaussian.benchmark.resident_memory import held
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
 from slgaussian.predict import links, planesweep
@@ -88,7 +89,7 @@ def depth_errors(view: View, other: View, depth: np.ndarray) -> tuple[float, flo
 def sparse_error(sample: Sample) -> float:
     """Median relative depth error of SIFT matches near their refined epipolar lines."""
     views = sample.context
-    relative = link_views(views, ranged=False).links[0][0].relative
+    relative = link_views(views, MatchGraph.of(views), ranged=False).links[0][0].relative
     greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in views]
     a, b = sift_matches(*greys)
     fits = np.abs(relative.epipolar_distance(a, b)) < INLIER

@@ -24,6 +24,7 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.geometry import SceneGeometry
@@ -71,7 +72,8 @@ def run_alone(name: str, data: Path) -> None:
     sample = scene.sample(list(pair.context), list(pair.targets))
     truth = read_truth(data / "office" / "labels", pair.categories, sample.targets).masks
     method = Method()
-    gaussians, quality, depths = predict(sample, method.predictor, method.seed)
+    graph = MatchGraph.of(sample.context)
+    gaussians, quality, depths = predict(sample, graph, method.predictor, method.seed)
     geometry = SceneGeometry.of(sample.context, gaussians)
     label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)

@@ -23,6 +23,7 @@ from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Sample
@@ -120,7 +121,9 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     the same Gaussians: byte for byte the fields that they would build.
     """
     method = replace(Settings().built_by, seed=seeds[0])
-    gaussians, quality, depths = predict(sample, method.predictor, method.seed, trust_cameras=True)
+    graph = MatchGraph.of(sample.context)
+    predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras=True)
+    gaussians, quality, depths = predicted
     geometry = SceneGeometry.of(sample.context, gaussians)
     labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = remember(sample, geometry, labels, method.encoder, method.codes, method.seed)

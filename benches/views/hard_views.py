@@ -26,6 +26,7 @@ from benches.views.built_fields import Row, at_targets, warm_up
 from benches.views.numbers_of_views import Job, measured
 from slgaussian import datasets
 from slgaussian.build import build_field
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import threads
 from slgaussian.predict.links import link_views
@@ -119,7 +120,8 @@ def way_round(number: int) -> Iterator[Row]:
 
 def closed(number: int) -> bool:
     """Whether the last view of the loop gives depth to the first, and the first to it."""
-    links = link_views(twists.loop(number).context, ranged=False).links
+    views = twists.loop(number).context
+    links = link_views(views, MatchGraph.of(views), ranged=False).links
     first, last = ([link.source for link in links[k]] for k in (0, -1))
     return number - 1 in first and 0 in last
 

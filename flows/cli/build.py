@@ -267,11 +267,15 @@ def masks(
     from slgaussian.io import atomic_folder
     from slgaussian.masks.associate import associate
     from slgaussian.masks.precomputed import encode_ids, map_names
+    from slgaussian.predict.links import usable
     from slgaussian.storage.field_folder import check_target
 
     method = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS, "a folder of masks")  # before the work
     sample, _ = load_photographs(photos, cameras, refine, method)
+    sample, graph, left_out = usable(sample)
+    for name, reason in left_out.items():
+        typer.echo(f"warning: {name} is left out: {reason}", err=True)
     names = map_names([view.name for view in sample.context])
     components = [method.part(kind) for kind in ("predictor", "proposer", "tracker")]
     proposing, tracking = (component.load() for component in components[1:])
@@ -279,8 +283,8 @@ def masks(
     views = f"{len(names)} views of {width}x{height}"
     typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
     start = time.perf_counter()
-    gaussians = predict(sample, components[0], method.seed, method.trust_cameras).gaussians
-    geometry = SceneGeometry.of(sample.context, gaussians)
+    predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
+    geometry = SceneGeometry.of(sample.context, predicted.gaussians)
     maps = associate(geometry.seen, proposing, tracking, method.replicas)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 

@@ -15,7 +15,6 @@ from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
-from slgaussian.predict.links import usable
 from slgaussian.scene import Camera, Sample, Scene
 
 
@@ -85,9 +84,6 @@ def load_photographs(
             names = list(scene.cameras)
     places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
     sample = scene.sample(names, size=settings.size, near=settings.near, far=settings.far)
-    sample, left_out = usable(sample)
-    for name, reason in left_out.items():
-        print(f"warning: {name} is left out: {reason}", file=sys.stderr)
     return sample, places
 
 

@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from slgaussian.cameras.matches import sift_matches
-from slgaussian.cameras.neighbours import neighbours, successive
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Camera, View
 
 COARSE = 0.01
 FINE = 0.002
@@ -137,15 +136,11 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
         raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
-def check_pairs(sample: Sample) -> list[PairCheck]:
-    """What the matches say of the pairs of context views that show the same things.
-
-    Tried are views that stand near by, and those that follow one another: poses that are wrong may
-    have taken a view away from what it sees. See :func:`telling`.
-    """
-    views = sample.context
-    pairs = sorted({*neighbours(views), *successive(views)})
-    return telling({(i, j): check_pair(views[i], views[j]) for i, j in pairs})
+def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
+    """Check the cameras of the pairs of views that show the same things (:func:`telling`)."""
+    return telling(
+        {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
+    )
 
 
 def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
@@ -170,9 +165,8 @@ def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
     return [checks[pair] for pair in sorted(kept)]
 
 
-def check_pair(a: View, b: View) -> PairCheck:
-    """Match two photographs and see what their cameras explain."""
-    at_a, at_b = sift_matches(a.grey, b.grey)
+def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairCheck:
+    """Check what two cameras explain of the matches [M, 2] and [M, 2] of their photographs."""
     diagonal = float(np.hypot(*a.grey.shape))
     coarse, fine = COARSE * diagonal, max(FINE * diagonal, LEAST)
     pair = a.camera, b.camera

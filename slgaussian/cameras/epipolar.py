@@ -1,10 +1,10 @@
 """The relative pose of two photographs from their matches, with focal lengths known or not.
 
 PoseLib (Larsson, https://github.com/PoseLib/PoseLib) draws the starting points: a calibrated pose
-(five points, Nister 2004) at the usual focal lengths, and, of one lens, a pose with its focal length
-(six points, Kukelova et al. 2012). From each, pose and focal lengths together descend on the robust
-Sampson distance of all matches that lie in front of both cameras, plus what is usual of focal
-lengths; the best end wins, and the curvature there says how sure it is.
+(five points, Nister 2004) at the usual focal lengths, and, of one lens, a pose with its focal
+length (six points, Kukelova et al. 2012). From each, pose and focal lengths together descend on the
+robust Sampson distance of all matches that lie in front of both cameras, plus what is usual of
+focal lengths; the best end wins, and the curvature there says how sure it is.
 
 Image coordinates here are pixels from the principal point.
 """

@@ -6,13 +6,11 @@ SIFT (Lowe 2004) by OpenCV with the descriptors of RootSIFT (Arandjelovic and Zi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 
 from slgaussian.io import short_repr
-from slgaussian.kernels.seeding import content_of
 
 SIFT = 4000, 0.02
 RATIO = 0.8
@@ -50,15 +48,14 @@ class Features:
 
 
 def find_features(grey: np.ndarray, most: int, contrast: float) -> Features:
-    """Return the ``most`` strongest features of a grey uint8 image [H, W].
-
-    Cached for the last 32 images.
-    """
-    keypoints, raw = _detected(_Grey(grey), most, contrast)
-    raw = raw.astype(np.float32)
+    """Return the ``most`` strongest features of a grey uint8 image [H, W]."""
+    detector = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
+    keys, raw = detector.detectAndCompute(grey, None)
+    rows = [(*key.pt, key.size, key.angle) for key in keys]
+    x, y, size, angle = np.array(rows, np.float64).reshape(-1, 4).T
+    raw = np.zeros((0, 128), np.float32) if raw is None else raw
     # Unit vectors, so products rank as distances do.
     descriptors = np.sqrt(raw / np.maximum(raw.sum(1, keepdims=True), 1e-9))
-    x, y, size, angle = keypoints.astype(np.float64).T
     # OpenCV counts pixel centres at 0.
     return Features(np.stack([x, y], 1) + 0.5, descriptors, size / 2, np.radians(angle))
 
@@ -93,67 +90,19 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
     return kept, best[kept], nearest[kept] / next_nearest[kept]
 
 
+def sift(grey: np.ndarray) -> Features:
+    """Return the SIFT features of a grey uint8 image that views are matched by."""
+    return find_features(grey, *SIFT)
+
+
 def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mutual SIFT matches (ratio 0.8) of two grey uint8 images.
+    """Match the SIFT features of two grey uint8 images, mutually (ratio 0.8).
 
     Returns
     -------
     float64 [M, 2], float64 [M, 2]
         Pixels in each image, pixel centres at +0.5.
     """
-    i, j = sift_pairs(ref, src)
-    return sift(ref).points[i], sift(src).points[j]
-
-
-def sift(grey: np.ndarray) -> Features:
-    """The SIFT features of a grey uint8 image that :func:`sift_pairs` counts."""
-    return find_features(grey, *SIFT)
-
-
-def sift_pairs(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matches of :func:`sift_matches` as indices of features, int [M] of each image.
-
-    Cached for the last 256 pairs.
-    """
-    return _matched(_Grey(ref), _Grey(src))
-
-
-@dataclass(frozen=True, eq=False)
-class _Grey:
-    """An image that is equal to another of the same content."""
-
-    pixels: np.ndarray
-
-    @cached_property
-    def content(self) -> str:
-        return content_of(self.pixels)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Grey) and self.content == other.content
-
-    def __hash__(self) -> int:
-        return hash(self.content)
-
-
-# The cameras are checked by what depth is found from later, and a view meets several others.
-@lru_cache(maxsize=32)
-def _detected(image: _Grey, most: int, contrast: float) -> tuple[np.ndarray, np.ndarray]:
-    """Detect x, y, size, angle as in OpenCV, float32 [N, 4], and descriptors, uint8 [N, 128]."""
-    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
-    keys, raw = sift.detectAndCompute(image.pixels, None)
-    rows = [(*key.pt, key.size, key.angle) for key in keys]
-    keypoints = np.array(rows, np.float32).reshape(-1, 4)
-    descriptors = np.zeros((0, 128), np.uint8) if raw is None else raw.astype(np.uint8)
-    return _read_only(keypoints, descriptors)
-
-
-@lru_cache(maxsize=256)
-def _matched(first: _Grey, second: _Grey) -> tuple[np.ndarray, np.ndarray]:
-    i, j, _ = match(sift(first.pixels), sift(second.pixels), RATIO)
-    return _read_only(i, j)
-
-
-def _read_only(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    a.setflags(write=False)
-    b.setflags(write=False)
-    return a, b
+    features = sift(ref), sift(src)
+    i, j, _ = match(*features, RATIO)
+    return features[0].points[i], features[1].points[j]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 from slgaussian.components.registry import load_component
 
 if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
+    from slgaussian.cameras.match_graph import MatchGraph
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Sample
 
@@ -19,10 +20,11 @@ PREDICTORS = {
 class GaussianPredictor(Protocol):
     """Anything that turns the context views of a sample into Gaussians."""
 
-    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Predict Gaussians in the world frame of the sample; targets must not be read.
 
         Whatever is drawn at random depends on ``seed`` and on what the context views show.
+        ``graph`` holds their matches; whoever needs them finds them if it is left out.
         """
 
 
@@ -37,7 +39,9 @@ class Depths(NamedTuple):
 class CountingPredictor(GaussianPredictor, Protocol):
     """One that compares depths and counts them; no predictor has to."""
 
-    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+    def counted(
+        self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
+    ) -> tuple[Gaussians, Depths]:
         """What a call gives, and the depths that it took."""
 
 

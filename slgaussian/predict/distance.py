@@ -6,10 +6,11 @@ No refinement and no dense matching: a fraction of a second for a clip of hundre
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
-from slgaussian.cameras.matches import sift_matches
+from slgaussian.cameras.matches import RATIO, Features, match, sift
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.links import MIN_PARALLAX
@@ -44,6 +45,7 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
     """
     n = len(greys)
     stride = min(max(n // ANCHORS, 1), STRIDE)
+    features = cache(lambda view: sift(greys[view]))
     found: dict[int, list[float]] = {}
     ahead = stride
     for a in range(0, n - 1, stride):
@@ -51,7 +53,7 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
         depths = None
         while depths is None and ahead:
             b = min(a + ahead, n - 1)
-            depths = _matched(greys[a], greys[b], cameras[a], cameras[b])
+            depths = _matched(features(a), features(b), cameras[a], cameras[b])
             ahead = ahead if depths else ahead // 2
         ahead = max(ahead, 1)
         if depths is not None:
@@ -64,16 +66,18 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
 
 
 def _matched(
-    grey_a: np.ndarray, grey_b: np.ndarray, camera_a: Camera, camera_b: Camera
+    features_a: Features, features_b: Features, camera_a: Camera, camera_b: Camera
 ) -> tuple[float, float] | None:
     """Median depth of the matches in each of two views, None if they say nothing."""
     if not np.linalg.norm(camera_a.center - camera_b.center) > 0:
         return None
     there = Relative.between(camera_a, camera_b)
-    a, b = sift_matches(grey_a, grey_b)
-    if not len(a):
+    i, j, _ = match(features_a, features_b, RATIO)
+    if not len(i):
         return None
-    fits = np.abs(there.epipolar_distance(a, b)) < GATE * np.hypot(*grey_a.shape)
+    a, b = features_a.points[i], features_b.points[j]
+    gate = GATE * float(np.hypot(camera_a.height, camera_a.width))
+    fits = np.abs(there.epipolar_distance(a, b)) < gate
     a, b = a[fits], b[fits]
     near_a, near_b = there.triangulate(a, b), there.reversed().triangulate(b, a)
     front = (near_a > 0) & (near_b > 0)

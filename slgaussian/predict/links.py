@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.cameras.matches import sift, sift_pairs
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.neighbours import neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
@@ -93,8 +93,8 @@ class ViewGraph:
         return weights / weights.sum(1, keepdims=True)
 
 
-def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
-    """Match views that may see the same things, settle cameras that are off, and choose sources.
+def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGraph:
+    """Settle cameras that are off, and choose the sources of each view, by the matches of views.
 
     Views whose matches show no parallax are not linked, nothing can be learnt from them; nor are
     those with too few matches. A view that matches no other is linked with the nearest by its pose
@@ -106,8 +106,8 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
     InputError
         If a view is linked with none. Pieces of two views and more are joined by their poses.
     """
-    matches, why = _matched(views)
-    points = [sift(view.grey).points for view in views]
+    matches, why = _matched(views, graph)
+    points = graph.keypoints
     cameras = [view.camera for view in views]
     moving = {pair: found for pair, found in matches.items() if len(found[0]) >= MIN_REFINE}
     if _off(cameras, points, moving) > WELL_POSED * np.hypot(*views[0].grey.shape):
@@ -129,15 +129,15 @@ def link_views(views: Sequence[View], ranged: bool) -> ViewGraph:
     )
 
 
-def usable(sample: Sample) -> tuple[Sample, dict[str, str]]:
-    """The sample without the context views that bring nothing, and why each is left out.
+def usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
+    """Return the sample without the context views that bring nothing, and why each is left out.
 
-    Those that repeat one before them (:func:`without_doubles`), and then
-    :func:`without_strangers`.
+    Those are views that repeat one before them (:func:`without_doubles`), and those of
+    :func:`without_strangers`. With it comes the graph of the other views.
     """
     once, doubles = without_doubles(sample)
-    rest, strangers = without_strangers(once)
-    return rest, doubles | strangers
+    rest, graph, strangers = without_strangers(once, MatchGraph.of(once.context))
+    return rest, graph, doubles | strangers
 
 
 def without_doubles(sample: Sample) -> tuple[Sample, dict[str, str]]:
@@ -161,33 +161,39 @@ def _same(a: View, b: View) -> bool:
     return bool(alike and np.array_equal(a.image, b.image))
 
 
-def without_strangers(sample: Sample) -> tuple[Sample, dict[str, str]]:
-    """The sample without the context views that match no other, and why each is left out.
+def without_strangers(
+    sample: Sample, graph: MatchGraph
+) -> tuple[Sample, MatchGraph, dict[str, str]]:
+    """Return the sample without the context views that match no other, and why each is left out.
 
-    All stay where there are two, or where more than half would go.
+    All stay where there are two, or where more than half would go. With it comes the graph of the
+    views that stay.
     """
     views = sample.context
-    met = {i for pair in _matched(views)[0] for i in pair} if len(views) > 2 else set()
+    met = {i for pair in _matched(views, graph)[0] for i in pair} if len(views) > 2 else set()
     if len(met) == len(views) or len(met) < max(3, len(views) / 2):
-        return sample, {}
+        return sample, graph, {}
     why = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
     left = {view.name: why for i, view in enumerate(views) if i not in met}
-    return replace(sample, context=tuple(views[i] for i in sorted(met))), left
+    rest = tuple(views[i] for i in sorted(met))
+    # Other views are neighbours now.
+    return replace(sample, context=rest), MatchGraph.of(rest), left
 
 
 Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def _matched(views: Sequence[View]) -> tuple[Matches, dict[tuple[int, int], str]]:
+def _matched(
+    views: Sequence[View], graph: MatchGraph
+) -> tuple[Matches, dict[tuple[int, int], str]]:
     """Which features of which pairs of views show one point, int [M] and int [M], and what is wrong
     with pairs whose matches tell no depth."""
-    features = [sift(view.grey) for view in views]
     matches: Matches = {}
     why = {}
     for i, j in neighbours(views):
         given = Relative.between(views[i].camera, views[j].camera)
-        p, q = sift_pairs(views[i].grey, views[j].grey)
-        a, b = features[i].points[p], features[j].points[q]
+        p, q = graph.matches[i, j]
+        a, b = graph.points(i, j)
         possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
         p, q, a, b = (found[possible] for found in (p, q, a, b))
         there = refine(given, a, b)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
@@ -87,7 +88,7 @@ class PlaneSweep(PlaneSweepConfig):
                 f"planesweep: near {self.near:g} must be below far {self.far:g}; correct them"
             )
 
-    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Gaussians in the world frame of ``sample``.
 
         First one a context pixel, in the order of ``source``, but for those that show what two
@@ -101,29 +102,32 @@ class PlaneSweep(PlaneSweepConfig):
             below far, if two views see nothing in common within the range, or if matches say that
             they were taken from one place or that their poses are exchanged.
         """
-        return self.counted(sample, seed)[0]
+        return self.counted(sample, seed, graph)[0]
 
-    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+    def counted(
+        self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
+    ) -> tuple[Gaussians, Depths]:
         """What a call gives, and how many depths were compared; raises as a call."""
         views = sample.context
-        graph = link_views(views, all(None not in _given(self, v) for v in views))
-        swept = _sweep(self, sample, graph.links)
+        matches = graph or MatchGraph.of(views)
+        linked = link_views(views, matches, all(None not in _given(self, v) for v in views))
+        swept = _sweep(self, sample, linked.links)
         found, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
-        gains = color_gains([view.image for view in views], found, answered, graph)
+        gains = color_gains([view.image for view in views], found, answered, linked)
         exposed = [
             (view.image * np.float32(gain / 255)).clip(0, 1)
             for view, gain in zip(views, gains, strict=True)
         ]
-        swept = lend(swept, exposed, graph.links)
-        whole = _complete(sample, graph.links, swept)
-        opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(graph.links)]
+        swept = lend(swept, exposed, linked.links)
+        whole = _complete(sample, linked.links, swept)
+        opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(linked.links)]
         steps = [s.step for s in swept]
-        colors = blend(exposed, whole, steps, graph.links)
+        colors = blend(exposed, whole, steps, linked.links)
         given = [view.camera for view in views]
-        cameras = kept_near(given, graph.cameras, graph.closeness())
+        cameras = kept_near(given, linked.cameras, linked.closeness())
         shown = unproject(cameras, colors, whole, opacities)
         known = [s.known for s in swept]
-        kept = np.concatenate([keep.ravel() for keep in needed(graph, whole, known, steps)])
+        kept = np.concatenate([keep.ravel() for keep in needed(linked, whole, known, steps)])
         beyond = hidden(cameras, colors, whole, steps)
         shown, beyond = (
             part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (shown, beyond)

@@ -7,6 +7,7 @@ import pytest
 
 from slgaussian import datasets
 from slgaussian.cameras.check import check_pairs
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.scene import Camera, Sample, View
@@ -23,7 +24,7 @@ def room() -> Sample:
 
 def of(sample: Sample, depths: np.ndarray) -> Quality:
     geometry = SceneGeometry(tuple(map(SeenView, sample.context, depths)))
-    return measure(geometry, check_pairs(sample))[0]
+    return measure(geometry, check_pairs(sample.context, MatchGraph.of(sample.context)))[0]
 
 
 def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
@@ -46,7 +47,8 @@ def test_two_planes_are_counted_by_hand():
     cameras = [Camera(K, np.eye(4), 100, 80), Camera(K, right, 100, 80)]
     depths = np.full((2, 80, 100), 2.0, np.float32)
     room = datasets.load("procedural", views=2, height=16, width=16)
-    (check,) = check_pairs(room.sample(list(room.cameras)))
+    views = room.sample(list(room.cameras)).context
+    (check,) = check_pairs(views, MatchGraph.of(views))
     blank = np.zeros((80, 100, 3), np.uint8)
     views = [View(name, camera, blank) for name, camera in zip("ab", cameras, strict=True)]
     geometry = SceneGeometry(tuple(map(SeenView, views, depths)))

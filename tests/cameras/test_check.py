@@ -20,7 +20,7 @@ from slgaussian.cameras.check import (
     explained,
     refuse,
 )
-from slgaussian.cameras.matches import sift, sift_pairs
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated, Sample, View
@@ -30,7 +30,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def checked(sample):
-    checks = check_pairs(sample)
+    checks = check_pairs(sample.context, MatchGraph.of(sample.context))
     refuse(sample.scene, checks)
     return checks
 
@@ -105,12 +105,13 @@ def test_a_usual_mistake_is_refused_and_named(room, mistake, said):
 def test_cameras_that_were_given_may_be_refined_and_found_ones_not(room):
     wrong = changed(room, lambda c: focal(c, 3))
     with pytest.raises(InputError, match="`slgaussian field --refine` finds them anew"):
-        predict(wrong, Method().predictor, 0)
+        predict(wrong, MatchGraph.of(wrong.context), Method().predictor, 0)
     said = Estimated((0.9, 1.1), "guess", 0.5)
     with pytest.raises(
         InputError, match=r"that were found explain .*give their cameras"
     ) as refused:
-        predict(changed(wrong, lambda c: replace(c, estimated=said)), Method().predictor, 0)
+        wrong = changed(wrong, lambda c: replace(c, estimated=said))
+        predict(wrong, MatchGraph.of(wrong.context), Method().predictor, 0)
     assert "--refine" not in str(refused.value)
 
 
@@ -127,7 +128,8 @@ def test_exchanged_cameras_of_a_stereo_pair_are_known_by_what_lies_behind_them()
     assert check.coarse > 0.95
     a, b = (view.camera for view in sample.context)
     swapped = posed(sample, replace(a, c2w=b.c2w), replace(b, c2w=a.c2w))
-    assert check_pair(*swapped.context).coarse < 0.05
+    (check,) = check_pairs(swapped.context, MatchGraph.of(swapped.context))
+    assert check.coarse < 0.05
     with pytest.raises(InputError, match="the two poses are exchanged"):
         checked(swapped)
 
@@ -167,18 +169,6 @@ def test_a_field_is_not_built_with_cameras_that_are_not_its_own(room):
     wrong = posed(room, a, turned(b, 12))
     with pytest.raises(InputError, match="cameras explain"):
         build_field(wrong)
-
-
-def test_matches_are_found_once_and_cannot_be_changed(room):
-    greys = [cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) for view in room.context]
-    a, _ = sift_pairs(*greys)
-    again, _ = sift_pairs(*(grey.copy() for grey in greys))
-    other, _ = sift_pairs(*greys[::-1])
-    assert again is a and other is not a
-    first, same = sift(greys[0]), sift(greys[0].copy())
-    assert first.descriptors.tobytes() == same.descriptors.tobytes()
-    with pytest.raises(ValueError):
-        a[0] = 0
 
 
 def test_views_are_checked_with_those_that_see_the_same_things():
@@ -257,4 +247,5 @@ def test_too_few_matches_agree_on_nothing():
 def test_views_of_one_size_each_may_be_checked_alone(room):
     view: View = room.context[0]
     other = replace(room.context[1], camera=view.camera)
-    assert check_pair(view, other).coarse == 0  # no baseline, nothing to explain
+    nothing = np.zeros((0, 2))
+    assert check_pair(view, other, nothing, nothing).coarse == 0  # no baseline, nothing to explain

@@ -16,6 +16,7 @@ import pytest
 from benches.views import twists
 from benches.views.built_fields import Row, at_targets
 from slgaussian.build import build_field
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.links import link_views, usable
@@ -76,7 +77,7 @@ def test_a_photograph_given_twice_is_used_once():
     """The very same picture from the same place is left out, and said to be."""
     given = room(0)
     again = replace(given.context[ODD], name="again")
-    rest, left = usable(replace(given, context=(*given.context, again)))
+    rest, _, left = usable(replace(given, context=(*given.context, again)))
     assert left == {"again": "it is the same picture as view_04, from the same place"}
     assert rest.context == given.context
 
@@ -101,7 +102,7 @@ def test_a_stranger_is_left_out_by_name_and_the_rest_is_as_without_it():
         given = room(seed)
         views = given.context
         among = (*views[:3], twists.stranger(seed, given, ODD), *views[3:])
-        rest, left = usable(replace(given, context=among))
+        rest, _, left = usable(replace(given, context=among))
         assert left == {"stranger": "fewer than 12 matches with any other tell its depth"}
         assert rest.context == views
     assert same_bytes(rest, given)
@@ -122,7 +123,8 @@ def test_a_stranger_that_the_predictor_is_given_all_the_same_is_told_of():
     given = room(0)
     odd = twists.stranger(0, given, ODD)
     with pytest.warns(UserWarning, match=r"'stranger': fewer than 12 matches .* leave out"):
-        link_views((*given.context, odd), ranged=False)
+        views = (*given.context, odd)
+        link_views(views, MatchGraph.of(views), ranged=False)
 
 
 @pytest.mark.parametrize("odd", [0, ODD], ids=["first", "middle"])
@@ -210,7 +212,8 @@ def closing() -> Row:
 def test_a_loop_closes():
     """Where the way round ends is as good as if it were in the middle of the way."""
     given = ring()
-    sources = [[link.source for link in own] for own in link_views(given.context, False).links]
+    linked = link_views(given.context, MatchGraph.of(given.context), ranged=False)
+    sources = [[link.source for link in own] for own in linked.links]
     assert 0 in sources[-1] and AROUND - 1 in sources[0]
     half = AROUND // 2
     rolled = replace(given, context=given.context[half:] + given.context[:half])

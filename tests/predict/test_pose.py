@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from textured_planes import NORMAL, Plane, camera, sample
 
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
@@ -29,6 +30,11 @@ def matches(count=200, noise=0.0, seed=0):
     w = rng.uniform(0.2, 0.6, count)
     there, _ = Relative.between(A, B).project(pixels, w)
     return pixels, there + noise * rng.standard_normal(there.shape), w
+
+
+def linked(views, ranged=False):
+    """The views linked by all of their matches."""
+    return link_views(views, MatchGraph.of(views), ranged)
 
 
 def test_projection_is_that_of_the_cameras():
@@ -180,7 +186,7 @@ def test_visible_share_tells_overlap_from_none():
 def test_three_views_link_to_each_other_the_best_angle_first():
     """The lines of sight of the first two meet at 10 degrees, those of the others at 4 and 6."""
     views = sample(camera(), camera(x=0.5), camera(x=0.2)).context
-    links = link_views(views, ranged=False).links
+    links = linked(views).links
     assert [[link.source for link in sources] for sources in links] == [[2, 1], [2, 0], [1, 0]]
     assert all(len(link.sparse) > 30 for sources in links for link in sources)
 
@@ -189,12 +195,12 @@ def test_good_poses_stay_and_others_are_settled():
     given = [view.camera for view in sample(camera(), camera(x=0.5), camera(x=0.2)).context]
     for count in (2, 3):
         views = sample(*given[:count]).context
-        assert list(link_views(views, ranged=False).cameras) == given[:count]
+        assert list(linked(views).cameras) == given[:count]
     c2w = given[1].c2w.copy()
     c2w[:3, :3] = cv2.Rodrigues(np.radians([1.0, 0, 0]))[0] @ c2w[:3, :3]
     wrong = replace(given[1], c2w=c2w)
     views = sample(*given).context
-    found = link_views([views[0], replace(views[1], camera=wrong), views[2]], ranged=False).cameras
+    found = linked([views[0], replace(views[1], camera=wrong), views[2]]).cameras
     there = Relative.between(found[0], found[1]).R @ Relative.between(given[0], given[1]).R.T
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(there)[0])) < 0.7
 
@@ -202,7 +208,7 @@ def test_good_poses_stay_and_others_are_settled():
 def test_a_view_that_matches_no_other_is_linked_by_its_pose():
     near = sample(camera(), camera(x=0.3)).context
     other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
-    links = link_views([*near, other], ranged=False).links
+    links = linked([*near, other]).links
     assert [[link.source for link in own] for own in links] == [[1, 2], [0, 2], [0, 1]]
     assert [len(link.sparse) for link in links[2]] == [0, 0]
 
@@ -211,13 +217,13 @@ def test_two_views_without_matches_are_named():
     near = Plane(NORMAL, 3.0).view("here", camera())
     other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
-        link_views([near, other], ranged=False)
-    assert link_views([near, other], ranged=True).links[0][0].source == 1
+        linked([near, other])
+    assert linked([near, other], ranged=True).links[0][0].source == 1
 
 
 def test_a_photograph_that_is_there_twice_is_linked_with_others_alone():
     one, two = sample(camera(), camera(x=0.3)).context
-    links = link_views([one, replace(one, name="again"), two], ranged=False).links
+    links = linked([one, replace(one, name="again"), two]).links
     assert [[link.source for link in sources] for sources in links[:2]] == [[2], [2]]
     assert {link.source for link in links[2]} == {0, 1}
 
@@ -226,7 +232,8 @@ def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     given = sample(camera(), camera(x=0.3), camera(x=0.5))
     other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     among = replace(given, context=(given.context[0], other, *given.context[1:]))
-    kept, left_out = without_strangers(among)
+    kept, _, left_out = without_strangers(among, MatchGraph.of(among.context))
     assert [view.name for view in kept.context] == [view.name for view in given.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
-    assert without_strangers(given) == (given, {})
+    graph = MatchGraph.of(given.context)
+    assert without_strangers(given, graph) == (given, graph, {})

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from pydantic import Field, PrivateAttr
 
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.pretrained import chosen_device
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
@@ -102,7 +103,7 @@ class MVSplat(MVSplatConfig):
         """The network, on its device."""
         return self._network
 
-    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Gaussians in the world frame of ``sample``, one a context pixel in order of ``source``.
 
         Nothing is drawn at random, so ``seed`` is not looked at.
@@ -112,7 +113,7 @@ class MVSplat(MVSplatConfig):
         InputError
             If near is not below far, or images are smaller than 16 pixels a side.
         """
-        near, far = self._range(sample)
+        near, far = self._range(sample, graph)
         views = [_cropped(sample.scene, view) for view in sample.context]
         unit = self.config.near / near
         cameras = [_scaled(view.camera, unit) for view in views]
@@ -124,14 +125,14 @@ class MVSplat(MVSplatConfig):
             source=_source(sample.context[0].camera, cameras),
         )
 
-    def _range(self, sample: Sample) -> tuple[float, float]:
+    def _range(self, sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
         """Near and far in scene units."""
         cameras = [view.camera for view in sample.context]
         near, far = self.near, self.far
         if near is None:
             near = min((c.near for c in cameras if c.near is not None), default=None)
         if near is None:
-            near = estimated_near(sample.context)
+            near = estimated_near(sample.context, graph)
         if far is None:
             own = max((c.far for c in cameras if c.far is not None), default=None)
             far = own or near * self.config.far / self.config.near
@@ -165,12 +166,12 @@ class MVSplat(MVSplatConfig):
         return Gaussians(**fields, opacities=opacities, source=source)
 
 
-def estimated_near(views: Sequence[View]) -> float:
+def estimated_near(views: Sequence[View], graph: MatchGraph | None = None) -> float:
     """Where the near plane of a scene is in its own units, as the networks know it.
 
     See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`. It scales with the scene.
     """
-    links = link_views(views, ranged=True).links
+    links = link_views(views, graph or MatchGraph.of(views), ranged=True).links
     found = [np.concatenate([link.sparse for link in mine]) for mine in links]
     if min(map(len, found)) >= MIN_MATCHES:
         # Inverse depths: their 95th percentile is the 5th of depths.

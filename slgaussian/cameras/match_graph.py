@@ -1,0 +1,74 @@
+"""Which points of which views match: found once for a set of views, and passed on to all readers.
+
+Checks of given cameras, the choice of sources, depth ranges and quality read one graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slgaussian.cameras.matches import RATIO, match, sift
+from slgaussian.cameras.neighbours import neighbours, successive
+from slgaussian.io import short_repr
+from slgaussian.scene import View
+
+
+@dataclass(frozen=True, eq=False)
+class MatchGraph:
+    """Keypoints of views, and matches of the pairs of views that may see the same things.
+
+    Attributes
+    ----------
+    keypoints : sequence of V float64 [N, 2]
+        Pixels of the views' images, pixel centres at +0.5.
+    matches : mapping (i, j), i < j, to (int [M], int [M])
+        Keypoints of the two views that match. Pairs are those that stand near by, and those that
+        follow one another: poses that are wrong may have taken a view away from what it sees.
+    """
+
+    keypoints: Sequence[np.ndarray]
+    matches: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+
+    __repr__ = short_repr
+
+    @staticmethod
+    def of(views: Sequence[View]) -> MatchGraph:
+        """Detect and match the SIFT features of views."""
+        features = [sift(view.grey) for view in views]
+        pairs = sorted({*neighbours(views), *successive(views)})
+        matches = {(i, j): match(features[i], features[j], RATIO)[:2] for i, j in pairs}
+        return MatchGraph([one.points for one in features], matches)
+
+    def points(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matching points of views i < j: float64 [M, 2] and [M, 2], pixels."""
+        here, there = self.matches[i, j]
+        return self.keypoints[i][here], self.keypoints[j][there]
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays by name, as ``data_specs/matches.toml`` says."""
+        ends = np.cumsum([len(points) for points in self.keypoints])
+        pairs = np.array(list(self.matches), np.int32).reshape(-1, 2)
+        counts = [len(first) for first, _ in self.matches.values()]
+        both = [np.stack(match, 1) for match in self.matches.values()]
+        return {
+            "keypoints": np.concatenate([np.zeros((0, 2)), *self.keypoints]),
+            "view_ends": ends.astype(np.int64),
+            "pairs": pairs,
+            "match_ends": np.cumsum(counts).astype(np.int64),
+            "matches": np.concatenate([np.zeros((0, 2), int), *both]).astype(np.int32),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> MatchGraph:
+        """Return the graph that :meth:`to_arrays` described."""
+        matches = np.split(arrays["matches"], arrays["match_ends"][:-1])
+        return MatchGraph(
+            np.split(arrays["keypoints"], arrays["view_ends"][:-1]),
+            {
+                (i, j): (both[:, 0], both[:, 1])
+                for (i, j), both in zip(arrays["pairs"].tolist(), matches, strict=False)
+            },
+        )
