@@ -50,7 +50,9 @@ def score(
     slgaussian score masks.json --rooms 0-19 --size 416x576 --protocol 3d-ovs
     slgaussian compare scores mine
     """
-    settings = make_settings(options.settings_from(ctx), "score")
+    values = options.settings_from(ctx)
+    values.pop("protocol", None)  # that of the command, and not a rule of queries
+    settings = make_settings(values, "score")
     from flows import scoring
     from flows.cli.score_tables import methods_text
     from slgaussian.benchmark.protocols import load_protocol

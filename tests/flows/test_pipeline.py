@@ -46,7 +46,7 @@ ROOM = {
 def settings_for(folder: Path, missing: Path, **more):
     bad = {"name": "lost", "path": missing, "context": ["a.png", "b.png"]}
     values = {"size": "64x96", "out": folder / "out", "scenes": [ROOM, bad], **more}
-    values.setdefault("against", ["nearest-view"])
+    values.setdefault("against", ["no-bank"])
     return make_settings(values, "test")
 
 
@@ -69,7 +69,7 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     folder, _, finished = first
     assert [(result.scene, result.method) for result in finished.results] == [
         ("room", "slgaussian"),
-        ("room", "nearest-view"),
+        ("room", "no-bank"),
     ]
     (row,) = pq.read_table(folder / "out" / "failures.parquet").to_pylist()
     assert (row["scene"], row["stage"], row["kind"]) == ("lost", "ingest", "InputError")
@@ -79,7 +79,7 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     assert row["reason"].split(":")[0] in page
     samples = pq.read_table(folder / "out" / "samples.parquet")
     masks = list((folder / "out" / "predictions").glob("*/*/room/**/*.png"))
-    assert set(samples["method"].to_pylist()) == {"slgaussian", "nearest-view"}
+    assert set(samples["method"].to_pylist()) == {"slgaussian", "no-bank"}
     made = [name for name in samples["protocol"].to_pylist() if name != "threshold-free@2"]
     assert len(masks) == len(made) > 0
     assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
@@ -291,7 +291,7 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
     folder, _, _ = first
     manifest = json.loads((folder / "out" / "manifest.json").read_text("utf-8"))
     assert manifest["seed"] == 0 and manifest["settings"]["predictor"] == "planesweep"
-    assert manifest["methods"] == {"nearest-view": "nearest-view"}
+    assert manifest["methods"] == {"no-bank": "no-bank"}
     assert manifest["stages"]["report"] > 0 and manifest["packages"]["numpy"] == np.__version__
     assert manifest["protocols"][0] == "slgaussian@2"
     assert manifest["kernels"] == threads.kernels()
@@ -300,7 +300,7 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
     said = json.dumps(manifest)
     assert str(folder) not in said and "workers" not in said
     times = json.loads((folder / "out" / "times.json").read_text("utf-8"))
-    assert [speed["method"] for speed in times["seconds_a_query"]] == ["slgaussian", "nearest-view"]
+    assert [speed["method"] for speed in times["seconds_a_query"]] == ["slgaussian", "no-bank"]
     assert all(speed["first_query"] > 0 for speed in times["seconds_a_query"])
 
 

@@ -145,7 +145,7 @@ def scenes(tmp_path_factory) -> Path:
     names = [f"{name}.png" for name in ROOM["context"]]
     mine = {"name": "mine", "format": "nerfstudio", "path": ".", "context": names}
     tables = [{**mine, "queries": ["wall"], "near": 0.8, "far": 12.0}, ROOM]
-    text = 'size = "64x96"\nagainst = ["nearest-view"]\n'
+    text = 'size = "64x96"\nagainst = ["no-bank"]\n'
     for table in tables:
         rows = (f"{key} = {_toml(value)}\n" for key, value in table.items())
         text += f"[[scenes]]\n{''.join(rows)}"

@@ -1,4 +1,4 @@
-"""Methods that are compared in one run, behind one interface, and how to get one by name.
+"""Methods that are compared in one run, behind one interface, by name.
 
 A name that ends in "like" is not the original: it keeps what the original is known for, on the same
 photographs, Gaussians and encoder as everything else here. What each is, and what it lacks, is in
@@ -22,12 +22,10 @@ METHODS = {
     "slgaussian": "slgaussian.benchmark.baselines.ours:Ours",
     "query-2d": "slgaussian.benchmark.baselines.query_2d:Query2d",
     "langsplat-like": "slgaussian.benchmark.baselines.langsplat_like:LangSplatLike",
-    "lerf-like": "slgaussian.benchmark.baselines.lerf_like:LerfLike",
-    "3d-ovs-like": "slgaussian.benchmark.baselines.ovs3d_like:Ovs3dLike",
-    "segsplat-like": "slgaussian.benchmark.baselines.pooled:SegSplatLike",
-    "nearest-view": "slgaussian.benchmark.baselines.nearest_view:NearestView",
+    "lerf-like": "slgaussian.benchmark.baselines.crops:LerfLike",
+    "3d-ovs-like": "slgaussian.benchmark.baselines.crops:Ovs3dLike",
     "no-association": "slgaussian.benchmark.baselines.ours:NoAssociation",
-    "no-bank": "slgaussian.benchmark.baselines.pooled:NoBank",
+    "no-bank": "slgaussian.benchmark.baselines.ours:NoBank",
 }
 
 GROUP = "slgaussian.methods"
@@ -49,18 +47,18 @@ def load_method(name: str, **settings: Any) -> Method:
     InputError
         If there is none, it has no such setting, or a setting is out of its range.
     """
-    made = resolve("method", METHODS, name, GROUP)
+    method = resolve("method", METHODS, name, GROUP)
     try:
-        return made(**settings)
+        return method(**settings)
     except TypeError as error:
         raise InputError(f"settings of {name!r}: {error}") from None
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table of methods: one of :data:`METHODS` with settings, and what to call it.
+    """A row of the table of methods: one of :data:`METHODS` with settings.
 
-    ``about`` says in one line what it is, and of what is not the original that it is not. ``rules``
+    ``about`` describes it in a line, and of what is not the original says that it is not. ``rules``
     are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
     A ``slow`` one takes a minute a scene, and ``all`` leaves it out. A ``variant`` is the field
     with one part changed: no other method, though it may be better.
@@ -74,7 +72,7 @@ class Row:
     variant: bool = False
 
     def load(self) -> Method:
-        """The method; raises as :func:`load_method`."""
+        """Make the method; raises as :func:`load_method`."""
         return load_method(self.method, **self.settings)
 
     @property
@@ -136,12 +134,6 @@ ROWS = {
         "not 3D-OVS: patches at the scale that tells the given classes apart best, lifted a pixel, "
         "no training",
     ),
-    "segsplat-like": Row(
-        "segsplat-like", "not SegSplat: an index a Gaussian and one pooled vector an object"
-    ),
-    "nearest-view": Row(
-        "nearest-view", "the nearest photograph's masks and features, as they are: no 3D"
-    ),
     "no-association": Row(
         "no-association", "ablation: each view's masks are objects of their own", variant=True
     ),
@@ -160,12 +152,12 @@ ROWS |= {name: Row(name, "of another package") for name in brought(GROUP) if nam
 
 
 def is_swept(name: str) -> bool:
-    """Whether a method is the field built with other settings: its name ends in FIELD=VALUE."""
+    """Tell whether a method is the field built with other settings, by its name FIELD=VALUE."""
     return name not in ROWS and "=" in name
 
 
 def is_variant(name: str) -> bool:
-    """Whether a method is the field with a part or a setting changed: no other method."""
+    """Tell whether a method is the field with a part or a setting changed: no other method."""
     return ROWS[name].variant if name in ROWS else is_swept(name)
 
 

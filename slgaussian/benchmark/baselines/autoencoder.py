@@ -21,12 +21,10 @@ from torch.nn import functional as F
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import LARGE_THREADS, fixed
 
-CODE = 3
-DOWN = (256, 128, 64, 32)
-UP = (16, 32, 64, 128, 256, 256)
+DOWN, UP = (256, 128, 64, 32), (16, 32, 64, 128, 256, 256)
 
-COSINE = 0.001
-"""Weight of (1 - cosine) beside the squared error."""
+RATE, COSINE = 2e-3, 0.001
+"""Of Adam, and the weight of (1 - cosine) beside the squared error."""
 
 BLOCK = 8192
 """Codes decoded at a time."""
@@ -34,60 +32,42 @@ BLOCK = 8192
 
 @dataclass(frozen=True, eq=False)
 class Autoencoder:
-    """A trained one; made by :func:`train_autoencoder`."""
+    """A trained autoencoder; made by :func:`train_autoencoder`."""
 
     down: nn.Sequential
     up: nn.Sequential
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
-        """Codes float32 [M, 3] of length 1, of unit vectors float32 [M, C]."""
+        """Return codes float32 [M, 3] of length 1 of unit vectors float32 [M, C]."""
         with torch.inference_mode(), fixed(1):
             return F.normalize(self.down(torch.from_numpy(vectors)), dim=1).numpy()
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        """Unit vectors float32 [P, C] of codes float32 [P, 3] of any length."""
+        """Return unit vectors float32 [P, C] of codes float32 [P, 3] of any length."""
         with torch.inference_mode(), fixed(LARGE_THREADS):
             blocks = torch.from_numpy(np.ascontiguousarray(codes)).split(BLOCK)
-            found = [F.normalize(self.up(block), dim=1) for block in blocks]
-        return torch.cat(found).numpy()
+            return torch.cat([F.normalize(self.up(block), dim=1) for block in blocks]).numpy()
 
 
-def train_autoencoder(
-    vectors: np.ndarray, seed: int, steps: int = 1000, rate: float = 2e-3
-) -> Autoencoder:
-    """Fit an autoencoder to unit vectors.
+def train_autoencoder(vectors: np.ndarray, seed: int, steps: int = 1000) -> Autoencoder:
+    """Fit an autoencoder to two unit vectors float32 [M, C] or more; on one thread, so repeatable.
 
-    The same input gives the same bytes: PyTorch computes on one thread.
-
-    Parameters
-    ----------
-    vectors : float32 [M, C]
-        M at least 2.
-    seed : int
-        Decides the weights at the start.
-    steps : int
-        All vectors are seen in each.
-    rate : float
-        Of Adam.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two vectors.
+    ``seed`` decides the weights at the start, and all vectors are seen in each of ``steps``.
+    InputError if there are fewer than two.
     """
     if len(vectors) < 2:
         raise InputError(f"autoencoder: found {len(vectors)} vectors, expected at least 2")
     width = vectors.shape[1]
     with torch.random.fork_rng(devices=[]), fixed(1):
         torch.manual_seed(seed % 2**63)
-        down = _layers(width, [n for n in DOWN if n <= width], CODE, normalised=True)
-        up = _layers(CODE, [n for n in UP if n <= width], width, normalised=False)
-        optimiser = torch.optim.Adam([*down.parameters(), *up.parameters()], lr=rate)
+        down = _layers(width, [n for n in DOWN if n <= width], 3, normalised=True)
+        up = _layers(3, [n for n in UP if n <= width], width, normalised=False)
+        optimiser = torch.optim.Adam([*down.parameters(), *up.parameters()], lr=RATE)
         wanted = torch.from_numpy(vectors)
         for _ in range(steps):
-            found = F.normalize(up(F.normalize(down(wanted), dim=1)), dim=1)
-            alike = F.cosine_similarity(found, wanted, dim=1).mean()
-            loss = F.mse_loss(found, wanted) + COSINE * (1 - alike)
+            decoded = F.normalize(up(F.normalize(down(wanted), dim=1)), dim=1)
+            alike = F.cosine_similarity(decoded, wanted, dim=1).mean()
+            loss = F.mse_loss(decoded, wanted) + COSINE * (1 - alike)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

@@ -111,25 +111,24 @@ class DenseView:
         return cv2.resize(gaps[best].reshape(size), whole, interpolation=cv2.INTER_LINEAR)
 
     def _rival(self, text: str, rules: Rules) -> np.ndarray:
-        """Cosine with the best rival of a text, float64 [S, h * w]."""
+        """Return the cosine with the best rival of a text, float64 [S, h * w]."""
         others = [k for k, name in enumerate(self.classes) if name != text]
         if others:
-            return self._of_classes[others].max(0)
-        phrases = self.reader.phrases(rules)
-        if phrases not in self._of_phrases:
-            self._of_phrases[phrases] = self._cosines(phrases).max(0)
-        return self._of_phrases[phrases]
+            return self._cosines_of(self.classes)[others].max(0)
+        return self._cosines_of(self.reader.phrases(rules)).max(0)
 
     @cached_property
-    def _of_phrases(self) -> dict[tuple[str, ...], np.ndarray]:
+    def _rivals(self) -> dict[tuple[str, ...], np.ndarray]:
         return {}
 
-    @cached_property
-    def _of_classes(self) -> np.ndarray:
-        return self._cosines(self.classes)
+    def _cosines_of(self, texts: tuple[str, ...]) -> np.ndarray:
+        """Return the cosines with texts that many others are compared with, computed once."""
+        if texts not in self._rivals:
+            self._rivals[texts] = self._cosines(texts)
+        return self._rivals[texts]
 
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:
-        """float64 [Q, S, h * w]."""
+        """Return the cosines with some texts, float64 [Q, S, h * w]."""
         scales, h, w, width = self.vectors.shape
         asked = self.reader.vectors(texts).astype(np.float64)
         asked /= np.linalg.norm(asked, axis=1, keepdims=True)

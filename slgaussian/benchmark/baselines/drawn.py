@@ -1,9 +1,9 @@
-"""What a camera sees of the Gaussians: their colours, and any vectors that their pixels carry."""
+"""Drawings of Gaussians: their colours, and any vectors that their source pixels carry."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,17 +22,9 @@ MOST_NUMBERS = 2**26
 half."""
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A rendered photograph.
-
-    Attributes
-    ----------
-    rgb : uint8 [H, W, 3]
-    alpha : float32 [H, W]
-    depth : float32 [H, W]
-        z-depth in scene units, 0 where nothing is.
-    """
+class Picture(NamedTuple):
+    """A rendered photograph: rgb uint8 [H, W, 3], alpha float32 [H, W], and z-depth float32 [H, W]
+    in scene units, 0 where nothing is."""
 
     rgb: np.ndarray
     alpha: np.ndarray
@@ -40,7 +32,7 @@ class Picture:
 
 
 def draw_picture(gaussians: Gaussians, camera: Camera) -> Picture:
-    """The colours of the Gaussians as ``camera`` sees them."""
+    """Draw the colours of the Gaussians as ``camera`` sees them."""
     image = rasterize(gaussians, None, camera)
     alpha = image.alpha.float().numpy()
     return Picture(shown(image.values.float().numpy(), alpha), alpha, image.depth.float().numpy())
@@ -52,19 +44,11 @@ def draw_vectors(
     at: Callable[[np.ndarray, int, int], np.ndarray],
     image: np.ndarray,
 ) -> None:
-    """Composite what the source pixels of the Gaussians carry: sums over what is there, each times
-    its fraction of the light.
+    """Composite what the source pixels of the Gaussians carry, by their fractions of the light.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-    camera : Camera
-    at : callable
-        Of ``(pixels, start, stop)``: these numbers of the vectors of context pixels int64 [n], flat
-        indices of [V, H, W]: float32 [n, stop - start]. Asked for in pieces, so that not all are in
-        memory at once.
-    image : float32 [H, W, C]
-        Written to; of the camera's size.
+    ``at(pixels, start, stop)`` gives these numbers of the vectors of context pixels int64 [n], flat
+    indices of [V, H, W], as float32 [n, stop - start]: in pieces, so that not all are in memory at
+    once. ``image`` float32 [H, W, C], of the camera's size, is written to.
     """
     source = gaussians.source.numpy()
     for start in range(0, image.shape[2], TOGETHER):
@@ -74,10 +58,8 @@ def draw_vectors(
 
 
 def reduced(camera: Camera, numbers: int) -> Camera:
-    """The camera at the resolution at which ``numbers`` a pixel are few enough.
-
-    The full one, a half, a quarter ..., the first that keeps within :data:`MOST_NUMBERS`.
-    """
+    """Return the camera at the full resolution, a half, a quarter ..., the first at which
+    ``numbers`` a pixel keep within :data:`MOST_NUMBERS`."""
     factor = 1
     while camera.height * camera.width * numbers > MOST_NUMBERS * factor**2:
         factor *= 2

@@ -1,4 +1,4 @@
-"""What a method is given of a scene, and what several of them need and none computes twice."""
+"""Inputs of a method of one scene, and what several methods need of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from slgaussian.scene import Sample
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """A scene with the field of the default method. Methods look at no target and no truth.
+    """A scene with the field of the default method; methods look at no target and no truth.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Inputs:
 
     @property
     def bank(self) -> MemoryBank:
-        """What the context views say about each object."""
+        """Features of each object in the context views."""
         return self.field.bank
 
     @property
@@ -79,18 +79,18 @@ class Inputs:
 
     @cached_property
     def own_labels(self) -> LabelMaps:
-        """Each context view cut up on its own: no id is in two views."""
+        """Label maps of each context view on its own: no id is in two views."""
         maps, count = [], 0
         for seen in self.geometry.seen:
-            found = without_crumbs(flatten(self.proposer.propose(seen)))
-            maps.append(np.where(found > 0, found + count, 0).astype(np.int32))
-            count += int(found.max(initial=0))
+            ids = without_crumbs(flatten(self.proposer.propose(seen)))
+            maps.append(np.where(ids > 0, ids + count, 0).astype(np.int32))
+            count += int(ids.max(initial=0))
         labels = np.stack(maps)
         return LabelMaps(labels, np.ones(labels.shape, np.float32))
 
     @cached_property
     def own_bank(self) -> MemoryBank:
-        """What each view says about its :attr:`own_labels`: without codes, without groups."""
+        """Features of :attr:`own_labels`, without codes and groups."""
         return self.look_at(self.geometry.seen, self.own_labels, self.geometry.surroundings)
 
     def look_at(
@@ -100,10 +100,10 @@ class Inputs:
         surroundings: Sequence[Surroundings] | None,
         grouped: bool = False,
     ) -> MemoryBank:
-        """What views say about the objects of their label maps, without codes.
+        """Encode the objects of label maps of some views, without codes.
 
-        As it is known of the field's own; if ``grouped``, also about groups of objects where the
-        field knows those. Without any object the bank is empty.
+        If ``grouped``, groups of objects too where the field has those. Without any object the bank
+        is empty.
         """
         ids, groups = label_maps.ids, None
         codes = np.zeros((len(ids), 0), np.float32)

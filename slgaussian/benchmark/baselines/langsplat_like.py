@@ -54,11 +54,11 @@ class LangSplatLike:
 
     def __post_init__(self) -> None:
         for name, least in (("steps", 1), ("fit", 0)):
-            if (found := getattr(self, name)) < least:
-                raise InputError(f"langsplat-like {name}: found {found}, expected at least {least}")
+            if (value := getattr(self, name)) < least:
+                raise InputError(f"langsplat-like {name}: found {value}, expected at least {least}")
 
     def __call__(self, inputs: Inputs) -> _Codes:
-        """See :class:`slgaussian.benchmark.baselines.Method`."""
+        """Train the autoencoder of a scene, and give each Gaussian its code."""
         labels = inputs.label_maps if self.association else inputs.own_labels
         bank = inputs.bank if self.association else inputs.own_bank
         seed = seed_for(inputs.seed, inputs.sample.content, "autoencoder")
@@ -72,7 +72,7 @@ class LangSplatLike:
             carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
             return _Codes(inputs, inputs.gaussians, network, np.concatenate(carried))
         context = inputs.sample.context
-        gaussians = optimise(context, self.fit).gaussians
+        gaussians, _ = optimise(context, self.fit)
         seen = [
             small(replace(view, instances=own)) for view, own in zip(context, rows, strict=True)
         ]

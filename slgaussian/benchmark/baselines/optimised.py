@@ -10,8 +10,9 @@ Gaussians are neither split nor removed: a Gaussian for every few pixels is ther
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,107 +45,81 @@ NEAREST = 3
 """Matches that say how far a Gaussian is at the start: their median."""
 
 
-@dataclass(frozen=True, eq=False)
-class Optimised:
-    """Gaussians of a scene.
+def optimise(views: Sequence[View], steps: int) -> tuple[Gaussians, np.ndarray]:
+    """Fit Gaussians to two posed photographs or more, one a step, view by view in turn.
 
-    Attributes
-    ----------
-    gaussians : Gaussians
-        ``source`` numbers them.
-    losses : float64 [steps]
-        Mean absolute error of the picture of each step, levels in [0, 1].
-    """
-
-    gaussians: Gaussians
-    losses: np.ndarray
-
-
-def optimise(views: Sequence[View], steps: int) -> Optimised:
-    """Fit Gaussians to photographs with their cameras, view by view in turn.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Two or more.
-    steps : int
-        One photograph each; at least 1.
+    Returns the Gaussians, whose ``source`` numbers them, and the mean absolute error of the picture
+    of each step, levels in [0, 1]: float64 [steps].
     """
     views = [small(view) for view in views]
     start, far = _start(views)
     wanted = [torch.from_numpy(view.image.astype(np.float32) / 255) for view in views]
-    own = {
+    fitted = {
         "means": start.means.clone(),
         "scales": start.scales.log(),
         "quats": start.quats.clone(),
         "opacities": torch.logit(start.opacities),
         "rgb": start.colors().clone(),
     }
+    for values in fitted.values():
+        values.requires_grad_()
     rates = RATES | {"means": RATES["means"] * far}
-    losses = np.empty(steps)
-    with fixed(1):
-        for values in own.values():
-            values.requires_grad_()
-        adam = torch.optim.Adam([{"params": [own[n]], "lr": rate} for n, rate in rates.items()])
-        falling = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / steps))
-        for step in range(steps):
-            seen = step % len(views)
-            drawn = rasterize(_assembled(start, own), own["rgb"], views[seen].camera)
-            loss = (drawn.values - wanted[seen]).abs().mean()
-            adam.zero_grad()
-            loss.backward()
-            adam.step()
-            falling.step()
-            losses[step] = loss.item()
-        with torch.no_grad():
-            made = _assembled(start, own)
-            made = replace(made, sh=rgb_to_sh(own["rgb"].clamp(0, 1)))
-    detached = {name: getattr(made, name).detach() for name in ("means", "scales", "quats")}
-    return Optimised(replace(made, **detached, opacities=made.opacities.detach()), losses)
+
+    def loss(step: int) -> torch.Tensor:
+        seen = step % len(views)
+        drawn = rasterize(_assembled(start, fitted), fitted["rgb"], views[seen].camera)
+        return (drawn.values - wanted[seen]).abs().mean()
+
+    groups = [{"params": [fitted[name]], "lr": rate} for name, rate in rates.items()]
+    losses = _descend(groups, loss, steps)
+    detached = {name: values.detach() for name, values in fitted.items()}
+    colours = rgb_to_sh(detached["rgb"].clamp(0, 1))
+    return replace(_assembled(start, detached), sh=colours), losses
 
 
 def fit_vectors(
     gaussians: Gaussians, cameras: Sequence[Camera], images: Sequence[np.ndarray], steps: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What frozen Gaussians should carry for their drawings to be ``images``, and the losses.
+    """Find what frozen Gaussians should carry for their drawings to be ``images``, one a step.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-    cameras : sequence of Camera
-        Of the size of their images.
-    images : sequence of float32 [H, W, C]
-        One a camera; the last number is 1 where the others are known, else 0.
-    steps : int
-        One image each; at least 1.
-
-    Returns
-    -------
-    float32 [N, C], float64 [steps]
-        The loss is the mean absolute difference; of what is not known only the last number counts.
+    ``images`` are float32 [H, W, C], one a camera and of its size; the last number is 1 where the
+    others are known, else 0. Returns the vectors float32 [N, C] and the losses float64 [steps]: the
+    mean absolute difference; of what is not known only the last number counts.
     """
     wanted = [torch.from_numpy(np.ascontiguousarray(image)) for image in images]
     plans = [plan(gaussians, camera) for camera in cameras]
-    losses = np.empty(steps)
-    with fixed(1):
-        carried = torch.zeros(len(gaussians), wanted[0].shape[2], requires_grad=True)
-        adam = torch.optim.Adam([carried], lr=VECTOR_RATE)
-        falling = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / steps))
-        for step in range(steps):
-            image = wanted[step % len(wanted)]
-            known = image[..., -1:]
-            off = plans[step % len(plans)].render(carried) - image
-            loss = (off[..., :-1] * known).abs().mean() + off[..., -1:].abs().mean()
-            adam.zero_grad()
-            loss.backward()
-            adam.step()
-            falling.step()
-            losses[step] = loss.item()
+    carried = torch.zeros(len(gaussians), wanted[0].shape[2], requires_grad=True)
+
+    def loss(step: int) -> torch.Tensor:
+        image = wanted[step % len(wanted)]
+        known = image[..., -1:]
+        off = plans[step % len(plans)].render(carried) - image
+        return (off[..., :-1] * known).abs().mean() + off[..., -1:].abs().mean()
+
+    losses = _descend([{"params": [carried], "lr": VECTOR_RATE}], loss, steps)
     return carried.detach().numpy(), losses
 
 
+def _descend(
+    groups: list[dict[str, Any]], loss: Callable[[int], torch.Tensor], steps: int
+) -> np.ndarray:
+    """Take steps of Adam with rates that fall to a tenth, on one thread; return the losses."""
+    losses = np.empty(steps)
+    with fixed(1):
+        adam = torch.optim.Adam(groups)
+        falling = torch.optim.lr_scheduler.ExponentialLR(adam, 0.1 ** (1 / steps))
+        for step in range(steps):
+            value = loss(step)
+            adam.zero_grad()
+            value.backward()
+            adam.step()
+            falling.step()
+            losses[step] = value.item()
+    return losses
+
+
 def _assembled(start: Gaussians, own: dict[str, torch.Tensor]) -> Gaussians:
-    """Gaussians of numbers that may be any: logarithms of scales, logits of opacities."""
+    """Return Gaussians of logarithms of scales and logits of opacities."""
     return replace(
         start,
         means=own["means"],
@@ -155,14 +130,14 @@ def _assembled(start: Gaussians, own: dict[str, torch.Tensor]) -> Gaussians:
 
 
 def small(view: View) -> View:
-    """The photograph at the size that is optimised for: at most :data:`MOST_PIXELS`."""
+    """Return the photograph at the size that is optimised for: at most :data:`MOST_PIXELS`."""
     height, width = view.image.shape[:2]
     share = min((MOST_PIXELS / (height * width)) ** 0.5, 1.0)
     return view.resized(max(int(height * share), 1), max(int(width * share), 1))
 
 
 def _start(views: Sequence[View]) -> tuple[Gaussians, float]:
-    """A ball for every few pixels, as far as the matches nearest to it, and the typical distance.
+    """Return a ball for every few pixels, as far as its nearest matches, and the typical distance.
 
     A view without a match takes the typical distance of the others.
     """
@@ -198,7 +173,7 @@ def _start(views: Sequence[View]) -> tuple[Gaussians, float]:
 
 
 def _typical(views: Sequence[View], depth: np.ndarray) -> float:
-    """The median of what matches tell; without any the middle of the bounds, or of baselines."""
+    """Return the median depth of matches; without any the middle of the bounds, or of baselines."""
     if len(depth):
         return float(np.median(depth))
     camera = views[0].camera
@@ -208,7 +183,7 @@ def _typical(views: Sequence[View], depth: np.ndarray) -> float:
 
 
 def _matched(views: Sequence[View]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pixels float64 [M, 2] of each view whose depth [M] its matches with its neighbours tell."""
+    """Return pixels float64 [M, 2] and depths [M] of each view by matches with its neighbours."""
     found: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in views]
     for a in range(len(views) - 1):
         one, other = views[a], views[a + 1]

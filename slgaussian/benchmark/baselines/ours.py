@@ -1,8 +1,10 @@
-"""The field itself, lifted and coded in any way, and what it is without mask association."""
+"""The field itself, and its ablations: other strategies, no mask association, no bank of views."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.errors import InputError, did_you_mean
@@ -34,19 +36,20 @@ class Ours:
 
     def __post_init__(self) -> None:
         for name, table in (("lifting", LIFTINGS), ("codes", CODES)):
-            given = getattr(self, name)
-            if given is not None and given not in table:
+            value = getattr(self, name)
+            if value is not None and value not in table:
                 raise InputError(
-                    f"slgaussian {name}: found {given!r}, expected one of {', '.join(table)}"
-                    f"{did_you_mean(given, table)}"
+                    f"slgaussian {name}: found {value!r}, expected one of {', '.join(table)}"
+                    f"{did_you_mean(value, table)}"
                 )
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """See :class:`slgaussian.benchmark.baselines.Method`."""
-        lifting, codes = _strategies(inputs, self.lifting, self.codes)
-        if (lifting, codes) == _strategies(inputs):
+        """Return the field, lifted anew where a strategy is another."""
+        lifting, codes = _strategies(inputs)
+        changed = self.lifting or lifting, self.codes or codes
+        if changed == (lifting, codes):
             return inputs.field
-        return lift_again(inputs, inputs.label_maps, inputs.bank, lifting, codes)
+        return lift_again(inputs, inputs.label_maps, inputs.bank, *changed)
 
 
 @dataclass(frozen=True)
@@ -54,16 +57,49 @@ class NoAssociation:
     """Ablation: the masks of each view are objects of their own, known from that view only."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """See :class:`slgaussian.benchmark.baselines.Method`."""
+        """Lift the labels that each view was given on its own."""
         geometry, labels = inputs.geometry, inputs.own_labels
         bank = inputs.look_at(geometry.seen, labels, geometry.surroundings, grouped=True)
         return lift_again(inputs, labels, bank, *_strategies(inputs))
 
 
+@dataclass(frozen=True)
+class NoBank:
+    """Ablation: the field with the mean of what its views say about each object."""
+
+    def __call__(self, inputs: Inputs) -> SemanticField:
+        """Return the field with a bank of one view."""
+        return inputs.field.changed(bank=pooled(inputs.bank))
+
+
+def pooled(bank: MemoryBank) -> MemoryBank:
+    """Return the bank with one view, the mean of all; groups of objects likewise."""
+    features = _mean(bank.features, bank.present)
+    present = np.any(bank.present, axis=1, keepdims=True)
+    groups = bank.group_features
+    if groups is not None:
+        groups = _mean(groups, np.any(groups, axis=2))
+    return replace(bank, features=features, present=present, boxes=None, group_features=groups)
+
+
+def _mean(features: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Return the mean of unit vectors [M, V, C] of the present views as float32 [M, 1, C].
+
+    It is a unit vector again, rounded to half precision as those of banks are. Where the vectors
+    cancel out it is the first of them, and zero where there is none.
+    """
+    total = features.astype(np.float64).sum(1)
+    cancelled = np.linalg.norm(total, axis=1) < 1e-6
+    total[cancelled] = features[cancelled, present.argmax(1)[cancelled]]
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    mean = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return mean.astype(np.float16).astype(np.float32)[:, None]
+
+
 def lift_again(
     inputs: Inputs, label_maps: LabelMaps, bank: MemoryBank, lifting: str, codes: str
 ) -> SemanticField:
-    """A field of the same Gaussians with other objects or strategies.
+    """Make a field of the same Gaussians with other objects or strategies.
 
     ``bank`` is of the objects of ``label_maps``; its codes are drawn anew.
     """
@@ -78,9 +114,7 @@ def lift_again(
     )
 
 
-def _strategies(
-    inputs: Inputs, lifting: str | None = None, codes: str | None = None
-) -> tuple[str, str]:
-    """Lifting and code strategy: those given, otherwise those of the field."""
-    own = inputs.field.settings
-    return lifting or own.get("lifting", "hard"), codes or own.get("codes", "separated")
+def _strategies(inputs: Inputs) -> tuple[str, str]:
+    """Return lifting and code strategy of the field."""
+    settings = inputs.field.settings
+    return settings.get("lifting", "hard"), settings.get("codes", "separated")

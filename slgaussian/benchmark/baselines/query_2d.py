@@ -37,65 +37,60 @@ class Query2d:
 
     depth: bool = False
 
-    def __call__(self, inputs: Inputs) -> _Pictures:
-        """See :class:`slgaussian.benchmark.baselines.Method`."""
+    def __call__(self, inputs: Inputs) -> Pictures:
+        """Prepare nothing; InputError if the encoder does not look at images."""
         image = inputs.sample.context[0].image
-        # One that does not look at images says so now, and not at the first query.
         inputs.encoder.encode_regions(image, np.zeros((0, *image.shape[:2]), bool))
-        return _Pictures(inputs, self.depth)
+        return Pictures(inputs, self.depth)
 
 
 @dataclass(frozen=True, eq=False)
-class _Pictures:
+class Pictures:
+    """A scene of which pictures are rendered, with or without their depth."""
+
     inputs: Inputs
     with_depth: bool
 
-    def render(self, camera: Camera) -> _PictureView:
+    def render(self, camera: Camera) -> PictureView:
+        """Render colours alone."""
         picture = draw_picture(self.inputs.gaussians, camera)
-        return _PictureView(picture, camera, self.inputs, self.with_depth)
+        return PictureView(self, camera, picture, picture.rgb, picture.depth, self.inputs.reader)
 
 
 @dataclass(frozen=True, eq=False)
-class _PictureView:
-    picture: Picture
+class PictureView:
+    """A picture, cut up and encoded when it is first asked."""
+
+    scene: Pictures
     camera: Camera
-    inputs: Inputs
-    with_depth: bool
-
-    @property
-    def rgb(self) -> np.ndarray:
-        return self.picture.rgb
-
-    @property
-    def depth(self) -> np.ndarray:
-        return self.picture.depth
-
-    @property
-    def reader(self) -> TextReader:
-        return self.inputs.reader
+    picture: Picture
+    rgb: np.ndarray
+    depth: np.ndarray
+    reader: TextReader
 
     @property
     def ids(self) -> np.ndarray:
-        return self._cut_up.ids
+        """Number of the proposal of each pixel, int32 [H, W]; 0 none."""
+        return self._view.ids
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
-        return self._cut_up.query_all(texts, **rules)
+        """See :class:`slgaussian.benchmark.answering.AnsweringView`."""
+        return self._view.query_all(texts, **rules)
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
-        return self._cut_up.segment(texts, **rules)
+        """See :class:`slgaussian.benchmark.answering.AnsweringView`."""
+        return self._view.segment(texts, **rules)
 
     @cached_property
-    def _cut_up(self) -> FieldView:
-        """Proposals and what the encoder says of them, in one go."""
-        rgb, depth, alpha = self.picture.rgb, self.picture.depth, self.picture.alpha
+    def _view(self) -> FieldView:
+        inputs, with_depth = self.scene.inputs, self.scene.with_depth
+        alpha, depth = self.picture.alpha, self.depth
         there = alpha >= VISIBLE
-        where = None if there.all() else there
-        seen = SeenView(View("rendered", self.camera, rgb), depth if self.with_depth else None)
-        proposals = self.inputs.proposer.propose(seen, where)
+        seen = SeenView(View("rendered", self.camera, self.rgb), depth if with_depth else None)
+        proposals = inputs.proposer.propose(seen, None if there.all() else there)
         ids = np.where(there, flatten(proposals), 0).astype(np.int32)
         label_maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
-        room = self.inputs.geometry.room
-        around = [room.place(self.camera, depth)] if self.with_depth else None
-        bank = self.inputs.look_at([seen], label_maps, around, self.with_depth)
+        around = [inputs.geometry.room.place(self.camera, depth)] if with_depth else None
+        bank = inputs.look_at([seen], label_maps, around, with_depth)
         sure = (ids > 0).astype(np.float32)
-        return FieldView(rgb, ids, sure, alpha, depth, self.inputs.field.changed(bank=bank))
+        return FieldView(self.rgb, ids, sure, alpha, depth, inputs.field.changed(bank=bank))

@@ -11,7 +11,7 @@ from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
 from slgaussian.benchmark.baselines import METHODS, PAPER_ABLATION, ROWS, Method, load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.benchmark.baselines.pooled import pooled
+from slgaussian.benchmark.baselines.ours import pooled
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.components import method as parts_method
 from slgaussian.errors import InputError
@@ -119,7 +119,6 @@ def test_every_row_refuses_what_it_cannot_answer(name, view_of):
 
 @pytest.mark.parametrize("name", ROWS)
 def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
-    # The nearest view answers in its own picture, in which the wall is a little elsewhere.
     (hit,) = view_of(name).query_all([PLAIN])
     mask = room.truth["view_01"][PLAIN]
     assert metrics.point_in_mask(hit.point, mask)
@@ -250,21 +249,6 @@ def test_zero_vectors_lift_what_one_view_lacks(room):
         (b,) = view.query_all([text], **ROWS["absent-zero"].rules)
         expected = np.where(once.all(1), a.scores, np.maximum(a.scores, 0.5))
         np.testing.assert_array_equal(b.scores, expected)
-
-
-def test_the_nearest_photograph_answers_for_itself(answering, room):
-    for k, view in enumerate(room.sample.context):
-        seen = answering("nearest-view").render(view.camera)
-        assert np.array_equal(seen.rgb, view.image)
-        assert np.array_equal(seen.ids, room.label_maps.labels[k])
-        assert not seen.depth.any()
-        # Only what this view says counts.
-        own = room.field.bank.features[:, k]
-        assert np.array_equal(seen.field.bank.features[:, 0], own)
-    large = room.sample.context[1].camera.resized(288, 208)
-    seen = answering("nearest-view").render(large)
-    assert seen.rgb.shape == (208, 288, 3)
-    assert np.array_equal(seen.ids[::2, ::2], room.label_maps.labels[1])
 
 
 def test_the_2d_query_looks_at_the_rendered_picture(view_of, room):

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from slgaussian.benchmark.baselines import drawn
-from slgaussian.benchmark.baselines.ovs3d_like import choose_scales
-from slgaussian.benchmark.baselines.pyramid import Level, Tiling, encode_pyramid
+from slgaussian.benchmark.baselines.crops import Level, Tiling, choose_scales, encode_pyramid
 from slgaussian.rasterize import rasterize
 
 NOISE = 3e-7

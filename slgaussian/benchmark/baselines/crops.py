@@ -1,0 +1,319 @@
+"""Baselines of crops: LERF-like and 3D-OVS-like, vectors without masks.
+
+Square crops of the photographs at several scales are encoded on a grid; each Gaussian has what its
+source pixel has. No field is trained and nothing is regularised.
+
+LERF (arXiv 2303.09553) trains a field of language features over position and scale against such a
+pyramid, in thousands of steps over many photographs, with DINO features beside it. 3D-OVS (arXiv
+2305.14093) learns which of three patch sizes to believe at each point, together with a field of
+segmentation features, from a closed list of classes and the boundaries of DINO features; here each
+pixel believes the size whose best class leads the next one most. The list of classes is given,
+which no other method here has: a text competes with the rest of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slgaussian.benchmark.baselines.dense import DenseView
+from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
+from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.errors import InputError
+from slgaussian.geometry.room import Surroundings
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
+from slgaussian.language import Encoder
+from slgaussian.scene import Camera
+from slgaussian.semantic.decode import VISIBLE
+
+
+@dataclass(frozen=True)
+class LerfLike:
+    """Vectors at several scales, of which a text chooses one for the whole image.
+
+    Attributes
+    ----------
+    scales : sequence of float
+        Sides of the crops in heights of the photograph, in (0, 1]. LERF has seven, evenly from
+        0.05 to 0.5, with strides from a whole side at 0.05 to half of one from 0.15 on; strides
+        are the same here, scales are three, for time.
+
+    Raises
+    ------
+    InputError
+        If there is no scale, or one is out of range.
+    """
+
+    scales: Sequence[float] = (0.1, 0.25, 0.5)
+
+    def __post_init__(self) -> None:
+        if not len(self.scales) or not all(0 < scale <= 1 for scale in self.scales):
+            raise InputError(
+                f"lerf-like scales: found {list(self.scales)}, expected shares of the height above "
+                "0, at most 1"
+            )
+
+    def __call__(self, inputs: Inputs) -> LiftedVectors:
+        """Encode the pyramid of a scene."""
+        height = inputs.sample.context[0].camera.height
+        tilings = []
+        for scale in self.scales:
+            fraction = float(np.interp(scale, (0.05, 0.15), (1.0, 0.5)))
+            side = max(round(scale * height), 1)
+            tilings.append(Tiling(side, max(round(fraction * side), 1)))
+        levels = encode_pyramid(inputs, tilings)
+        return LiftedVectors(inputs, [level.at for level in levels], levels[0].width)
+
+
+@dataclass(frozen=True)
+class Ovs3dLike:
+    """Patches at the scale that tells the given classes apart best, pixel by pixel.
+
+    Attributes
+    ----------
+    parts : sequence of int
+        Sides of the patches: the shorter side of the photograph over each of these. Those of
+        3D-OVS by default.
+    stride : float
+        Between patches, in sides. 3D-OVS has a quarter; three quarters is a tenth of the work.
+
+    Raises
+    ------
+    InputError
+        If there is no part, one is below 1, or the stride is not in (0, 1].
+    """
+
+    parts: Sequence[int] = (5, 7, 10)
+    stride: float = 0.75
+
+    def __post_init__(self) -> None:
+        if not len(self.parts) or min(self.parts) < 1:
+            raise InputError(
+                f"3d-ovs-like parts: found {list(self.parts)}, expected numbers of at least 1"
+            )
+        if not 0 < self.stride <= 1:
+            raise InputError(
+                f"3d-ovs-like stride: found {self.stride}, expected a number above 0, at most 1"
+            )
+
+    def __call__(self, inputs: Inputs) -> LiftedVectors:
+        """Encode the patches of a scene, and choose the size that each pixel believes."""
+        size = inputs.sample.context[0].image.shape[:2]
+        sides = [max(min(size) // part, 1) for part in self.parts]
+        tilings = [Tiling(side, max(round(self.stride * side), 1)) for side in sides]
+        levels = encode_pyramid(inputs, tilings)
+        classes = tuple(text for text in inputs.classes if _is_usable(inputs, text))
+        chosen = choose_scales(inputs, levels, classes)
+
+        def at(pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
+            found = np.empty((len(pixels), stop - start), np.float32)
+            believed = chosen[pixels]
+            for number, level in enumerate(levels):
+                mine = believed == number
+                found[mine] = level.at(pixels[mine], start, stop)
+            return found
+
+        return LiftedVectors(inputs, [at], levels[0].width, classes)
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedVectors:
+    """Gaussians with the vectors of their source pixels.
+
+    Attributes
+    ----------
+    inputs : Inputs
+    scales : sequence of callable
+        As :func:`slgaussian.benchmark.baselines.drawn.draw_vectors` takes them, one a scale.
+    width : int
+        Numbers of a vector.
+    classes : tuple of str
+        A closed list of texts, if there is one.
+    """
+
+    inputs: Inputs
+    scales: Sequence[Callable[[np.ndarray, int, int], np.ndarray]]
+    width: int
+    classes: tuple[str, ...] = ()
+
+    def render(self, camera: Camera) -> DenseView:
+        """Draw colours and vectors as ``camera`` sees them."""
+        gaussians = self.inputs.gaussians
+        picture = draw_picture(gaussians, camera)
+        small = reduced(camera, self.width * len(self.scales))
+        vectors = np.empty((len(self.scales), small.height, small.width, self.width), np.float32)
+        for at, image in zip(self.scales, vectors, strict=True):
+            draw_vectors(gaussians, small, at, image)
+        seen = picture.alpha >= VISIBLE
+        reader = self.inputs.reader
+        return DenseView(picture.rgb, picture.depth, reader, seen, vectors, self.classes)
+
+
+def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str]) -> np.ndarray:
+    """Choose the scale that each context pixel believes, int8 [V * H * W].
+
+    That at which the best of the classes, or of the encoder's canonical phrases where there are
+    fewer than two, leads the next one most, by the tiles' scores between which the pixel lies; of
+    equal ones the first. With a single phrase it is the scale where that fits best.
+    """
+    texts = inputs.reader.vectors(classes if len(classes) > 1 else inputs.encoder.canonical)
+    pixels = np.arange(inputs.label_maps.labels.size)
+    leads = []
+    for level in levels:
+        ranked = np.sort(level.against(texts).at(pixels, 0, len(texts)), axis=1)
+        leads.append(ranked[:, -1] - (ranked[:, -2] if len(texts) > 1 else 0))
+    return np.stack(leads).argmax(0).astype(np.int8)
+
+
+def _is_usable(inputs: Inputs, text: str) -> bool:
+    try:
+        inputs.reader.vectors([text])
+    except InputError:
+        return False
+    return True
+
+
+BATCH = 512
+"""Tiles encoded together: their masks are a byte a pixel of the photograph each, 120 MB at
+416 x 576. Some encoders look at the whole photograph once for all of them."""
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """A scale: tiles of ``side`` pixels, a new one every ``stride`` pixels at most."""
+
+    side: int
+    stride: int
+
+    def starts(self, length: int) -> np.ndarray:
+        """Return first pixels of tiles along an axis of ``length`` pixels, evenly, to both ends."""
+        room = max(length - self.side, 0)
+        count = -(-room // self.stride) + 1
+        return np.rint(np.linspace(0, room, count)).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Values of the tiles of one scale.
+
+    Attributes
+    ----------
+    values : float32 [V, rows, columns, k]
+        Of the context views, which are of one size: the tiles' unit vectors, or something made of
+        them.
+    centres : tuple of float64 [rows], [columns]
+        Where the tiles' centres lie, in pixels.
+    size : tuple of int
+        (H, W) of the photographs.
+    """
+
+    values: np.ndarray
+    centres: tuple[np.ndarray, np.ndarray]
+    size: tuple[int, int]
+
+    @property
+    def width(self) -> int:
+        """Numbers a tile, k."""
+        return self.values.shape[3]
+
+    def at(self, pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
+        """Return numbers ``start`` to ``stop`` at context pixels, float32 [n, stop - start].
+
+        ``pixels`` int64 [n] are flat indices of [V, H, W]. Bilinear between centres, and constant
+        beyond the outermost.
+        """
+        found = np.empty((len(pixels), stop - start), np.float32)
+        down, across = (
+            _between(centres, length)
+            for centres, length in zip(self.centres, self.size, strict=True)
+        )
+        values = np.ascontiguousarray(self.values[..., start:stop])
+        share(_sample, len(pixels), values, *down, *across, pixels, found)
+        return found
+
+    def against(self, texts: np.ndarray) -> Level:
+        """Return the cosines of the tiles with unit vectors float [Q, C] in place of their own."""
+        return replace(self, values=np.einsum("vrcd,td->vrct", self.values, texts))
+
+
+def encode_pyramid(inputs: Inputs, tilings: Sequence[Tiling]) -> list[Level]:
+    """Encode the tiles of every context view at every scale.
+
+    Raises
+    ------
+    InputError
+        If the encoder does not look at images.
+    """
+    size = inputs.label_maps.labels.shape[1:]
+    places = [[tiling.starts(length) for length in size] for tiling in tilings]
+    tiles = [
+        (y, x, tiling.side)
+        for tiling, (rows, columns) in zip(tilings, places, strict=True)
+        for y in rows
+        for x in columns
+    ]
+    context = inputs.sample.context
+    vectors = np.stack(
+        [
+            _encode(inputs.encoder, tiles, view.image, around)
+            for view, around in zip(context, inputs.geometry.surroundings, strict=True)
+        ]
+    )
+    counts = [len(rows) * len(columns) for rows, columns in places]
+    parts = np.split(vectors, np.cumsum(counts)[:-1], axis=1)
+    levels = []
+    for tiling, starts, part in zip(tilings, places, parts, strict=True):
+        shape = len(part), *map(len, starts), part.shape[2]
+        centres = tuple(
+            (first + np.minimum(first + tiling.side, length)) / 2
+            for first, length in zip(starts, size, strict=True)
+        )
+        levels.append(Level(part.reshape(shape), centres, size))
+    return levels
+
+
+def _encode(
+    encoder: Encoder,
+    tiles: Sequence[tuple[int, int, int]],
+    image: np.ndarray,
+    around: Surroundings,
+) -> np.ndarray:
+    """Return unit vectors [n, C] of tiles by first row, first column and side."""
+    found = []
+    for start in range(0, len(tiles), BATCH):
+        batch = tiles[start : start + BATCH]
+        masks = np.zeros((len(batch), *image.shape[:2]), bool)
+        for mask, (y, x, side) in zip(masks, batch, strict=True):
+            mask[y : y + side, x : x + side] = True
+        found.append(encoder.encode_regions(image, masks, around))
+    return np.concatenate(found)
+
+
+def _between(centres: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each pixel of an axis the centre before it, and its share of the way onward."""
+    place = np.interp(np.arange(length) + 0.5, centres, np.arange(len(centres)))
+    low = np.minimum(place.astype(np.int64), max(len(centres) - 2, 0))
+    return low, (place - low).astype(np.float32)
+
+
+@kernel
+def _sample(counter, values, low_y, share_y, low_x, share_x, pixels, found):
+    height, width = len(low_y), len(low_x)
+    rows, columns = values.shape[1], values.shape[2]
+    one = np.float32(1)
+    n = take(counter)
+    while n < len(pixels):
+        line, x = divmod(pixels[n], width)
+        view, y = divmod(line, height)
+        grid, down, right = values[view], share_y[y], share_x[x]
+        top, left = low_y[y], low_x[x]
+        bottom, after = min(top + 1, rows - 1), min(left + 1, columns - 1)
+        a, b = (one - down) * (one - right), (one - down) * right
+        c, d = down * (one - right), down * right
+        for k in range(values.shape[3]):
+            upper = a * grid[top, left, k] + b * grid[top, after, k]
+            found[n, k] = upper + (c * grid[bottom, left, k] + d * grid[bottom, after, k])
+        n = take(counter)
