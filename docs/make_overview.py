@@ -7,7 +7,7 @@ import numpy as np
 
 import slgaussian as slg
 from slgaussian.benchmark import pictures
-from slgaussian.cameras.trajectories import between
+from slgaussian.cameras.paths import between
 
 
 def row(sample: slg.Sample, queries: tuple[str, str]) -> np.ndarray:

@@ -25,7 +25,7 @@ from slgaussian.language.named import Named, true_names
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths
-from slgaussian.predict.links import usable
+from slgaussian.predict.view_graph import usable
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
 from slgaussian.storage.account import Account
@@ -58,7 +58,7 @@ def build_field(
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
     Views that show another place, or repeat one, are left out with a warning
-    (:func:`slgaussian.predict.links.usable`).
+    (:func:`slgaussian.predict.view_graph.usable`).
 
     Parameters
     ----------

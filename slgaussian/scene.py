@@ -303,8 +303,9 @@ class Sample:
     phrases : mapping int -> str
         What each true instance id is called, where the truth is known.
     found : mapping
-        How the cameras were found, as :meth:`slgaussian.cameras.found.FoundCameras.as_json` says
-        it; empty if they were given.
+        How the cameras were found, as
+        :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json` says it; empty if they were
+        given.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from slgaussian import datasets
 from slgaussian.datasets import licences
 from slgaussian.errors import InputError
 from slgaussian.io import CHANGED, file_digest
-from slgaussian.predict.links import usable
+from slgaussian.predict.view_graph import usable
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef

@@ -35,10 +35,10 @@ from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.benchmark.statistics import LEVEL, interval, resamplings
 from slgaussian.cameras.epipolar import FocalPrior
+from slgaussian.cameras.estimated import DOUBTFUL, UNUSED
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.found import DOUBTFUL, UNUSED
-from slgaussian.cameras.pair import Described, find_pair
 from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Described, find_pair
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 

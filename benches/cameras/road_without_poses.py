@@ -37,7 +37,7 @@ from slgaussian.benchmark.annotations import read_truth
 from slgaussian.cameras.check import agree
 from slgaussian.cameras.matches import find_features, match
 from slgaussian.cameras.relative import Relative
-from slgaussian.cameras.sharpen import sharpen
+from slgaussian.cameras.subpixel import sharpen
 from slgaussian.datasets import unposed
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads

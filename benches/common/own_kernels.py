@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from benches.common.machine import machine
 from slgaussian.language.nearest import nearest_code
-from slgaussian.predict.fill import MEDIAN_COLOR, MEDIAN_RADIUS, weighted_median
+from slgaussian.predict.depth_completion import MEDIAN_COLOR, MEDIAN_RADIUS, weighted_median
 
 SIZE = (416, 576)
 LOW, RANGE, CANDIDATES = 0.1, 0.5, 144

@@ -20,7 +20,7 @@ from benches.common.pages import publish
 from benches.common.photograph_pairs import load_samples, photographs
 from slgaussian.benchmark.metrics import psnr
 from slgaussian.build import build_field
-from slgaussian.cameras.trajectories import between
+from slgaussian.cameras.paths import between
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply

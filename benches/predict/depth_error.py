@@ -26,14 +26,14 @@ from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.gaussians import source_depths
-from slgaussian.predict import links, planesweep
-from slgaussian.predict.links import INLIER, link_views
+from slgaussian.predict import planesweep, view_graph
 from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.predict.view_graph import INLIER, link_views
 from slgaussian.scene import Sample, View
 
 STAGES = {
     "link_views": planesweep,
-    "settle": links,
+    "settle": view_graph,
     "matching_cost": planesweep,
     "combine": planesweep,
     "aggregate": planesweep,

@@ -23,7 +23,7 @@ from benches.common.photograph_pairs import SIZE
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
 from slgaussian.benchmark.resident_memory import held
-from slgaussian.cameras.trajectories import between
+from slgaussian.cameras.paths import between
 from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates

@@ -29,7 +29,7 @@ from slgaussian.build import build_field
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import threads
-from slgaussian.predict.links import link_views
+from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample
 
 ROOMS = 8

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from benches.predict.hard_pairs import PHOTO_WALL, camera, photograph
 from slgaussian import datasets
 from slgaussian.datasets.procedural.raycast import BOX, Solid
-from slgaussian.predict.settle import placed
+from slgaussian.predict.pose_refinement import placed
 from slgaussian.scene import Camera, Sample, View
 
 ELSEWHERE = 1000

@@ -19,7 +19,7 @@ from slgaussian import __version__
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
-    from slgaussian.cameras.found import FoundCameras
+    from slgaussian.cameras.estimated import EstimatedCameras
     from slgaussian.datasets.sparse import SparseModel
     from slgaussian.field import SemanticField
 
@@ -205,7 +205,7 @@ def _check_place(place: Path, model: bool) -> None:
         )
 
 
-def _pairs_text(estimate: FoundCameras) -> str:
+def _pairs_text(estimate: EstimatedCameras) -> str:
     """Tabulate the pairs of photographs: matches, those that agree, angles and a verdict."""
     from flows.cli.tables import table_text
 
@@ -219,7 +219,7 @@ def _pairs_text(estimate: FoundCameras) -> str:
     return table_text(rows, "<>>>><")
 
 
-def _model(estimate: FoundCameras) -> SparseModel:
+def _model(estimate: EstimatedCameras) -> SparseModel:
     """Return a COLMAP model: a camera for each photograph, and the points that were matched."""
     import numpy as np
 
@@ -267,7 +267,7 @@ def masks(
     from slgaussian.io import atomic_folder
     from slgaussian.masks.associate import associate
     from slgaussian.masks.precomputed import encode_ids, map_names
-    from slgaussian.predict.links import usable
+    from slgaussian.predict.view_graph import usable
     from slgaussian.storage.field_folder import check_target
 
     method = make_settings(options.settings_from(ctx), "masks")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flows.settings import Settings
-from slgaussian.cameras.found import FoundCameras
+from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets import unposed
 from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene
@@ -87,7 +87,7 @@ def load_photographs(
     return sample, places
 
 
-def report_cameras(estimate: FoundCameras) -> None:
+def report_cameras(estimate: EstimatedCameras) -> None:
     """Print how cameras were estimated, and warnings."""
     for warning in estimate.warnings:
         print(f"warning: {warning}", file=sys.stderr)

@@ -9,6 +9,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from slgaussian.cameras import paths
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene
 
@@ -61,11 +62,10 @@ def choose_viewpoints(
         return [Viewpoint(n, f"rendering at {_short(n)}", cameras[n]) for n in names]
     if views:
         raise InputError("--view and --between: are two ways to look; give one of them")
-    from slgaussian.cameras import trajectories
 
     *ends, share = between
     a, b = (find_view(scene, str(view)) for view in ends)
-    camera = trajectories.between(cameras[a], cameras[b], share)
+    camera = paths.between(cameras[a], cameras[b], share)
     caption = f"rendering between {_short(a)} and {_short(b)} at {share:g}"
     return [Viewpoint(f"between {a} and {b} at {share:g}", caption, camera)]
 
@@ -78,7 +78,7 @@ def turn_viewpoints(cameras: Sequence[Camera], points: np.ndarray, frames: int) 
     InputError
         If the number of frames is out of range.
     """
-    from slgaussian.cameras.trajectories import orbit
+    from slgaussian.cameras.paths import orbit
 
     if not 2 <= frames <= MOST_FRAMES:
         raise InputError(

@@ -25,7 +25,7 @@ from slgaussian.benchmark.protocols import (
 )
 from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.benchmark.scores import scene_means
-from slgaussian.cameras.trajectories import between
+from slgaussian.cameras.paths import between
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.io import short_repr

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from slgaussian.cameras.found import DOUBTFUL, UNUSED, Focal, FoundCameras, FoundPair
-from slgaussian.cameras.many import Many, Solved, Unplaced, find_many
-from slgaussian.cameras.pair import EXIF_SPREAD, SPREAD, Described, confidence
+from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
+from slgaussian.cameras.multi_view import Many, Solved, Unplaced, find_many
 from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, confidence
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 
@@ -38,7 +38,7 @@ TOLD = 0.8
 """
 
 
-def find_cameras(photographs: Sequence[Photograph]) -> FoundCameras:
+def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     """The cameras of two or more photographs.
 
     The same photographs give the same cameras; their order decides only about the frame. Those
@@ -73,7 +73,7 @@ def _once(photographs: Sequence[Photograph]) -> tuple[list[Photograph], dict[str
     return once, again
 
 
-def _find(photographs: Sequence[Photograph]) -> FoundCameras:
+def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
     """As :func:`find_cameras`, of photographs all of which may have a say."""
     described = [Described.of(photograph) for photograph in photographs]
     kept, left = described, dict[str, str]()
@@ -115,7 +115,7 @@ def _left_out(left: Mapping[str, str], count: int) -> str:
 
 def _aside(
     solved: Solved, described: Sequence[Described], left: Mapping[str, str]
-) -> list[FoundPair]:
+) -> list[EstimatedPair]:
     """What was seen of pairs with photographs that were left out; not used, whatever it is."""
     place = {one.photograph.name: k for k, one in enumerate(described)}
     found = []
@@ -159,7 +159,7 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
     )
 
 
-def _told(found: Many, described: Sequence[Described]) -> FoundCameras:
+def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
     photographs = [one.photograph for one in described]
     cameras, focals = {}, {}
     for k, (one, photograph) in enumerate(zip(described, photographs, strict=True)):
@@ -168,7 +168,7 @@ def _told(found: Many, described: Sequence[Described]) -> FoundCameras:
         c2w[:3, :3], c2w[:3, 3] = found.R[k].T, -found.R[k].T @ found.t[k]
         focals[photograph.name] = focal
         cameras[photograph.name] = camera_of(photograph, focal, c2w, found.confidence)
-    return FoundCameras(
+    return EstimatedCameras(
         with_up(cameras, photographs),
         focals,
         {p.name: float(k1) for p, k1 in zip(photographs, found.k1, strict=True)},

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from slgaussian.cameras.found import FoundCameras
+from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets.lens import straight_mask, straightened
 from slgaussian.datasets.nerfstudio_frame import OPENGL, OWN, Frame
 from slgaussian.datasets.photographs import absent, name_in
@@ -109,7 +109,7 @@ def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
     return [frame.file, *([] if frame.image_path is None else [frame.image_path]), *named]
 
 
-def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> None:
+def write(file: Path, photographs: Mapping[str, Path], found: EstimatedCameras) -> None:
     """Write cameras that were found, and how, such that :func:`read` gives the same ones.
 
     Parameters
@@ -118,7 +118,7 @@ def write(file: Path, photographs: Mapping[str, Path], found: FoundCameras) -> N
         What is there is replaced.
     photographs : mapping str -> path
         Files by the names of their cameras.
-    found : FoundCameras
+    found : EstimatedCameras
 
     Raises
     ------

@@ -40,8 +40,8 @@ OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
 
 OWN = "slgaussian"
 """The key of what this package adds: at the top how cameras were found, as
-:meth:`slgaussian.cameras.found.FoundCameras.as_json` has it, and in each frame what else a camera
-is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
+:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json` has it, and in each frame what else a
+camera is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
 
 USED = frozenset(
     ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")

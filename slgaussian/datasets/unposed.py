@@ -1,8 +1,8 @@
 """Photographs and nothing else: a scene whose cameras are found from them.
 
 Photographs are taken upright, as their EXIF orientation has them. The world is the first camera's,
-and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.found`): in a folder
-the first are those by name.
+and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.estimated`): in a
+folder the first are those by name.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
@@ -131,7 +131,7 @@ def _common(files: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([file.parent for file in files]))
 
 
-def find(files: Mapping[str, Path]) -> FoundCameras:
+def find(files: Mapping[str, Path]) -> EstimatedCameras:
     """Find the cameras of photographs by name; of the same files in the same order, found once.
 
     Raises
@@ -149,7 +149,7 @@ def find(files: Mapping[str, Path]) -> FoundCameras:
 
 
 @lru_cache(maxsize=8)
-def _find(files: tuple[tuple[str, str, str], ...]) -> FoundCameras:
+def _find(files: tuple[tuple[str, str, str], ...]) -> EstimatedCameras:
     return find_cameras([photograph(Path(file), name) for name, file, _ in files])
 
 
@@ -181,7 +181,7 @@ def photograph(file: Path, name: str) -> Photograph:
     return Photograph(name, pixels, width, height, stated.lens, stated.focal, stated.up)
 
 
-def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
+def posed(files: Mapping[str, Path], found: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name, and of the cameras that were found for them.
 
     Views are straight where a lens distortion was found.
@@ -195,7 +195,7 @@ def posed(files: Mapping[str, Path], found: FoundCameras) -> Scene:
 
 def refined(
     scene: Scene, names: Sequence[str], files: Mapping[str, Path]
-) -> tuple[Scene, FoundCameras]:
+) -> tuple[Scene, EstimatedCameras]:
     """Find cameras of some views of a scene anew, in the world of those that it has.
 
     Parameters

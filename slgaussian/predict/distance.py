@@ -12,9 +12,9 @@ import numpy as np
 
 from slgaussian.cameras.matches import RATIO, Features, match, sift
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.candidates import MIN_MATCHES
-from slgaussian.predict.links import MIN_PARALLAX
+from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose import GATE
+from slgaussian.predict.view_graph import MIN_PARALLAX
 from slgaussian.scene import Camera
 
 ANCHORS = 4

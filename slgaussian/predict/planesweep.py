@@ -16,16 +16,10 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict import Depths
-from slgaussian.predict.balance import color_gains
-from slgaussian.predict.candidates import (
-    MIN_MATCHES,
-    candidates,
-    inverse_depth_range,
-    visible_share,
-)
+from slgaussian.predict.background import hidden
 from slgaussian.predict.configs import PlaneSweepConfig
 from slgaussian.predict.cost import combine, matching_cost
-from slgaussian.predict.fill import (
+from slgaussian.predict.depth_completion import (
     AGREES,
     IN_FRONT,
     cross_check,
@@ -34,13 +28,19 @@ from slgaussian.predict.fill import (
     weighted_median,
     without_speckles,
 )
-from slgaussian.predict.fuse import blend, needed
-from slgaussian.predict.hidden import hidden
-from slgaussian.predict.lend import SPECKLE, Swept, lend
-from slgaussian.predict.links import Link, link_views
-from slgaussian.predict.settle import kept_near
+from slgaussian.predict.depth_hypotheses import (
+    MIN_MATCHES,
+    candidates,
+    inverse_depth_range,
+    visible_share,
+)
+from slgaussian.predict.depth_propagation import SPECKLE, Swept, lend
+from slgaussian.predict.exposure import color_gains
+from slgaussian.predict.fusion import blend, needed
+from slgaussian.predict.pose_refinement import kept_near
 from slgaussian.predict.sgm import aggregate, winners
 from slgaussian.predict.unproject import unproject
+from slgaussian.predict.view_graph import Link, link_views
 from slgaussian.scene import Sample, View
 
 MIN_MARGIN = 0.02

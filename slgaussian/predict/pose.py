@@ -27,7 +27,8 @@ def refine(given: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
 
     Robust least squares of the Sampson distance with the given pose as a prior; the length of the
     baseline is kept, and with fewer than :data:`MIN_REFINE` matches so is the pose. Serves
-    to tell good matches; where poses are off, :mod:`slgaussian.predict.settle` moves all cameras.
+    to tell good matches; where poses are off, :mod:`slgaussian.predict.pose_refinement` moves all
+    cameras.
     """
     if len(ref) < MIN_REFINE:
         return given

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, jacobian, posterior, solve
-from slgaussian.cameras.one_place import why_no_depth
 
 LONGER = 960
 

@@ -8,8 +8,8 @@ import hard_photographs
 import numpy as np
 import pytest
 
+from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import MODEL, OPTIMISM, camera_of, find_cameras, focal_of, with_up
-from slgaussian.cameras.found import FoundCameras
 from slgaussian.cameras.photograph import Photograph
 
 
@@ -19,7 +19,7 @@ def room() -> list[Photograph]:
 
 
 @cache
-def found() -> FoundCameras:
+def found() -> EstimatedCameras:
     return find_cameras(room())
 
 

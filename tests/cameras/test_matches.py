@@ -5,7 +5,7 @@ import numpy as np
 import skimage.data
 
 from slgaussian.cameras.matches import Features, find_features, match, sift
-from slgaussian.cameras.sharpen import sharpen
+from slgaussian.cameras.subpixel import sharpen
 
 
 def plain_match(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:

@@ -9,7 +9,7 @@ from taken_photographs import stereo_pair, taken
 
 import slgaussian as slg
 from slgaussian import datasets
-from slgaussian.cameras.found import GOOD, Focal, FoundCameras, FoundPair
+from slgaussian.cameras.estimated import GOOD, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.datasets import unposed
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
@@ -28,9 +28,9 @@ def made_up(photographs):
         cameras[photograph.name] = Camera(np.array(K), pose, *size, estimated=said)
         focals[photograph.name] = Focal(f, 0.9 * f, 1.1 * f, "guess")
     names = list(cameras)
-    pairs = (FoundPair((names[0], names[1]), 200, 150, float("nan"), 1.0, GOOD, ""),)
+    pairs = (EstimatedPair((names[0], names[1]), 200, 150, float("nan"), 1.0, GOOD, ""),)
     k1 = dict.fromkeys(cameras, 0.0)
-    return FoundCameras(cameras, focals, k1, pairs, np.zeros((0, 3)), 0.75)
+    return EstimatedCameras(cameras, focals, k1, pairs, np.zeros((0, 3)), 0.75)
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_sizes_and_shapes_may_be_mixed(tmp_path, pair, asked):
 def test_distortion_that_was_found_is_undone(folder, asked, monkeypatch, pair):
     def bent(photographs):
         found = made_up(photographs)
-        return FoundCameras(
+        return EstimatedCameras(
             found.cameras, found.focals, dict.fromkeys(found.k1, -0.3), found.pairs,
             found.points, found.confidence,
         )  # fmt: skip

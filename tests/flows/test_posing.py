@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 import slgaussian as slg
 from flows.settings import make_settings
 from slgaussian import datasets
-from slgaussian.cameras.found import DOUBTFUL, Focal, FoundCameras, FoundPair
+from slgaussian.cameras.estimated import DOUBTFUL, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
@@ -26,7 +26,7 @@ ELSEWHERE = "elsewhere.png"
 SAID = Estimated((0.9, 1.15), "matches", 0.42, (0.0, -1.0, 0.0))
 
 
-def truth(photographs) -> FoundCameras:
+def truth(photographs) -> EstimatedCameras:
     """The room's own cameras, as if they had been found: in the world of the first."""
     known = room(*SIZE).cameras
     names = [photograph.name for photograph in photographs if photograph.name != ELSEWHERE]
@@ -36,8 +36,8 @@ def truth(photographs) -> FoundCameras:
     there[0, 3] = 1
     frame = {names[0]: Camera(K, np.eye(4), 1, 1), names[1]: Camera(K, there, 1, 1)}
     f = float(cameras[names[0]].K[0, 0])
-    pair = FoundPair((names[0], names[1]), 90, 60, float("nan"), 2.5, DOUBTFUL, "few matches")
-    found = FoundCameras(
+    pair = EstimatedPair((names[0], names[1]), 90, 60, float("nan"), 2.5, DOUBTFUL, "few matches")
+    found = EstimatedCameras(
         cameras,
         dict.fromkeys(names, Focal(f, 0.9 * f, 1.15 * f, "matches")),
         dict.fromkeys(names, 0.0),

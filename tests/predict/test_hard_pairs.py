@@ -27,7 +27,7 @@ from benches.predict.hard_pairs import (
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.kernels.threads import kernels_on
-from slgaussian.predict.candidates import MAX_DEPTH
+from slgaussian.predict.depth_hypotheses import MAX_DEPTH
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View
 

@@ -19,8 +19,8 @@ from slgaussian.build import build_field
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
-from slgaussian.predict.links import link_views, usable
 from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.predict.view_graph import link_views, usable
 from slgaussian.scene import Sample
 
 pytestmark = pytest.mark.whole

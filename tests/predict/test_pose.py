@@ -11,14 +11,14 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.predict.candidates import (
+from slgaussian.predict.depth_hypotheses import (
     candidates,
     inverse_depth_range,
     pixel_grid,
     visible_share,
 )
-from slgaussian.predict.links import link_views, without_strangers
 from slgaussian.predict.pose import refine
+from slgaussian.predict.view_graph import link_views, without_strangers
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))

@@ -16,14 +16,14 @@ from slgaussian.components.pretrained import chosen_device
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
-from slgaussian.predict.candidates import MIN_MATCHES
 from slgaussian.predict.configs import MVSplatConfig
-from slgaussian.predict.links import link_views
+from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.mvsplat.adapter import gaussians_of
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.predict.mvsplat.network import Network
+from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Camera, Sample, View
 
 MULTIPLE = 16

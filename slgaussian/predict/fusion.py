@@ -9,8 +9,8 @@ import numpy as np
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.kernels.jit import kernel
-from slgaussian.predict.fill import AGREES, IN_FRONT, cross_check
-from slgaussian.predict.links import Link, ViewGraph
+from slgaussian.predict.depth_completion import AGREES, IN_FRONT, cross_check
+from slgaussian.predict.view_graph import Link, ViewGraph
 
 COPIES = 2
 """Views that draw one surface, at most. On a forward-facing capture of eight views one is 0.3 dB

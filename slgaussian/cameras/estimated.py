@@ -39,7 +39,7 @@ class Focal:
 
 
 @dataclass(frozen=True)
-class FoundPair:
+class EstimatedPair:
     """What two photographs say of each other.
 
     Attributes
@@ -67,7 +67,7 @@ class FoundPair:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundCameras:
+class EstimatedCameras:
     """Cameras of a few photographs, in one world.
 
     The world has the axes and the position of the first camera, and the first two are at distance
@@ -81,7 +81,7 @@ class FoundCameras:
     focals : mapping str -> Focal
     k1 : mapping str -> float
         First radial distortion (OpenCV's) of each photograph; 0 unless enough views showed it.
-    pairs : tuple of FoundPair
+    pairs : tuple of EstimatedPair
     points : float64 [N, 3]
         Where matched points lie.
     confidence : float
@@ -95,7 +95,7 @@ class FoundCameras:
     cameras: Mapping[str, Camera]
     focals: Mapping[str, Focal]
     k1: Mapping[str, float]
-    pairs: tuple[FoundPair, ...]
+    pairs: tuple[EstimatedPair, ...]
     points: np.ndarray
     confidence: float
     warnings: tuple[str, ...] = ()
@@ -116,7 +116,7 @@ class FoundCameras:
             "left_out": dict(self.left_out),
         }
 
-    def in_frame_of(self, given: Mapping[str, Camera]) -> FoundCameras:
+    def in_frame_of(self, given: Mapping[str, Camera]) -> EstimatedCameras:
         """The same cameras in the world of others of the same names.
 
         The first camera takes the pose of its namesake, and distances become as large as those of

@@ -12,9 +12,9 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.neighbours import neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
-from slgaussian.predict.candidates import MIN_MATCHES
+from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose import GATE, MIN_REFINE, refine
-from slgaussian.predict.settle import settle
+from slgaussian.predict.pose_refinement import settle
 from slgaussian.scene import Camera, Sample, View
 
 INLIER = 2.0
@@ -267,7 +267,7 @@ def _warn_of(names: Sequence[str]) -> None:
     warnings.warn(
         f"{listed([names])}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
         "which the given poses alone must find; leave out what shows another place "
-        "(slgaussian.predict.links.usable)",
+        "(slgaussian.predict.view_graph.usable)",
         stacklevel=4,
     )
 

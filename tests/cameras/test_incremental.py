@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slgaussian.cameras.views import Placed, Tie, place
+from slgaussian.cameras.incremental import Placed, Tie, place
 
 CENTER = np.array([400.0, 300.0])
 

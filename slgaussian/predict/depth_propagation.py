@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from slgaussian.kernels.jit import kernel
-from slgaussian.predict.fill import without_speckles
-from slgaussian.predict.links import Link
+from slgaussian.predict.depth_completion import without_speckles
+from slgaussian.predict.view_graph import Link
 
 SPECKLE = 1 / 1200
 """Answered patches of at most this share of the image are taken for accidents and filled instead.

@@ -8,12 +8,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
-from slgaussian.cameras import many
+from slgaussian.cameras import multi_view
+from slgaussian.cameras.estimated import UNUSED
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.found import UNUSED
-from slgaussian.cameras.many import worth_solving
-from slgaussian.cameras.pair import Described
+from slgaussian.cameras.multi_view import worth_solving
 from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Described
 from slgaussian.errors import InputError
 
 
@@ -127,7 +127,7 @@ def test_a_refusal_of_the_rest_says_what_was_left_out(photographs):
 
 
 def test_nothing_placed_is_refused(photographs, monkeypatch):
-    monkeypatch.setattr(many, "place", lambda *_: None)
+    monkeypatch.setattr(multi_view, "place", lambda *_: None)
     with pytest.raises(InputError, match="3 photographs: no two of them tell cameras; 'view_0"):
         find_cameras(photographs[0])
 
@@ -162,7 +162,7 @@ def test_what_is_solved_hangs_together():
 
 
 def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
-    plain = many.find_pair
+    plain = multi_view.find_pair
 
     def wrong_once(a, b):
         pose = plain(a, b)
@@ -171,7 +171,7 @@ def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):
         turn = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
         return replace(pose, views=replace(pose.views, R=turn @ pose.views.R))
 
-    monkeypatch.setattr(many, "find_pair", wrong_once)
+    monkeypatch.setattr(multi_view, "find_pair", wrong_once)
     found = find_cameras(photographs[0])
     said = [pair for pair in found.pairs if set(pair.views) == {"view_00", "view_02"}]
     assert said[0].verdict == UNUSED

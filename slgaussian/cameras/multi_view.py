@@ -9,10 +9,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from slgaussian.cameras.found import UNUSED, FoundPair
+from slgaussian.cameras.estimated import UNUSED, EstimatedPair
+from slgaussian.cameras.incremental import Placed, Tie, place
 from slgaussian.cameras.matches import Features, match
-from slgaussian.cameras.pair import ALIKE, BLUNT, LEAST, Described, PairPose, confidence, find_pair
-from slgaussian.cameras.views import Placed, Tie, place
+from slgaussian.cameras.two_view import (
+    ALIKE,
+    BLUNT,
+    LEAST,
+    Described,
+    PairPose,
+    confidence,
+    find_pair,
+)
 from slgaussian.errors import InputError, listed
 from slgaussian.io import short_repr
 
@@ -47,7 +55,7 @@ class Many:
     focals, deviations, k1 : float64 [V]
         Focal lengths in pixels of the images, standard deviations of their logarithms, distortion.
     points : float64 [N, 3]
-    pairs : tuple of FoundPair
+    pairs : tuple of EstimatedPair
         All that were looked at.
     confidence : float
     """
@@ -58,7 +66,7 @@ class Many:
     deviations: np.ndarray
     k1: np.ndarray
     points: np.ndarray
-    pairs: tuple[FoundPair, ...]
+    pairs: tuple[EstimatedPair, ...]
     confidence: float
 
     __repr__ = short_repr
@@ -252,7 +260,7 @@ def _why_unplaced(
 
 def _checked(
     pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
-) -> FoundPair:
+) -> EstimatedPair:
     """What a pair said, or that all together contradict it; named in the order given."""
     found = pose.found
     if order[views[0]] > order[views[1]]:
@@ -274,7 +282,7 @@ def _checked(
 def _confidence(
     described: Sequence[Described],
     placed: Placed,
-    pairs: Mapping[tuple[int, int], FoundPair],
+    pairs: Mapping[tuple[int, int], EstimatedPair],
 ) -> float:
     """0 to 1: that every pose is right to some degrees.
 

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.cameras.trajectories import ROUND, between, orbit
+from slgaussian.cameras.paths import ROUND, between, orbit
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slgaussian.predict.links import ViewGraph
+from slgaussian.predict.view_graph import ViewGraph
 
 MIN_SAMPLES = 200
 """Fewest shared pixels that two exposures are compared on."""
@@ -40,9 +40,10 @@ def color_gains(
     For every linked pair the median ratio of values is taken over the answered pixels of the first
     view and the pixels they land on in the second; exposures meet these ratios in least squares of
     their logarithms. Each view is brought to the mean exposure of its neighbourhood
-    (:meth:`slgaussian.predict.links.ViewGraph.closeness`), two views to the mean of both: along a
-    walk from the dark into the light, views asked for look as the photographs there do. One among
-    several that is far off the others has little say (:data:`USUAL`), so it comes to look as they.
+    (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), two views to the mean of both:
+    along a walk from the dark into the light, views asked for look as the photographs there do. One
+    among several that is far off the others has little say (:data:`USUAL`), so it comes to look as
+    they.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ import numpy as np
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.balance import color_gains
-from slgaussian.predict.links import Link, ViewGraph
+from slgaussian.predict.exposure import color_gains
+from slgaussian.predict.view_graph import Link, ViewGraph
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import hard_photographs
 import pytest
 
-from slgaussian.cameras import pair
+from slgaussian.cameras import two_view
 from slgaussian.cameras.epipolar import solve
-from slgaussian.cameras.found import DOUBTFUL, GOOD, UNUSED
-from slgaussian.cameras.pair import Described, PairPose, find_pair
+from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED
+from slgaussian.cameras.two_view import Described, PairPose, find_pair
 
 
 def apart(*given):
@@ -49,7 +49,7 @@ def plain(described) -> PairPose:
 def test_a_bound_refuses(case, described, monkeypatch):
     bounds, said = REFUSING[case]
     for name, value in bounds.items():
-        monkeypatch.setattr(pair, name, value)
+        monkeypatch.setattr(two_view, name, value)
     found = find_pair(*described)
     assert found.found.verdict == UNUSED and said in found.found.said and found.advice
 
@@ -58,13 +58,13 @@ def test_a_bound_refuses(case, described, monkeypatch):
 def test_a_bound_doubts(case, described, plain, monkeypatch):
     bounds, said = DOUBTING[case]
     for name, value in bounds.items():
-        monkeypatch.setattr(pair, name, value)
+        monkeypatch.setattr(two_view, name, value)
     found = find_pair(*described)
     assert plain.found.verdict == GOOD
     assert found.found.verdict == DOUBTFUL and said in found.found.said
 
 
 def test_few_matches_are_doubted(described, plain, monkeypatch):
-    monkeypatch.setattr(pair, "LEAST", plain.found.inliers - 1)
+    monkeypatch.setattr(two_view, "LEAST", plain.found.inliers - 1)
     found = find_pair(*described).found
     assert found.verdict == DOUBTFUL and "matches agree" in found.said

@@ -16,12 +16,12 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
-from slgaussian.cameras.found import DOUBTFUL, GOOD, UNUSED, FoundPair
+from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED, EstimatedPair
 from slgaussian.cameras.matches import Features, find_features, match
-from slgaussian.cameras.one_place import why_no_depth
 from slgaussian.cameras.photograph import Photograph
-from slgaussian.cameras.sharpen import sharpen
+from slgaussian.cameras.subpixel import sharpen
 from slgaussian.io import short_repr
 
 FEATURES, CONTRAST, RATIO = 6000, 0.01, 0.85
@@ -144,7 +144,7 @@ class PairPose:
         Features that are inliers.
     x, y : float64 [M, 2]
         Where they lie, pixels from the middles; ``y`` is sharper than the features of ``second``.
-    found : FoundPair
+    found : EstimatedPair
         ``found.verdict`` is UNUSED if the pose is not to be used.
     advice : str
         What to do then, a clause.
@@ -159,7 +159,7 @@ class PairPose:
     j: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    found: FoundPair
+    found: EstimatedPair
     advice: str = ""
     probability: float = 1.0
 
@@ -189,7 +189,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     x = a.features.points[i] - a.middle
     y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
     names = a.photograph.name, b.photograph.name
-    found = FoundPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
+    found = EstimatedPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
     every = PairPose(a, b, None, i, j, x, y, found)
     answers, prior = solve(x, y, prior)
     if not answers:

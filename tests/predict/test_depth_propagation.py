@@ -6,8 +6,8 @@ import numpy as np
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.lend import Swept, lend
-from slgaussian.predict.links import Link
+from slgaussian.predict.depth_propagation import Swept, lend
+from slgaussian.predict.view_graph import Link
 
 CAMERAS = (camera(), camera(x=0.3))
 LINKS = [

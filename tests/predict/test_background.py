@@ -5,7 +5,7 @@ import pytest
 from textured_planes import camera
 
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.predict.hidden import hidden
+from slgaussian.predict.background import hidden
 from slgaussian.predict.unproject import unproject
 
 # Written out, not imported: a slip in the module must show here.

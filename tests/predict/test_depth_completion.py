@@ -5,7 +5,7 @@ import pytest
 from textured_planes import DISTANCE, NORMAL, Plane, camera
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.fill import (
+from slgaussian.predict.depth_completion import (
     AGREES,
     BEHIND,
     IN_FRONT,

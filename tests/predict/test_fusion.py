@@ -5,9 +5,9 @@ import pytest
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.fill import AGREES, cross_check
-from slgaussian.predict.fuse import blend, needed
-from slgaussian.predict.links import Link, ViewGraph
+from slgaussian.predict.depth_completion import AGREES, cross_check
+from slgaussian.predict.fusion import blend, needed
+from slgaussian.predict.view_graph import Link, ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0

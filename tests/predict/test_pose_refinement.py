@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from textured_planes import camera
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.settle import kept_near, settle
+from slgaussian.predict.pose_refinement import kept_near, settle
 
 TRUE = [camera(x=x, y=y, turn=turn) for x, y, turn in
         [(0, 0, 0), (0.3, 0.05, -0.05), (0.6, -0.05, 0.02), (0.9, 0, -0.02)]]  # fmt: skip
