@@ -1,4 +1,3 @@
-import pickle
 import shutil
 import struct
 import sys
@@ -9,7 +8,7 @@ from PIL import Image
 from posed_folders import HEIGHT, PINHOLE, WIDTH, Shot, picture, write_model, write_pictures
 from scipy.ndimage import map_coordinates
 
-from slgaussian.datasets import colmap, load, nerfstudio
+from slgaussian.datasets import colmap, load
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.datasets.sparse import KINDS, MODELS, read_model
 from slgaussian.errors import InputError
@@ -226,26 +225,6 @@ class TestLenses:
         found = back @ view.camera.K[:2, :2].T + view.camera.K[:2, 2]
         assert np.abs(found - stored[known]).max() < 5e-5  # measured 1.6e-5: the maps are float32
 
-    def test_agree_with_those_of_nerfstudio_files(self, tmp_path):
-        fx, fy, cx, cy, k1, k2, p1, p2 = LENSES["OPENCV"]
-        write_model(
-            tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: ("OPENCV", LENSES["OPENCV"])},
-            size=(250, 200),
-        )  # fmt: skip
-        write_pictures(tmp_path / "images", ["a.png"], 250, 200)
-        (tmp_path / "transforms.json").write_text(
-            f'{{"fl_x": {fx}, "fl_y": {fy}, "cx": {cx}, "cy": {cy}, "k1": {k1}, "k2": {k2}, '
-            f'"p1": {p1}, "p2": {p2}, "frames": [{{"file_path": "images/a.png", '
-            '"transform_matrix": [[1,0,0,0],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]}]}'
-        )
-        a = colmap.read(tmp_path).read("a.png")
-        b = nerfstudio.read(tmp_path).read("images/a.png")
-        assert np.array_equal(a.camera.K, b.camera.K)
-        # Noise, in which a 32nd of a pixel, OpenCV's step, is up to 8 levels.
-        differs = np.abs(a.image.astype(int) - b.image)
-        assert differs.max() <= 8
-        assert differs.mean() < 0.1
-
     def test_beyond_the_fold_of_a_polynomial_there_is_nothing(self, tmp_path):
         # Beyond r = 1 / sqrt(3 * 0.9) of the image plane this lens turns back towards the middle.
         lens = {1: ("SIMPLE_RADIAL", (60.0, 48.0, 32.0, -0.9))}
@@ -413,12 +392,3 @@ class TestDamage:
         write_model(tmp_path / "sparse/0", {}, CAMERAS)
         with pytest.raises(InputError, match="has no posed image"):
             load("colmap", tmp_path)
-
-
-def test_a_scene_can_be_sent_to_another_process(tmp_path):
-    write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: ("OPENCV", LENSES["OPENCV"])})
-    write_pictures(tmp_path / "images", ["a.png"])
-    scene = colmap.read(tmp_path)
-    again = pickle.loads(pickle.dumps(scene))
-    assert again.name == tmp_path.name
-    assert (again.read("a.png").image == scene.read("a.png").image).all()

@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import pickle
 import shutil
 import sys
 
@@ -85,6 +86,15 @@ def compare(tmp_path, write, ask):
 )
 def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, name, ask):
     compare(tmp_path, lambda root: write_folder(name, root), ask)
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "re10k"])
+def test_a_scene_can_be_sent_to_another_process(tmp_path, name):
+    folder = write_folder(name, tmp_path)
+    scene = datasets.load(folder.format, folder.path, **folder.options)
+    again = pickle.loads(pickle.dumps(scene))
+    for view in scene.cameras:
+        np.testing.assert_array_equal(again.read(view).image, scene.read(view).image)
 
 
 def test_every_reader_is_tried():

@@ -1,5 +1,4 @@
 import itertools
-import pickle
 
 import numpy as np
 import pytest
@@ -184,11 +183,6 @@ def test_the_ends_make_a_two_view_sample_and_the_middle_its_targets():
     assert np.linalg.norm(ends[0] - ends[1]) == pytest.approx(0.6)
     depth = sample.context[0].depth
     assert depth.min() > 1.5 and depth.max() < 8
-
-
-def test_a_scene_can_be_sent_to_another_process():
-    scene = reader.read(seed=0, **SMALL)
-    assert same(pickle.loads(pickle.dumps(scene)).read("view_02"), scene.read("view_02"))
 
 
 @pytest.mark.parametrize(
