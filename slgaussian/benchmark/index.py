@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from slgaussian.datasets.re10k import read_evaluation
+from slgaussian.datasets.re10k_text import read_evaluation
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic

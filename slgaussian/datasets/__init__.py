@@ -104,7 +104,7 @@ def inputs(
 
 
 def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
-    """The scenes in a folder by name, each with the settings that its reader takes for it.
+    """List the scenes in a folder by name, each with the settings that its reader takes for it.
 
     A format of one scene a folder has that one, called as the folder is.
 

@@ -1,4 +1,4 @@
-"""Which of many photographs, or of a video's frames, are enough to show what all of them show."""
+"""Choose keyframes of many photographs, or of a video, that show what all of them show."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ then half a part apart at least."""
 def choose_keyframes(
     blurs: Sequence[float], count: int, cameras: Sequence[Camera] | None = None
 ) -> list[int]:
-    """Numbers of the keyframes, ascending.
+    """Choose the keyframes; return their numbers, ascending.
 
     The way from the first to the last is cut into ``count`` equal parts, and of the middle of each
     the sharpest frame is taken. The way is what the camera moves and turns, each as a share of all
@@ -55,7 +55,7 @@ def choose_keyframes(
 
 
 def _way(frames: int, cameras: Sequence[Camera] | None) -> np.ndarray:
-    """How far along the way each frame is, float64 [N] from 0 to 1."""
+    """Return how far along the way each frame is, float64 [N] from 0 to 1."""
     even = np.linspace(0, 1, frames)
     if cameras is None:
         return even

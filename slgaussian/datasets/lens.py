@@ -1,6 +1,6 @@
 """Photographs straightened: what a pinhole camera would have seen where a lens bent the rays.
 
-A lens is told by two maps, float32 [H, W] each: the column and the row of the stored photograph, in
+A lens is two maps, float32 [H, W] each: the column and the row of the stored photograph, in
 OpenCV's count from pixel centres, that each pixel of the straight one shows.
 """
 
@@ -18,7 +18,7 @@ Maps = tuple[np.ndarray, np.ndarray]
 
 
 def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> Maps:
-    """The maps of OpenCV's lens k1, k2, p1, p2, k3 before a camera K [3, 3], of width and height.
+    """Compute the maps of OpenCV's lens k1, k2, p1, p2, k3 before a camera K [3, 3].
 
     The straight photograph has the same K.
     """
@@ -30,7 +30,7 @@ def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> 
 def straightened(
     image: np.ndarray, depth: np.ndarray | None, maps: Maps
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """A photograph uint8 [H, W, 3] and its depth float32 [H, W] or None, both straight.
+    """Straighten a photograph uint8 [H, W, 3] and its depth float32 [H, W] or None.
 
     Colours are interpolated, depths as :func:`slgaussian.formats.resampling.sample_depth` has it;
     what the lens did not see is black, with depth 0.
@@ -41,7 +41,7 @@ def straightened(
 
 
 def straight_mask(mask: np.ndarray | None, maps: Maps) -> np.ndarray | None:
-    """A mask bool [H, W] of a photograph, straight: where it covers more than half of a pixel.
+    """Straighten a mask bool [H, W] of a photograph: where it covers more than half of a pixel.
 
     None stays None.
     """
@@ -51,7 +51,7 @@ def straight_mask(mask: np.ndarray | None, maps: Maps) -> np.ndarray | None:
 
 
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
-    """The maps without what a polynomial makes up beyond the image circle.
+    """Return the maps without what a polynomial makes up beyond the image circle.
 
     A distortion polynomial holds where it was fitted. Farther out it may turn back and show the
     picture a second time, mirrored; whatever lies behind such a fold, where the determinant of the

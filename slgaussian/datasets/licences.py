@@ -1,4 +1,4 @@
-"""Under which licence data are, as a file beside them says."""
+"""Licences of data, as files beside them state them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ LONGEST = 80
 
 
 def stated(path: Path) -> str:
-    """The licence files in a folder, or beside a file, each with its first line; empty if none."""
+    """List the licence files in a folder, or beside a file, each with its first line."""
     folder = path if path.is_dir() else path.parent
-    told = []
+    statements = []
     for file in sorted({file for pattern in NAMES for file in folder.glob(pattern)}):
         try:
             lines = file.read_text("utf-8", "replace").split("\n")
         except OSError:
             continue
         first = next((line.strip() for line in lines if line.strip()), "")
-        told.append(f"{file.name}: {first[:LONGEST]}")
-    return "; ".join(told)
+        statements.append(f"{file.name}: {first[:LONGEST]}")
+    return "; ".join(statements)

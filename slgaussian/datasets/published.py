@@ -115,7 +115,7 @@ RECOGNISED, UNVERIFIED, ANOTHER = "recognised", "unverified", "another"
 
 @dataclass(frozen=True)
 class Found:
-    """What is there of a scene that was asked.
+    """A scene that was asked.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Standing:
-    """Whether a scene is a published one.
+    """Relation of a scene to the published ones.
 
     Attributes
     ----------

@@ -168,7 +168,7 @@ def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
 def read_index(path: str | Path) -> dict[str, str]:
     """Read the chunk file of every clip of a split, by key, from its ``index.json``."""
     file = f"{path}/{INDEX}"
-    index = _json(file)
+    index = read_json(file)
     names = index.values()
     if not all(isinstance(n, str) and n == os.path.basename(n)[:255] for n in names):
         raise InputError(f"{file}: expected the name of a chunk for every key")
@@ -362,7 +362,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     batch: list[Clip] = []
     try:
         path.mkdir(parents=True, exist_ok=True)
-        index = _json(path / INDEX) if (path / INDEX).exists() else {}
+        index = read_json(path / INDEX) if (path / INDEX).exists() else {}
 
         def write_chunk() -> None:
             number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
@@ -406,37 +406,8 @@ def encoded(clips: Sequence[Clip]) -> bytes:
     return buffer.getvalue()
 
 
-def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
-    """Read the published evaluation index: context and target views by key, where there are any.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or an entry is neither null nor lists of frame numbers.
-    """
-    found = {}
-    for key, entry in _json(file).items():
-        if entry is None:
-            continue
-        frames = [_frames(entry, name) for name in ("context", "target")]
-        if not all(frames):
-            raise InputError(
-                f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
-                '{"context": [0, 40], "target": [10, 20, 30]}, or null'
-            )
-        found[key] = frames[0], frames[1]
-    return found
-
-
-def _frames(entry: Any, name: str) -> list[str]:
-    """Return the frame numbers of an entry as text; none if they have another form."""
-    frames = entry.get(name) if isinstance(entry, dict) else None
-    if not isinstance(frames, list) or not all(type(f) is int and f >= 0 for f in frames):
-        return []
-    return [str(frame) for frame in frames]
-
-
-def _json(file: str | Path) -> dict[str, Any]:
+def read_json(file: str | Path) -> dict[str, Any]:
+    """Read a JSON object by key from a file or fsspec URL; InputError if it is none."""
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
             content = strict_json.parse(stream.read())

@@ -1,4 +1,4 @@
-"""RealEstate10K as it is published: a camera file a clip, and frames that lie at hand.
+"""RealEstate10K as it is published: a camera file a clip, with frames that lie at hand.
 
 The files of https://google.github.io/realestate10k/ have the address of a video in their first line
 and, a row a frame, the time and the 18 numbers of a camera (:mod:`slgaussian.datasets.re10k`).
@@ -13,6 +13,7 @@ from __future__ import annotations
 import codecs
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,3 +113,33 @@ def is_camera_file(file: Path) -> bool:
             return file.suffix == ".txt" and start.startswith((b"https://", b"http://"))
     except OSError:
         return False
+
+
+def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
+    """Read the published evaluation index: context and target views by key, where there are any.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or an entry is neither null nor lists of frame numbers.
+    """
+    found = {}
+    for key, entry in re10k.read_json(file).items():
+        if entry is None:
+            continue
+        frames = [_frames(entry, name) for name in ("context", "target")]
+        if not all(frames):
+            raise InputError(
+                f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
+                '{"context": [0, 40], "target": [10, 20, 30]}, or null'
+            )
+        found[key] = frames[0], frames[1]
+    return found
+
+
+def _frames(entry: Any, name: str) -> list[str]:
+    """Return the frame numbers of an entry as text; none if they have another form."""
+    frames = entry.get(name) if isinstance(entry, dict) else None
+    if not isinstance(frames, list) or not all(type(f) is int and f >= 0 for f in frames):
+        return []
+    return [str(frame) for frame in frames]

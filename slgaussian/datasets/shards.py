@@ -21,7 +21,7 @@ LONGEST = 48
 
 
 def key_of(clip: str) -> str:
-    """What members are called after a clip: letters, digits, ``_`` and ``-``.
+    """Return the name of a clip's members: letters, digits, ``_`` and ``-``.
 
     A dot would end the key, and a slash make a folder. A name that has such letters, or is too
     long, gets eight digits of its SHA-256, so that no two clips have one key.
@@ -33,7 +33,7 @@ def key_of(clip: str) -> str:
 
 
 def pack(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The part of a tar file that is one sample; members by what their names end in."""
+    """Pack one sample as a part of a tar file; members by what their names end in."""
     parts = []
     for ending, data in members.items():
         about = tarfile.TarInfo(f"{key}.{ending}")

@@ -1,4 +1,4 @@
-"""How good a photograph is to learn from: a small grey look at it, its blur and its exposure."""
+"""Quality of a photograph: a small grey look at it, its blur and its exposure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CLIPPED = 4
 
 
 def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
-    """An encoded photograph in grey, uint8 [h, w], its shorter side :data:`SIDE` pixels or fewer.
+    """Decode a photograph in grey, uint8 [h, w], its shorter side :data:`SIDE` pixels or fewer.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
 
 
 def small(image: np.ndarray) -> np.ndarray:
-    """A photograph uint8 [H, W, 3] in grey and as small as :func:`glance` makes it."""
+    """Make a photograph uint8 [H, W, 3] grey and as small as :func:`glance` makes it."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     scale = min(1.0, SIDE / min(grey.shape))
     size = max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale))
@@ -55,7 +55,7 @@ def small(image: np.ndarray) -> np.ndarray:
 
 
 def blur(grey: np.ndarray) -> float:
-    """How blurred an image uint8 [h, w] is, from 0, sharp, to 1; without any edge 1.
+    """Measure the blur of an image uint8 [h, w] from 0, sharp, to 1; without any edge 1.
 
     The fraction of its edges that survive another blur, in the worse of the two directions (Crete
     et al., "The blur effect", 2007). Unlike the variance of the Laplacian it hardly depends on how
@@ -69,6 +69,6 @@ def blur(grey: np.ndarray) -> float:
 
 
 def exposure(grey: np.ndarray) -> tuple[float, float]:
-    """Mean of an image uint8 [h, w], 0 to 1, and the fraction of pixels that are clipped."""
+    """Return the mean of an image uint8 [h, w], 0 to 1, and the fraction of clipped pixels."""
     clipped = (grey <= CLIPPED) | (grey >= 255 - CLIPPED)
     return float(grey.mean() / 255), float(clipped.mean())

@@ -61,7 +61,7 @@ class SparseImage:
 
 @dataclass(frozen=True, eq=False)
 class SparseModel:
-    """What the files say.
+    """Content of the files of a model.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class SparseModel:
 
 
 def model_files(folder: Path) -> list[Path]:
-    """The files of the model in a folder, all of one kind; none if cameras or images lack.
+    """List the files of the model in a folder, all of one kind; none if cameras or images lack.
 
     Points may be missing: a reconstruction without them still has poses.
     """
@@ -166,7 +166,7 @@ def write_text(folder: Path, model: SparseModel, maker: str) -> None:
 
 
 class _Wrong(Exception):
-    """What is wrong with a file."""
+    """Damage of a file, in words."""
 
 
 class _Bytes:

@@ -26,7 +26,7 @@ BASELINE = 0.193001
 
 
 def read() -> Scene:
-    """The pair as views "left" and "right", 500x741 pixels, rectified and in metres.
+    """Read the pair as views "left" and "right", 500x741 pixels, rectified and in metres.
 
     The left camera is the origin of the world. The left view has the true depth, float32, 0 where
     the data set has none (about 7 % of the pixels); the right view has no truth of its own.
@@ -49,7 +49,7 @@ def read() -> Scene:
 
 
 def depth_from_disparity(disparity: np.ndarray) -> np.ndarray:
-    """Depth in metres, float32, of left disparities in pixels; 0 where they are NaN or infinite."""
+    """Compute depth in metres, float32, of left disparities in pixels; 0 where not finite."""
     known = np.isfinite(disparity)
     return np.where(known, BASELINE * FOCAL / (np.where(known, disparity, 0) + DOFFS), 0).astype(
         np.float32

@@ -240,7 +240,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return decode_table(data, load_spec("training_set"), file, ANEW)
 
     def _place(self) -> tuple[AbstractFileSystem, str]:
-        """The file system and the path in it: each process its own, as some cannot be shared."""
+        """Open the file system and the path in it, in each process anew: some cannot be shared."""
         if self._opened is None or self._opened[0] != os.getpid():
             self._opened = (os.getpid(), *open_place(self.folder, "training set"))
         return self._opened[1:]

@@ -1,4 +1,4 @@
-"""What a field is made of and what that costs, as the field says it of itself.
+"""Account of a field: its Gaussians, codes and bytes, as the field says it of itself.
 
 The same of the same input: how many seconds a field took is no part of it.
 """
@@ -53,24 +53,26 @@ class Account:
 
     @staticmethod
     def of(settings: Mapping[str, Any]) -> Account | None:
-        """The account in the settings of a field; None if it was made before there was one."""
-        said = settings.get("account")
-        return None if said is None else Account(**said)
+        """Read the account in the settings of a field; None if it was made before there was one."""
+        account = settings.get("account")
+        return None if account is None else Account(**account)
 
     def lines(self) -> list[str]:
-        """The account for people, a line each."""
-        kept = self.gaussians_kept / max(self.gaussians_made, 1)
-        found = [
-            f"Gaussians: {self.gaussians_kept:,} of {self.gaussians_made:,} made ({kept:.0%}); "
+        """Describe the account for people, a line each."""
+        share = self.gaussians_kept / max(self.gaussians_made, 1)
+        lines = [
+            f"Gaussians: {self.gaussians_kept:,} of {self.gaussians_made:,} made ({share:.0%}); "
             f"that changes the context views by {self.change_mean:.2f} grey levels in the mean, "
             f"{self.change_rms:.2f} in the root mean square, {self.change_greatest:.1f} at most"
         ]
         if self.depths_tried is not None:
-            found.append(f"depth candidates: {self.depths_tried:,} of {self.depths_possible:,}")
-        told = "" if self.replicas_computed is None else f"{self.replicas_computed} computed of "
+            lines.append(f"depth candidates: {self.depths_tried:,} of {self.depths_possible:,}")
+        computed = (
+            "" if self.replicas_computed is None else f"{self.replicas_computed} computed of "
+        )
         return [
-            *found,
+            *lines,
             f"ID codes: {self.code_dimensions} numbers each",
-            f"replicas: {told}{self.replicas_asked} asked for",
+            f"replicas: {computed}{self.replicas_asked} asked for",
             f"bytes: Gaussians {self.bytes_gaussians:,}, memory bank {self.bytes_bank:,}",
         ]

@@ -45,7 +45,7 @@ AGAIN = "build the field again"
 
 @dataclass(frozen=True, eq=False)
 class About:
-    """What ``field.json`` says of a field, wherever it is: the same of the same field.
+    """Content of ``field.json``, wherever the field is: the same of the same field.
 
     Attributes
     ----------

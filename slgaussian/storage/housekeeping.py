@@ -31,7 +31,7 @@ _OURS = {"", FOLDER, "digests", *spec_names()}
 
 @dataclass
 class Garbage:
-    """What nothing refers to, and was written before the age asked for.
+    """Files that nothing refers to, and that were written before some age.
 
     Attributes
     ----------

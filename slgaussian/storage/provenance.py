@@ -1,4 +1,4 @@
-"""What made a file, as the file says it: program, stage, settings, versions of software.
+"""Provenance of a file, as the file says it: program, stage, settings, versions of software.
 
 Never when, where or by whom, and nothing of one machine: what the same installation makes of the
 same input has the same bytes. It is no part of an artifact's digest, which is over the content: a

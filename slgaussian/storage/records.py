@@ -1,4 +1,4 @@
-"""Which work made which artifact: small JSON files under ``keys/`` in a store.
+"""Records of the work that made artifacts: small JSON files under ``keys/`` in a store.
 
 They are in the store itself, so that every process and machine that uses it finds what another has
 made. They are read as JSON and checked: nobody who may write to the store can have code run.

@@ -1,4 +1,4 @@
-"""What the data look like: one ``.toml`` file a spec, read by one validator.
+"""Specs of stored data: one ``.toml`` file a spec, read by one validator.
 
 A spec with ``fields`` lists named arrays with dtype and shape; the letters of a shape are axes,
 whose sizes must agree within one artifact. A spec with ``columns`` lists those of a table. Both are
@@ -58,7 +58,7 @@ ROUNDING = 1e-9
 
 @cache
 def column_types() -> Mapping[str, pa.DataType]:
-    """Arrow's types by what specs call them."""
+    """Return Arrow's types by their names in specs."""
     import pyarrow as pa
 
     numbers = ("int64", "int32", "uint8", "float64", "float32")
@@ -111,9 +111,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Spec:
-    """What one kind of artifact holds: ``fields`` of an ``.npz`` or ``columns`` of a table.
-
-    Or ``keys`` of a JSON file.
+    """One kind of file: ``fields`` of an ``.npz``, ``columns`` of a table or ``keys`` of JSON.
 
     Attributes
     ----------
@@ -146,7 +144,7 @@ class Spec:
 
     @property
     def label(self) -> str:
-        """How a file names its spec."""
+        """Name of the spec in a file."""
         return f"{OWNER}/{self.name}@{self.version}"
 
     @property
@@ -158,7 +156,7 @@ class Spec:
 
     @property
     def schema(self) -> pa.Schema:
-        """The Arrow schema of a table spec, which says what it is."""
+        """Arrow schema of a table spec, with its metadata."""
         import pyarrow as pa
 
         types = column_types()
@@ -171,7 +169,7 @@ class Spec:
         )
 
     def about(self, names: Iterable[str]) -> dict[str, Any]:
-        """What an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
+        """Return what an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
         known = {name: self.fields[name] for name in names if name in self.fields}
         letters = {axis for own in known.values() for axis in own.shape}
         return {
@@ -225,7 +223,7 @@ class Spec:
 
 @cache
 def load_spec(name: str) -> Spec:
-    """The spec called ``name``.
+    """Load the spec called ``name``.
 
     Raises
     ------
@@ -251,19 +249,19 @@ def _entries(tables: Mapping[str, dict[str, Any]]) -> dict[str, Entry]:
 
 @cache
 def spec_names() -> tuple[str, ...]:
-    """The names of all specs, sorted."""
+    """List the names of all specs, sorted."""
     names = (entry.name for entry in files("data_specs").iterdir())
     return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
 
 
 def parse_label(label: str) -> tuple[str, int]:
-    """Name and version of a spec as a file names it; of any other text the text and 0."""
-    found = re.fullmatch(rf"{OWNER}/([a-z_]+)@([1-9]\d{{0,5}})", label)
-    return (label, 0) if found is None else (found[1], int(found[2]))
+    """Split the label of a spec into name and version; of any other text the text and 0."""
+    match = re.fullmatch(rf"{OWNER}/([a-z_]+)@([1-9]\d{{0,5}})", label)
+    return (label, 0) if match is None else (match[1], int(match[2]))
 
 
 def mismatch(file: str, field: str, found: str, expected: str) -> SpecError:
-    """The one form of a :class:`SpecError` about a file."""
+    """Return a :class:`SpecError` about a file in the one form of all."""
     return SpecError(f"{file}: {field}: found {found}, expected {expected}")
 
 

@@ -92,20 +92,6 @@ def test_cameras_survive_the_row(turn, place, focal, middle):
     np.testing.assert_allclose(back.c2w, c2w, atol=1e-5)  # float32 of places up to 10
 
 
-def test_an_evaluation_index(tmp_path):
-    file = tmp_path / "index.json"
-    file.write_text('{"a": {"context": [58, 133], "target": [84, 102, 129]}, "b": null}')
-    assert re10k.read_evaluation(file) == {"a": (["58", "133"], ["84", "102", "129"])}
-    for wrong in (
-        '{"a": {"context": [1]}}',
-        '{"a": [1]}',
-        '{"a": {"context": [-1], "target": [2]}}',
-    ):
-        file.write_text(wrong)
-        with pytest.raises(InputError, match="clip 'a': found"):
-            re10k.read_evaluation(file)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
 def test_a_chunk_that_is_cut_short_is_one_sentence(split, tmp_path, share):
     data = (split / "000000.torch").read_bytes()

@@ -1,4 +1,4 @@
-"""Seeded small rooms: what stands where, what it is made of, and what to call it."""
+"""Seeded small rooms: objects, their places, materials and phrases."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class _Place:
 
 
 class _Ground:
-    """Where things may stand: the floor first, then the tops of tables, boxes and the carpet."""
+    """Places where things may stand: the floor, the carpet, the tops of a table and boxes."""
 
     def __init__(self) -> None:
         x, y0, y1 = _STAGE

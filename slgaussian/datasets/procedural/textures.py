@@ -1,4 +1,4 @@
-"""What surfaces look like: painted patterns, solid noise, and the photographs in scikit-image.
+"""Textures of surfaces: painted patterns, solid noise, and the photographs in scikit-image.
 
 A pattern is laid out in *cells* on the surface of a solid: a whole number of them around anything
 round, so that stripes, checks and dots close without a seam. Colours are linear light in [0, 1].
@@ -36,7 +36,7 @@ RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """What a thing is made of.
+    """A material of a thing.
 
     Attributes
     ----------
