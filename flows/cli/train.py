@@ -45,7 +45,7 @@ def train(
     settings = checked(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
     judgements = run_flow("train", settings, verbose).judgements
     import numpy as np
-    from slgaussian.benchmark.verdict import clip_scores, verdict
+    from slgaussian.benchmark.significance import clip_scores, verdict
 
     from flows.cli.tables import table_text
     from flows.training import FILES
