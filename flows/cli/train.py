@@ -45,10 +45,10 @@ def train(
     settings = checked(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
     judgements = run_flow("train", settings, verbose).judgements
     import numpy as np
-    from slgaussian.benchmark.significance import clip_scores, verdict
 
     from flows.cli.tables import table_text
     from flows.training import FILES
+    from slgaussian.benchmark.significance import clip_scores, verdict
 
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
     scores = {kind: clip_scores(judgements, kind) for kind in kinds}

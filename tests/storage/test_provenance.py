@@ -23,7 +23,7 @@ from slgaussian.storage.encoding import (
     stated,
 )
 from slgaussian.storage.provenance import Made, making, software, statement
-from slgaussian.storage.specs import UNITS, load_spec
+from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
 MADE = Made(
@@ -88,15 +88,6 @@ def test_units_bounds_and_values_are_metadata_of_the_column():
     assert schema.field("share").metadata[b"unit"] == b"1"
     assert json.loads(schema.field("share").metadata[b"high"]) == 1
     assert json.loads(schema.field("absent").metadata[b"values"]) == ["skip", "zero"]
-
-
-def test_only_fields_that_are_there_are_spoken_of():
-    spec = load_spec("sample")
-    about = spec.about(["images", "K"])
-    assert about["fields"].keys() == {"images", "K"}
-    assert about["axes"].keys() == {"C", "H", "W"}
-    units = {own["unit"] for own in about["fields"].values()}
-    assert units < UNITS.keys()
 
 
 def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):

@@ -55,21 +55,6 @@ def test_arrays_and_tables_come_back_as_they_were(store):
     assert store.get(store.put("failures", table)).equals(table)
 
 
-def test_every_kind_of_array_of_the_specs_survives(store):
-    arrays = {
-        "views": np.array(["a", "b"]),
-        "queries": np.array(["red ball", "größe"]),
-        "masks": np.eye(4, dtype=bool)[None].repeat(2, 0),
-        "box_masks": np.zeros(0, np.int32),
-        "boxes": np.zeros((0, 4)),
-        "has_boxes": np.array(False),
-    }
-    back = store.get(store.put("truth", arrays))
-    for name, array in arrays.items():
-        assert back[name].shape == array.shape
-        np.testing.assert_array_equal(back[name], array)
-
-
 def test_equal_content_is_one_file_and_other_content_another(store):
     a, b, c = (store.put("labels", labels(v)) for v in (3, 3, 4))
     assert a == b
@@ -152,13 +137,6 @@ def test_damage_is_one_sentence_that_names_the_file(store, damage):
     assert "\n" not in message
     assert store.put("labels", labels(3)) == ref
     assert store.fs.cat_file(path) == whole
-
-
-def test_a_damaged_table_is_a_spec_error(store):
-    ref = store.put("failures", failures("a"))
-    store.fs.pipe_file(f"{store.path}/{ref.uri}", b"PAR1 and then nothing PAR1")
-    with pytest.raises(SpecError, match="cannot be read"):
-        store.get(ref)
 
 
 def test_no_damaged_byte_escapes_as_another_error(local):
