@@ -67,8 +67,7 @@ for _ in range(turns):
 
 def made(folder: Path, rooms: int, name: str, options: tuple[str, ...]) -> Cost:
     """Make a set of so many rooms in a folder."""
-    words = ["dataset", folder / name, f"procedural:0-{rooms - 1}"]
-    words += ["--set", "targets=1", "--set", "most=2"]
+    words = ["dataset", folder / name, f"procedural:0-{rooms - 1}", "--targets", 1, "--most", 2]
     return costing([*CLI, *words, "--store", folder / "store", *options], status=(0, 1))
 
 

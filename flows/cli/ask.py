@@ -20,13 +20,11 @@ if TYPE_CHECKING:
     from slgaussian.field import FieldView
     from slgaussian.language.query import QueryResult
 
-VERDICTS = ("found", "not sure", "not here")
-"""Best first."""
-
 NOTHING = "no text fits"
 """Label of pixels that fit no text better than the canonical phrases."""
 
 
+@options.configured("preset", "threshold")
 def query(
     ctx: typer.Context,
     field: options.Folder,
@@ -40,10 +38,7 @@ def query(
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
-    preset: options.Preset = None,
-    threshold: options.Threshold = None,
     words: options.Words = None,
-    set_: options.Set = None,
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -60,30 +55,32 @@ def query(
     slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
     slgaussian query field/ --like crop.png --set share=0.8 -o hit.png
     """
-    from flows.cli.open_field import open_field, render_view, sort_texts
+    from flows.cli.open_field import choose_cameras, open_field, render_view, sort_texts
     from flows.cli.pictures import check_picture, write_picture
-    from flows.cli.viewpoints import choose_viewpoints
 
     texts = texts or []
     if not texts and not like:
         raise InputError("nothing is asked: give a TEXT, or a picture with --like")
     if out is not None:
         check_picture(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method, preset=preset), words)
+    rules, opened = open_field(
+        field, options.settings_from(ctx, Method, preset=ctx.params["preset"]), words
+    )
     crops = {str(file): _read_crop(file) for file in like or ()}
     asked, refused = sort_texts(opened, texts)
     answers, rows = [], []
-    for viewpoint in choose_viewpoints(field, opened.cameras, view, camera, between):
-        seen = render_view(field, opened, viewpoint.camera)
+    cameras = choose_cameras(field, opened.cameras, view, camera, between)
+    for name, shot in cameras.items():
+        seen = render_view(field, opened, shot)
         results = seen.query_all(asked, **rules) if asked else []
         results += [replace(seen.like(*crop, **rules), text=file) for file, crop in crops.items()]
         hits = {hit.text: hit for hit in results}
         for text in [*texts, *crops]:
             answer = _answer(text, hits.get(text), refused.get(text))
             picture = None if out is None else str(out)
-            answers.append({"view": viewpoint.name, **answer, "picture": picture})
+            answers.append({"view": name, **answer, "picture": picture})
         if out is not None:
-            rows += [_hit_picture(viewpoint.caption, seen, hit) for hit in hits.values()]
+            rows += [_hit_picture(name, seen, hit) for hit in hits.values()]
     if out is not None:
         write_picture(out, *rows)
     if as_json:
@@ -204,7 +201,7 @@ def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return np.ascontiguousarray(pixels[..., :3]), None if opaque.all() else opaque
 
 
-def _hit_picture(caption: str, view: FieldView, hit: QueryResult) -> np.ndarray:
+def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:
     """Draw the view, the relevancy of a text, and the mask and point of its answer."""
     from slgaussian.benchmark import pictures
 
@@ -215,22 +212,22 @@ def _hit_picture(caption: str, view: FieldView, hit: QueryResult) -> np.ndarray:
     elif hit.verdict == "not sure":
         answer = pictures.draw_dashed(answer, hit.mask, pictures.PREDICTED)
     relevancy = pictures.paint_relevancy(hit.relevancy, view.rgb)
-    panels = [(caption, view.rgb), (f"relevancy of {hit.text!r}", relevancy), (hit.summary, answer)]
+    first = f"rendering, {name}", view.rgb
+    panels = [first, (f"relevancy of {hit.text!r}", relevancy), (hit.summary, answer)]
     return pictures.side_by_side(panels)
 
 
+@options.configured("threshold")
 def segment(
     ctx: typer.Context,
     field: options.Folder,
     texts: Annotated[
         list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
     ],
-    view: options.Views = None,
+    view: options.View = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
-    threshold: options.Threshold = None,
     words: options.Words = None,
-    set_: options.Set = None,
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -250,57 +247,48 @@ def segment(
     """
     import numpy as np
 
-    from flows.cli.open_field import open_field, refusals, render_view, sort_texts
+    from flows.cli import open_field as opening
     from flows.cli.pictures import check_picture, write_picture
     from flows.cli.tables import table_text
-    from flows.cli.viewpoints import choose_viewpoints
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
 
     if out is not None:
         check_picture(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
-    asked, refused = sort_texts(opened, texts)
-    viewpoints = choose_viewpoints(field, opened.cameras, view, camera, between)
-    if out is not None and len(viewpoints) > 1:
-        raise InputError("--view: -o writes the labels of one view; give one, or leave out -o")
+    rules, opened = opening.open_field(field, options.settings_from(ctx, Method), words)
+    asked, refused = opening.sort_texts(opened, texts)
+    chosen = opening.choose_cameras(field, opened.cameras, view and [view], camera, between)
+    ((name, shot),) = chosen.items()
+    seen = opening.render_view(field, opened, shot)
+    hits = seen.query_all(asked, **rules)
     # A text has the label of its place among all texts, from 1.
-    numbers = np.array([0] + [texts.index(text) + 1 for text in asked], np.int32)
-    pixels, total = np.zeros(len(texts) + 1), np.zeros(len(texts) + 1)
-    objects: list[set[int]] = [set() for _ in pixels]
-    verdicts: list[set[str | None]] = [set() for _ in pixels]
-    for viewpoint in viewpoints:
-        seen = render_view(field, opened, viewpoint.camera)
-        hits = seen.query_all(asked, **rules)
-        for number, hit in zip(numbers[1:], hits, strict=True):
-            verdicts[number].add(hit.verdict)
-        best = np.stack([hit.relevancy for hit in hits]).max(0)
-        labels = numbers[seen.segment(asked, **rules)]
-        pixels += np.bincount(labels.ravel(), minlength=len(pixels))
-        total += np.bincount(labels.ravel(), best.ravel(), minlength=len(pixels))
-        for label in np.unique(labels):
-            objects[label].update(np.unique(seen.ids[labels == label]).tolist())
-        if out is not None:
-            entries = {int(number): texts[number - 1] for number in numbers[1:]} | {0: NOTHING}
-            write_picture(out, _labels_picture(viewpoint.caption, seen, labels, entries))
-            write_file(out.with_suffix(".ids.png"), encode_ids(labels)[1])
+    numbers = [texts.index(text) + 1 for text in asked]
+    labels = np.array([0, *numbers], np.int32)[seen.segment(asked, **rules)]
+    best = np.stack([hit.relevancy for hit in hits]).max(0)
+    pixels = np.bincount(labels.ravel(), minlength=len(texts) + 1)
+    total = np.bincount(labels.ravel(), best.ravel(), minlength=len(texts) + 1)
     rows: list[dict[str, Any]] = [
         {
             "text": texts[label - 1] if label else None,
-            "label": int(label),
-            "share": pixels[label] / pixels.sum(),
+            "label": label,
+            "share": pixels[label] / labels.size,
             "relevancy": total[label] / pixels[label] if pixels[label] else None,
-            "verdict": next((v for v in VERDICTS if v in verdicts[label]), None),
-            "objects": sorted(objects[label] - {0}),
+            "verdict": verdict,
+            "objects": [int(id_) for id_ in np.unique(seen.ids[labels == label]) if id_],
         }
-        for label in [*numbers[1:], 0]
+        for label, verdict in zip(
+            [*numbers, 0], [*(hit.verdict for hit in hits), None], strict=True
+        )
     ]
+    if out is not None:
+        write_picture(out, _labels_picture(name, seen, labels, rows))
+        write_file(out.with_suffix(".ids.png"), encode_ids(labels)[1])
     lines = [("label", "text", "pixels", "relevancy", "verdict", "objects"), *map(_cells, rows)]
     rows += [{"text": text, "refused": reason} for text, reason in refused.items()]
     if as_json:
         typer.echo("\n".join(map(json.dumps, rows)))
     else:
-        typer.echo("\n".join([table_text(lines, "><>><<"), *refusals(rows)]))
+        typer.echo("\n".join([table_text(lines, "><>><<"), *opening.refusals(rows)]))
         if out is not None:
             typer.echo(f"picture  {out}\nlabels   {out.with_suffix('.ids.png')}")
     raise typer.Exit(1 if refused else 0)
@@ -314,7 +302,7 @@ def _cells(row: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _labels_picture(
-    caption: str, view: FieldView, labels: np.ndarray, entries: Mapping[int, str]
+    name: str, view: FieldView, labels: np.ndarray, rows: Sequence[Mapping[str, Any]]
 ) -> np.ndarray:
     """Draw the view and its labels int32 [H, W], with a legend of their texts."""
     import numpy as np
@@ -322,12 +310,13 @@ def _labels_picture(
     from slgaussian.benchmark import pictures
 
     painted = pictures.spotlight(pictures.paint_labels(labels, view.rgb), labels > 0)
-    row = pictures.side_by_side([(caption, view.rgb), ("the text that fits", painted)])
+    panels = [(f"rendering, {name}", view.rgb), ("the text that fits", painted)]
     legend = [
-        (pictures.label_colors(np.array(label)), f"{text}  {100 * (labels == label).mean():.1f} %")
-        for label, text in entries.items()
+        (pictures.label_colors(np.array(row["label"])), f"{text}  {share}")
+        for row in rows
+        for _, text, share, *_ in [_cells(row)]
     ]
-    return pictures.with_legend(row, legend)
+    return pictures.with_legend(pictures.side_by_side(panels), legend)
 
 
 def words() -> None:

@@ -30,16 +30,10 @@ LOOK = "look.jpg"
 """A picture for people. Not a PNG, so that no view is called like it."""
 
 
+@options.configured("preset", "encoder", "seed", *options.ENGINE)
 def demo(
     ctx: typer.Context,
     out: options.Out = Path("slg-demo"),
-    preset: options.Preset = None,
-    encoder: options.Encoder = None,
-    seed: options.Seed = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Try everything on scenes that come with the installation.
@@ -59,6 +53,7 @@ def demo(
     run_scenes("demo", make_settings(values, "demo"), verbose)
 
 
+@options.configured("preset", "size", *options.COMPONENTS, "encoder")
 def field(
     ctx: typer.Context,
     photos: options.Photos,
@@ -68,13 +63,6 @@ def field(
         int | None,
         typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
     ] = None,
-    preset: options.Preset = None,
-    size: options.Size = None,
-    predictor: options.Predictor = None,
-    proposer: options.Proposer = None,
-    tracker: options.Tracker = None,
-    encoder: options.Encoder = None,
-    set_: options.Set = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
     """Build a field from two or more photographs.
@@ -236,17 +224,12 @@ def _model(estimate: EstimatedCameras) -> SparseModel:
     return sparse.SparseModel(cameras, images, estimate.points, np.zeros((0, 2), np.int64))
 
 
+@options.configured("preset", "size", *options.COMPONENTS)
 def masks(
     ctx: typer.Context,
     photos: options.Photos,
     cameras: options.Cameras = None,
     refine: options.Refine = False,
-    preset: options.Preset = None,
-    size: options.Size = None,
-    predictor: options.Predictor = None,
-    proposer: options.Proposer = None,
-    tracker: options.Tracker = None,
-    set_: options.Set = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
     """Label the objects of photographs, alike in all views.
@@ -277,7 +260,7 @@ def masks(
     for name, reason in left_out.items():
         typer.echo(f"warning: {name} is left out: {reason}", err=True)
     names = map_names([view.name for view in sample.context])
-    components = [method.part(kind) for kind in ("predictor", "proposer", "tracker")]
+    components = [method.part(kind) for kind in options.COMPONENTS]
     proposing, tracking = (component.load() for component in components[1:])
     height, width = sample.context[0].image.shape[:2]
     views = f"{len(names)} views of {width}x{height}"

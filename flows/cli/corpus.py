@@ -21,15 +21,19 @@ from flows.dataset_settings import DatasetSettings, make_dataset_settings
 from flows.settings import Engine, checked
 from slgaussian.errors import InputError
 
+SET_FIELDS = ("size", "targets", "min_confirmed", "held_out", "gaussians")
+"""Fields of a training set that `slgaussian dataset` has options of."""
+
 
 class IngestSettings(PackSettings, Withdrawal, PairSettings, Engine):
     """Sources, which samples are taken of them, and where they go."""
 
     sources: list[str] = Field(min_length=1)
-    most: int = Field(0, ge=0)
+    most: int = CorpusSettings.model_fields["most"]  # type: ignore[assignment]
     out: Path
 
 
+@options.configured("most", *options.ENGINE, model=IngestSettings)
 def ingest(
     ctx: typer.Context,
     sources: Annotated[
@@ -41,11 +45,6 @@ def ingest(
         ),
     ],
     out: options.Out,
-    most: options.Most = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Choose samples to learn from in a corpus of chunks.
@@ -94,22 +93,13 @@ def ingest(
         raise typer.Exit(1)
 
 
+@options.configured("size", *options.COMPONENTS, "most", *options.ENGINE, model=CorpusSettings)
 def supervise(
     ctx: typer.Context,
     chunks: Annotated[
         str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
     ],
     out: options.Out,
-    size: options.SampleSize = None,
-    predictor: options.Predictor = None,
-    proposer: options.Proposer = None,
-    tracker: options.Tracker = None,
-    most: options.Most = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    refresh: options.Refresh = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Label the samples of a corpus: lessons for `train`.
@@ -137,6 +127,7 @@ def _prepare(command: str, settings: CorpusSettings, verbose: bool) -> None:
     report_left_out(settings.out, prepared.failures)
 
 
+@options.configured(*SET_FIELDS, *options.ENGINE, model=DatasetSettings)
 def dataset(
     ctx: typer.Context,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the training set.")],
@@ -148,28 +139,17 @@ def dataset(
             "procedural:FIRST-LAST; or PLACE=SOURCE.",
         ),
     ],
-    size: options.SampleSize = None,
-    gaussians: Annotated[
-        bool, typer.Option("--gaussians", help="Store the Gaussians too, not depth alone.")
-    ] = False,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    refresh: options.Refresh = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Make a training set for any network, as tar shards.
 
     Images, cameras, depth, labels and language features for `torch.utils.data`, `webdataset` and
     `datasets`; an index of quality; and a data card. The same again, or with more sources, does
-    only what is new. No place is in two splits. Fields are targets=3 (views between two contexts),
-    min_confirmed=0.0 (least share of the depth that a second view confirms) and held_out=0.2 (share
-    of the places in the split test).
+    only what is new. No place is in two splits.
 
     \b
     slgaussian dataset set chunks/train kitchen office=walk office=office_two
-    slgaussian dataset set photos --set targets=1 --set min_confirmed=0.5
+    slgaussian dataset set photos --targets 1 --min-confirmed 0.5
     """
     settings = make_dataset_settings(options.settings_from(ctx, DatasetSettings))
     written = run_flow("dataset", settings, verbose)

@@ -11,7 +11,7 @@ import urllib.request
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, metadata, version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +22,7 @@ from flows.cli import options
 from slgaussian import __version__
 from slgaussian.components.finding import Finding, Findings
 from slgaussian.errors import InputError, SLGaussianError, one_line
-from slgaussian.extras import PACKAGE, install_line, requirements
+from slgaussian.extras import PACKAGE, requirements
 
 if TYPE_CHECKING:
     from flows.settings import Settings
@@ -35,15 +35,9 @@ ROOM = 2**30
 """Bytes that the disk of the store should have left, of which a scene takes some 30 MB."""
 
 
+@options.configured("store", "runner", *options.COMPONENTS, "encoder")
 def doctor(
     ctx: typer.Context,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    predictor: options.Predictor = None,
-    proposer: options.Proposer = None,
-    tracker: options.Tracker = None,
-    encoder: options.Encoder = None,
-    set_: options.Set = None,
     components: Annotated[
         bool,
         typer.Option("--components", help="List the components and their fields, no checks."),
@@ -55,9 +49,9 @@ def doctor(
     """Check what a run needs, and say what to do about it.
 
     Looks at packages, threads, the store, the Prefect server and the files and models that options
-    name, and says of each: ok, BAD with what to do, or -- for what is missing and need not be
-    there. A model is known by its digest where the hub has one, and otherwise loaded and tried.
-    Nothing is downloaded. The exit status is 1 if anything is BAD.
+    name, and says of each: ok, or BAD with what to do. A model is known by its digest where the hub
+    has one, and otherwise loaded and tried. Nothing is downloaded. The exit status is 1 if anything
+    is BAD.
 
     \b
     slgaussian doctor
@@ -76,9 +70,8 @@ def doctor(
     settings = make_settings(options.settings_from(ctx), "doctor")
     healthy = True
     for finding in examine(settings, "runner" in settings.model_fields_set):
-        healthy &= finding.good is not False
-        mark = {True: "ok ", False: "BAD", None: "-- "}[finding.good]
-        typer.echo(f"{mark}  {finding.name:<12} {finding.said}")
+        healthy &= bool(finding.good)
+        typer.echo(f"{'ok ' if finding.good else 'BAD'}  {finding.name:<12} {finding.said}")
     raise typer.Exit(0 if healthy else 1)
 
 
@@ -90,8 +83,6 @@ def examine(settings: Settings, runner: bool = False) -> Findings:
     opened, tables = list[Any](), settings.component_values()
     yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
     yield from _tried("packages", _packages)
-    with suppress(PackageNotFoundError):
-        yield from _extras()
     yield Finding("threads", f"{threads.cores()} cores")
     yield from _tried("store", _store, settings.store, opened)
     yield from _tried("server", _server, *opened)
@@ -122,17 +113,7 @@ def _packages() -> str:
     return f"{len(needed)} as they must be: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
 
 
-def _extras() -> Findings:
-    """List the packages of extras; none is imported, and none must be there."""
-    for extra in metadata(PACKAGE).get_all("Provides-Extra") or []:
-        if extra not in ("test", "docs"):  # for work on slgaussian itself
-            problems = {n.name: _problem(n, importing=False) for n in requirements(extra)}
-            lines = [problem or f"{name} {version(name)}" for name, problem in problems.items()]
-            lines[-1] += f"; {install_line(extra)}" if any(problems.values()) else ""
-            yield Finding(f"[{extra}]", ", ".join(lines), None)
-
-
-def _problem(needs: Requirement, importing: bool = True) -> str | None:
+def _problem(needs: Requirement) -> str | None:
     """Return the problem of a package, if any: not there, too old, or broken."""
     try:
         installed = version(needs.name)
@@ -141,8 +122,7 @@ def _problem(needs: Requirement, importing: bool = True) -> str | None:
     if not needs.specifier.contains(installed, prereleases=True):
         return f"{needs.name}: found {installed}, expected {needs.specifier}"
     try:
-        if importing:
-            import_module(MODULES.get(needs.name, needs.name.replace("-", "_")))
+        import_module(MODULES.get(needs.name, needs.name.replace("-", "_")))
     except Exception as error:  # a broken package raises anything
         return f"{needs.name} {installed} cannot be imported ({one_line(str(error))})"
     return None

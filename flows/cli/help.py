@@ -13,7 +13,7 @@ from slgaussian.errors import did_you_mean
 
 
 class Group(TyperGroup):
-    """A group that lists its commands under their headings, and knows the nearest name."""
+    """A group that lists its commands under their headings."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Show the help where no command is given."""
@@ -21,12 +21,6 @@ class Group(TyperGroup):
             typer.echo(ctx.get_help(), err=True)
             ctx.exit(2)
         return super().parse_args(ctx, args)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> tuple:
-        """Return the command of that name; a usage error says which is nearest if there is none."""
-        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            ctx.fail(f"no such command {args[0]!r}{did_you_mean(args[0], self.commands)}")
-        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the first sentence of each command, whole."""
@@ -53,5 +47,6 @@ def usage_sentence(error: TyperException) -> str:
         sentence = f"no such option {option}{did_you_mean(option, names)}"
         if option.startswith("--") and "--set" in names and "did you mean" not in sentence:
             sentence += "; rare settings are given with --set KEY=VALUE"
+    sentence = sentence.replace(". Did you mean", "; did you mean")
     sentence = re.sub(r"^\w|: [A-Z]", lambda begin: begin[0].lower(), sentence)
     return sentence if context is None else f"{sentence} (see `{context.command_path} --help`)"

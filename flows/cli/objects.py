@@ -39,6 +39,7 @@ objects = typer.Typer(
 
 
 @objects.command("list")
+@options.configured()
 def list_(
     ctx: typer.Context,
     field: options.Folder,
@@ -47,7 +48,6 @@ def list_(
         typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
     ] = None,
     words: options.Words = None,
-    set_: options.Set = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Picture of all: .png or .jpg.")
     ] = None,
@@ -101,10 +101,7 @@ def teach(
         tuple[int, int] | None,
         typer.Option(metavar="X Y", help="Pixel of the thing: column and row from the top left."),
     ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(metavar="<name>", help="View of that pixel, by name or number. [default: 0]"),
-    ] = None,
+    view: options.View = None,
     forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
 ) -> None:
     """Teach a field a word of your own by pointing at a thing.
@@ -119,7 +116,7 @@ def teach(
     slgaussian query field/ fox -o hit.png
     slgaussian objects teach field/ fox --forget
     """
-    from flows.cli.viewpoints import choose_viewpoints
+    from flows.cli.open_field import choose_cameras
     from slgaussian.field import SemanticField
 
     if forget == (at is not None):
@@ -129,17 +126,17 @@ def teach(
         opened.forget(word).save_edits(field)
         typer.echo(f"{word!r} is forgotten")
         return
-    (viewpoint,) = choose_viewpoints(field, opened.cameras, view and [view])
-    (x, y), (width, height) = at, (viewpoint.camera.width, viewpoint.camera.height)
+    ((name, camera),) = choose_cameras(field, opened.cameras, view and [view]).items()
+    (x, y), (width, height) = at, (camera.width, camera.height)
     if not (0 <= x < width and 0 <= y < height):
         raise InputError(
-            f"--at {x} {y}: is outside view {viewpoint.name!r}, which is {width} pixels wide and "
+            f"--at {x} {y}: is outside view {name!r}, which is {width} pixels wide and "
             f"{height} high"
         )
-    id_ = int(opened.render(viewpoint.camera).ids[y, x])
+    id_ = int(opened.render(camera).ids[y, x])
     if not id_:
         raise InputError(
-            f"--at {x} {y}: view {viewpoint.name!r} shows no object there; point at one, which "
+            f"--at {x} {y}: view {name!r} shows no object there; point at one, which "
             "`slgaussian render` draws"
         )
     taught = opened.teach(word, id_)
@@ -172,6 +169,7 @@ def name(
 
 
 @objects.command()
+@options.configured()
 def remove(
     ctx: typer.Context,
     field: options.Folder,
@@ -181,7 +179,6 @@ def remove(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
     words: options.Words = None,
-    set_: options.Set = None,
 ) -> None:
     """Write a field again without some of its things.
 
@@ -220,6 +217,7 @@ def remove(
 
 
 @objects.command()
+@options.configured()
 def extract(
     ctx: typer.Context,
     field: options.Folder,
@@ -229,7 +227,6 @@ def extract(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
     words: options.Words = None,
-    set_: options.Set = None,
 ) -> None:
     """Take a thing out of a field, alone.
 

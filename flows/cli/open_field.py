@@ -1,4 +1,4 @@
-"""Open a field to ask it: with rules, files of its encoder, taught words, and views seen before."""
+"""Open a field to ask it, choose cameras to look at it from, and render it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.query import Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity
-from slgaussian.scene import Camera
+from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about
 from slgaussian.storage.local_copies import kept_arrays
 
@@ -30,16 +30,9 @@ def open_field(
 ) -> tuple[dict[str, Any], SemanticField]:
     """Return the rules among ``settings``, and the field with its encoder ready to be asked.
 
-    Parameters
-    ----------
-    folder : path
-    settings : mapping
-        Fields of :class:`slgaussian.language.query.Rules`, ``preset``, of which the rules count,
-        and by the name of the field's encoder a table of where its files are now.
-    words : path, optional
-        File of taught words that the field takes for this.
-    rules : bool
-        Whether rules have an effect.
+    Settings are fields of :class:`slgaussian.language.query.Rules` unless ``rules`` is false,
+    ``preset``, of which the rules count, and by the name of the field's encoder a table of where
+    its files are now. ``words`` is a file of taught words that the field takes for this.
 
     Raises
     ------
@@ -89,6 +82,53 @@ def sort_texts(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], d
 def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a line for each row of a text that was refused."""
     return [f"{row['text']!r} is refused: {row['refused']}" for row in rows if row.get("refused")]
+
+
+def choose_cameras(
+    source: Path,
+    cameras: Mapping[str, Camera],
+    views: Sequence[str] | None,
+    file: Path | None = None,
+    between: tuple[str, str, float] | None = None,
+) -> dict[str, Camera]:
+    """Return the cameras that options name, by the names of their views.
+
+    Views are those of ``file`` in place of those of the field ``source``, if a file is given: by
+    name or number from 0, the first one if none is named; or a camera ``between`` two of them.
+
+    Raises
+    ------
+    InputError
+        If there is no such view, or views are given beside ``between``.
+    """
+    if file is not None:
+        from slgaussian.datasets.recognise import cameras_in
+
+        source, cameras = file, cameras_in(file)
+    scene = Scene(str(source), cameras, read=_refuse_to_read)
+    if between is None:
+        names = [_find_view(scene, view) for view in views or ["0"]]
+        return {name: cameras[name] for name in names}
+    if views:
+        raise InputError("--view and --between: are two ways to look; give one of them")
+    from slgaussian.cameras import paths
+
+    a, b = (_find_view(scene, view) for view in between[:2])
+    share = between[2]
+    camera = paths.between(cameras[a], cameras[b], share)
+    return {f"between {a} and {b} at {share:g}": camera}
+
+
+def _find_view(scene: Scene, view: str) -> str:
+    """Return the name of the view called ``view``, or of that number; InputError if none is."""
+    names = list(scene.cameras)
+    if view.isdecimal() and str(int(view)) == view and int(view) < len(names):
+        return names[int(view)]
+    return scene.find(view)
+
+
+def _refuse_to_read(name: str) -> NoReturn:
+    raise InputError(f"{name}: a field holds no photographs")
 
 
 def render_view(folder: Path, field: SemanticField, camera: Camera) -> FieldView:

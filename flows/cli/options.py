@@ -2,62 +2,81 @@
 
 from __future__ import annotations
 
+import inspect
 import tomllib
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from pydantic import BaseModel
 
-from flows.corpus_settings import CorpusSettings
 from flows.encoder_choice import AUTO
 from flows.settings import Settings
-from flows.training_settings import TrainSettings
 from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
+ENGINE = ("store", "runner", "workers", "refresh")
+COMPONENTS = ("predictor", "proposer", "tracker")
+LABELLED_SET = ("data", "pairs", "labels", "format", "rooms")
+"""Fields that several commands have options of."""
 
-def field_option(
-    name: str, model: type[BaseModel] = Settings, flag: str | None = None, help: str = ""
-) -> Any:
+
+def configured(
+    *names: str, model: type[BaseModel] = Settings
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command options of fields of a configuration, and ``--set`` for its other fields.
+
+    They are no arguments of the function: :func:`settings_from` reads them from the context.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command, eval_str=True)
+
+        @wraps(command)
+        def call(**values: Any) -> None:
+            command(**{name: values[name] for name in signature.parameters})
+
+        added = {
+            name: Annotated[_type_of(name, model), field_option(name, model)] for name in names
+        }
+        fields = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=option)
+            for name, option in {**added, "set_": Set}.items()
+        ]
+        parameters = [*signature.parameters.values(), *fields]
+        call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return call
+
+    return decorate
+
+
+def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     """Return the option of a field of a configuration: its description, default and values."""
     field = model.model_fields[name]
-    text, values = help or field.description or "", tuple(field.examples or ())
+    text, values = field.description or "", tuple(field.examples or ())
     if name in KINDS:
         values = names_of(name) + ((AUTO,) if name == "encoder" else ())
         text = f"{', '.join(values[:-1])} or {values[-1]}."
-    if field.default not in (None, []) and not field.is_required():
+    if not field.is_required() and field.default not in (None, False, []):
         shown = field.default
         shown = "x".join(map(str, shown)) if isinstance(shown, tuple) else shown
         text += f" [default: {shown}]"
     return typer.Option(
-        flag or f"--{name.replace('_', '-')}",
-        metavar=f"<{name}>",
+        f"--{name.replace('_', '-')}",
+        metavar=None if field.annotation is bool else f"<{name}>",
         help=text,
         autocompletion=(lambda: list(values)) if values else None,
     )
 
 
-Preset = Annotated[str | None, field_option("preset")]
-Size = Annotated[str | None, field_option("size")]
-SampleSize = Annotated[str | None, field_option("size", CorpusSettings)]
-Predictor = Annotated[str | None, field_option("predictor")]
-Proposer = Annotated[str | None, field_option("proposer")]
-Tracker = Annotated[str | None, field_option("tracker")]
-Encoder = Annotated[str | None, field_option("encoder")]
-Seed = Annotated[int | None, field_option("seed")]
-Threshold = Annotated[float | None, field_option("threshold")]
-Store = Annotated[str | None, field_option("store")]
-Runner = Annotated[str | None, field_option("runner")]
-Workers = Annotated[int | None, field_option("workers")]
-Refresh = Annotated[list[str] | None, field_option("refresh")]
-Data = Annotated[Path | None, field_option("data")]
-Pairs = Annotated[Path | None, field_option("pairs")]
-Labels = Annotated[Path | None, field_option("labels")]
-Format = Annotated[str | None, field_option("format")]
-Rooms = Annotated[str | None, field_option("rooms")]
-Most = Annotated[int | None, field_option("most", CorpusSettings)]
-Steps = Annotated[int | None, field_option("steps", TrainSettings)]
+def _type_of(name: str, model: type[BaseModel]) -> Any:
+    """Return the type that the command line reads; what else a field demands its model checks."""
+    annotation = model.model_fields[name].annotation
+    types = (bool, int, float, Path, list[str])
+    return next((t for t in types if annotation in (t, t | None)), str) | None
+
 
 Set = Annotated[
     list[str] | None,
@@ -67,6 +86,7 @@ Set = Annotated[
         help="Any other field of the configuration, as clip.model=PATH; may be repeated.",
     ),
 ]
+Store = Annotated[str | None, field_option("store")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON.")]
@@ -77,13 +97,10 @@ Photos = Annotated[
 Cameras = Annotated[
     Path | None,
     typer.Option(
-        help="Their cameras: transforms.json, poses_bounds.npy, or a COLMAP folder; found if left "
-        "out."
+        help="Their cameras: transforms.json, LLFF's, or a COLMAP folder. [default: found]"
     ),
 ]
-Refine = Annotated[
-    bool, typer.Option("--refine", help="Find given cameras anew, in their own world.")
-]
+Refine = Annotated[bool, typer.Option("--refine", help="Find given cameras anew, in their world.")]
 Folder = Annotated[
     Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
 ]
@@ -92,6 +109,10 @@ FieldOrPly = Annotated[
 ]
 Words = Annotated[
     Path | None, typer.Option(help="Words taught elsewhere: words.npz of another field.")
+]
+View = Annotated[
+    str | None,
+    typer.Option(metavar="<name>", help="View, by name or number from 0. [default: 0]"),
 ]
 Views = Annotated[
     list[str] | None,
@@ -103,17 +124,11 @@ Views = Annotated[
 ]
 CameraFile = Annotated[
     Path | None,
-    typer.Option(
-        "--camera",
-        "--cameras",
-        help="Look from other cameras: one as JSON, or a transforms.json.",
-    ),
+    typer.Option("--camera", "--cameras", help="JSON of a camera, or a transforms.json, to use."),
 ]
 Between = Annotated[
     tuple[str, str, float] | None,
-    typer.Option(
-        metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to view B."
-    ),
+    typer.Option(metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to B."),
 ]
 Picture = Annotated[
     Path | None, typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg.")
@@ -125,17 +140,9 @@ def settings_from(
 ) -> dict[str, Any]:
     """Return settings as a configuration file would have them, tables as nested dicts.
 
-    They are the arguments of the command that are fields of ``model``, and texts ``KEY=VALUE`` or
-    ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid TOML, else it is
-    text. Relative paths are relative to the working folder.
-
-    Parameters
-    ----------
-    ctx : Context
-        Of the command.
-    model : pydantic model
-    **values
-        Other fields.
+    They are ``values``, the arguments of the command that are fields of ``model``, and texts
+    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid
+    TOML, else it is text.
 
     Raises
     ------

@@ -27,21 +27,9 @@ def load_photographs(
 ) -> tuple[Sample, dict[str, str]]:
     """Load photographs with their cameras, at the size that the settings ask for.
 
-    Prints how cameras were estimated; photographs that could not be placed are left out with a
-    warning.
-
-    Parameters
-    ----------
-    photos : sequence of str
-        Photographs, or a folder of them. With ``cameras``, files that these list, or names of
-        their views.
-    cameras : path, optional
-        Estimated from the photographs if left out.
-    refine : bool
-        Estimate given cameras anew, in the same world.
-    settings : Settings
-    keyframes : int, optional
-        Of more photographs, take so many (:func:`slgaussian.datasets.keyframes.choose_keyframes`).
+    Cameras are estimated if they are left out, or anew, in the same world, with ``refine``; how is
+    printed. Of more photographs, ``keyframes`` are taken. Those that cannot be placed are left out
+    with a warning.
 
     Returns
     -------
@@ -98,14 +86,8 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
     """Find the views of a scene that are named, by their files, folders of these, or view names.
 
     Of a folder, those in it that have a camera are taken. A photograph that was left out when the
-    cameras were estimated is left out with a warning.
-
-    Parameters
-    ----------
-    scene : Scene
-    photos : sequence of str
-    folder : path
-        From which the views of the scene are named.
+    cameras were estimated is left out with a warning. The views of the scene are named from
+    ``folder``.
 
     Returns
     -------

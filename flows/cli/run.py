@@ -14,18 +14,12 @@ from flows.settings import checked, make_settings, read_toml
 from slgaussian.errors import InputError
 
 
+@options.configured("preset", "seed", *options.ENGINE)
 def run(
     ctx: typer.Context,
     config: Annotated[
         Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
     ],
-    preset: options.Preset = None,
-    seed: options.Seed = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    refresh: options.Refresh = None,
-    set_: options.Set = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results.")] = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -50,23 +44,11 @@ def run(
     run_scenes("run", read_toml(config, options.settings_from(ctx)), verbose)
 
 
+@options.configured(
+    *options.LABELLED_SET, "preset", "size", "seed", *options.ENGINE, "sweep", "against"
+)
 def benchmark(
     ctx: typer.Context,
-    data: options.Data = None,
-    pairs: options.Pairs = None,
-    labels: options.Labels = None,
-    format: options.Format = None,
-    rooms: options.Rooms = None,
-    sweep: Annotated[list[str] | None, options.field_option("sweep")] = None,
-    against: Annotated[list[str] | None, options.field_option("against")] = None,
-    preset: options.Preset = None,
-    size: options.Size = None,
-    seed: options.Seed = None,
-    store: options.Store = None,
-    runner: options.Runner = None,
-    workers: options.Workers = None,
-    refresh: options.Refresh = None,
-    set_: options.Set = None,
     out: options.Out = Path("slg-benchmark"),
     verbose: options.Verbose = False,
 ) -> None:

@@ -15,6 +15,7 @@ NAMED = 3
 """Of masks that are missing, or that nothing asks for, so many are named."""
 
 
+@options.configured(*options.LABELLED_SET, "size")
 def score(
     ctx: typer.Context,
     predictions: Annotated[
@@ -23,12 +24,6 @@ def score(
             metavar="PREDICTIONS", help="Folder of masks as `benchmark` writes it, or a JSON file."
         ),
     ],
-    data: options.Data = None,
-    pairs: options.Pairs = None,
-    labels: options.Labels = None,
-    format: options.Format = None,
-    rooms: options.Rooms = None,
-    size: options.Size = None,
     protocol: Annotated[
         list[str] | None,
         typer.Option(
@@ -55,7 +50,6 @@ def score(
     settings = make_settings(values, "score")
     from flows import scoring
     from flows.cli.score_tables import methods_text
-    from slgaussian.benchmark.protocols import load_protocol
 
     scores = scoring.score(settings, predictions, protocol or [], out)
     rows = [row for result in scores.results for row in result.rows]
@@ -67,13 +61,8 @@ def score(
         )
     for kind, names in tally.unknown(scores.predictions).items():
         notes.append(f"not asked, left out: {kind} {_few(names)}")
-    empty = ["what needs relevancies (threshold-free, peaks)"]
-    if all(row["point_x"] is None for row in rows):
-        empty.append("what needs points (point in mask, point in box)")
-    scored = {row["protocol"] for row in rows}
-    if load_protocol("slgaussian").label in scored and load_protocol("3d-ovs").label not in scored:
-        empty.append("mIoU, for which all texts compete (masks of 3d-ovs say which wins)")
-    typer.echo("\n".join([*notes, f"left empty: {'; '.join(empty)}"]), err=True)
+    for note in notes:
+        typer.echo(note, err=True)
     typer.echo(f"{methods_text(rows)}\n{out}")
 
 

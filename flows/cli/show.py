@@ -19,9 +19,9 @@ from slgaussian.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     import numpy as np
 
-    from flows.cli.viewpoints import Viewpoint
     from slgaussian.field import SemanticField
     from slgaussian.gaussians import Gaussians
+    from slgaussian.scene import Camera
 
     Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
 
@@ -36,7 +36,12 @@ def render(
     camera: options.CameraFile = None,
     orbit: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Look from N places on a short turn: turn.mp4 or turn.gif."),
+        typer.Option(
+            metavar="N",
+            min=2,
+            max=2000,
+            help="Look from N places on a short turn: turn.mp4 or turn.gif.",
+        ),
     ] = None,
 ) -> None:
     """Draw a field, or any .ply of Gaussians, from a camera.
@@ -50,9 +55,10 @@ def render(
     slgaussian render field/ -o turn.mp4 --orbit 60
     slgaussian render scene.ply --camera transforms.json -o picture.png
     """
+    from flows.cli.open_field import choose_cameras
     from flows.cli.pictures import FILMS, PICTURES, check_picture, write_film, write_picture
-    from flows.cli.viewpoints import choose_viewpoints, turn_viewpoints
     from slgaussian.benchmark import pictures
+    from slgaussian.cameras import paths
     from slgaussian.datasets.recognise import cameras_in
     from slgaussian.field import SemanticField
     from slgaussian.formats.ply import load_ply
@@ -76,48 +82,48 @@ def render(
         cameras = cameras_in(camera)
         points, panels = gaussians.means, partial(_ply_panels, gaussians, source)
     if orbit is None:
-        viewpoints = choose_viewpoints(camera or source, cameras, view, between=between)
+        shots = choose_cameras(camera or source, cameras, view, between=between)
     else:
-        viewpoints = turn_viewpoints(list(cameras.values()), points.numpy(), orbit)
+        turn = paths.orbit(list(cameras.values()), points.numpy(), orbit)
+        shots = {f"turn {number} of {orbit}": shot for number, shot in enumerate(turn, 1)}
     depths: list[tuple[float, float]] = []
 
-    def draw(viewpoint: Viewpoint) -> np.ndarray:
-        rgb, depth, others = panels(viewpoint)
+    def draw(name: str) -> np.ndarray:
+        rgb, depth, others = panels(shots[name])
         # One scale for all frames, so that a film does not flicker.
         depths.append(depths[0] if depths else pictures.depth_range(depth))
         painted = pictures.paint_depth(depth, *depths[0])
-        return pictures.side_by_side([(viewpoint.caption, rgb), ("depth", painted), *others])
+        return pictures.side_by_side([(f"rendering, {name}", rgb), ("depth", painted), *others])
 
     if orbit is None:
-        write_picture(out, *map(draw, viewpoints))
+        write_picture(out, *map(draw, shots))
     else:
-        write_film(out, map(draw, viewpoints))
+        write_film(out, map(draw, shots))
     typer.echo(out)
 
 
-def _field_panels(field: SemanticField, viewpoint: Viewpoint) -> Panels:
+def _field_panels(field: SemanticField, camera: Camera) -> Panels:
     """Return a picture uint8 [H, W, 3], z-depth float [H, W], and further pictures by caption."""
     from slgaussian.benchmark import pictures
 
-    seen = field.render(viewpoint.camera)
+    seen = field.render(camera)
     return seen.rgb, seen.depth, [("objects", pictures.paint_labels(seen.ids, seen.rgb))]
 
 
-def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panels:
+def _ply_panels(gaussians: Gaussians, file: Path, camera: Camera) -> Panels:
     """Return the same of Gaussians; warn if hardly any is in view."""
     import numpy as np
 
     from slgaussian.labels import VISIBLE
     from slgaussian.rasterize.picture import picture, seen_colors
 
-    camera = viewpoint.camera
     seen = picture(gaussians, seen_colors(gaussians, camera), camera)
     visible = seen.alpha >= VISIBLE
     if not visible.any():
         middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
         typer.echo(
-            f"hardly anything of {file} is in view of {viewpoint.name!r}: the middle of its "
-            f"{len(gaussians)} Gaussians is at ({middle}), the camera at "
+            f"hardly anything of {file} is in view: the middle of its {len(gaussians)} Gaussians "
+            f"is at ({middle}), the camera at "
             f"({', '.join(f'{x:.3g}' for x in camera.center)}); do both use one world?",
             err=True,
         )
@@ -126,6 +132,7 @@ def _ply_panels(gaussians: Gaussians, file: Path, viewpoint: Viewpoint) -> Panel
     return rgb, np.where(visible, seen.depth, 0), []
 
 
+@options.configured()
 def view(
     ctx: typer.Context,
     source: options.FieldOrPly,
@@ -136,7 +143,6 @@ def view(
     host: Annotated[
         str, typer.Option(help="Who can open it: at 0.0.0.0, whoever has the address it prints.")
     ] = "127.0.0.1",
-    set_: options.Set = None,
 ) -> None:
     """Look at a scene in the browser; ask it by word and by click.
 
@@ -185,19 +191,15 @@ def view(
             signal.signal(sign, handler)
 
 
+@options.configured()
 def export(
     ctx: typer.Context,
     source: options.FieldOrPly,
     out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
-    text: Annotated[
-        str | None,
-        typer.Option("--object", help="Write this alone: a text, a name you gave, or an id."),
-    ] = None,
     texts: Annotated[
         list[str] | None,
         typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
     ] = None,
-    set_: options.Set = None,
 ) -> None:
     """Write a field as one file: a page to send, or for a viewer.
 
@@ -210,9 +212,8 @@ def export(
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
-    slgaussian export field/ --object "red chair" -o chair.ply
+    slgaussian export scene.ply -o scene.html
     """
-    from flows.cli.objects import find_objects
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
     from slgaussian.formats.ply import load_ply, save_ply
@@ -231,27 +232,18 @@ def export(
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
     field = labels = None
     if source.suffix.lower() == ".ply" and not source.is_dir():
-        if text is not None or texts:
-            raise InputError(
-                f"{source}: a .ply has no objects and answers no words; leave out --object and "
-                "--text"
-            )
+        if texts:
+            raise InputError(f"{source}: a .ply answers no words; leave out --text")
         if suffix == ".ply":
             raise InputError(f"{source}: is a .ply already; name another format")
         gaussians, _ = load_ply(source)
     else:
-        if suffix == ".html" or text is not None:
+        if suffix == ".html":
             settings = options.settings_from(ctx, Method)
             _, field = open_field(source, settings, rules=False)
         else:
             field = SemanticField.load(source)
         field = field.dropped()
-        if text is not None:
-            field = field.only(id_ for id_, _ in find_objects(field, text, {}))
-            if not len(field.gaussians):
-                raise InputError(
-                    f"--object {text!r}: nothing is found; `slgaussian objects list` has all"
-                )
         gaussians, labels = field.gaussians, field.labels()
     if suffix == ".ply":
         save_ply(gaussians, out, labels)

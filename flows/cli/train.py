@@ -14,6 +14,7 @@ from flows.training_settings import RetrainSettings, TrainSettings, read_retrain
 from slgaussian.errors import InputError
 
 
+@options.configured("steps", "seed", "store", "architecture", model=TrainSettings)
 def train(
     ctx: typer.Context,
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
@@ -22,11 +23,6 @@ def train(
         Path | None,
         typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
     ] = None,
-    steps: options.Steps = None,
-    architecture: Annotated[str | None, options.field_option("architecture", TrainSettings)] = None,
-    seed: options.Seed = None,
-    store: options.Store = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Train the semantic branch on lessons, and judge it.
@@ -63,26 +59,22 @@ def train(
     typer.echo(f"report   {out / FILES['report']}")
 
 
+@options.configured("chunks", "models", "steps", "store", model=RetrainSettings)
 def retrain(
     ctx: typer.Context,
     config: Annotated[
         Path | None,
         typer.Argument(metavar="CONFIG", help="TOML file with any of the settings."),
     ] = None,
-    chunks: Annotated[str | None, options.field_option("chunks", RetrainSettings)] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for the tables and contact sheets.")
     ] = None,
-    models: Annotated[Path | None, options.field_option("models", RetrainSettings)] = None,
     every: Annotated[
         float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
     ] = None,
     cron: Annotated[
         str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
     ] = None,
-    steps: options.Steps = None,
-    store: options.Store = None,
-    set_: options.Set = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Learn what is new in a corpus; use it if it is better.
@@ -118,22 +110,15 @@ def versions(
     models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
     use: Annotated[
         str | None,
-        typer.Option(
-            metavar="<number>", help="Put the version of this number to use, or none with `none`."
-        ),
+        typer.Option(metavar="<number>", help="Put this version to use, or none with `none`."),
     ] = None,
     roll_back: Annotated[
         bool,
-        typer.Option(
-            "--roll-back", help="Put to use what the one in use was trained from, be it none."
-        ),
+        typer.Option("--roll-back", help="Put to use what the one in use was trained from."),
     ] = False,
     why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
-    history: Annotated[
-        bool, typer.Option("--history", help="Who or what put which version to use when, and why.")
-    ] = False,
 ) -> None:
-    """List the weights that `retrain` keeps, or switch to others.
+    """List the weights that `retrain` keeps, who put which to use and why; or switch to others.
 
     What the gate refused can be put to use by hand, and what it let pass can be taken out of use.
 
@@ -141,11 +126,9 @@ def versions(
     slgaussian versions models
     slgaussian versions models --use 3 --why "sharper in the kitchen"
     slgaussian versions models --roll-back
-    slgaussian versions models --use none
-    slgaussian versions models --history
     """
     from flows.cli.tables import table_text
-    from slgaussian.semantic.versions import Change, Versions, called, somebody
+    from slgaussian.semantic.versions import Versions, called, somebody
 
     folder = Versions(models)
     by_number = {version.number: version for version in folder.all()}
@@ -162,16 +145,6 @@ def versions(
         folder.use(None if use == "none" else by_number[int(use)], somebody(), why or "")
     if roll_back:
         folder.roll_back(somebody(), why or "")
-
-    def describe(change: Change) -> str:
-        reason = f": {change.why}" if change.why else ""
-        return f"since {change.when} instead of {called(change.before)}, by {change.by}{reason}"
-
-    changes = folder.history()
-    if history:
-        lines = [f"{called(change.version)} in use {describe(change)}" for change in changes]
-        typer.echo("\n".join(lines) or f"{models}: no history")
-        return
     if not by_number:
         typer.echo(f"{models}: no version")
         return
@@ -181,6 +154,11 @@ def versions(
         mark, gate = " *" * (version == current), "passed" if version.promoted else "held"
         facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, version.why]
         rows.append([f"{version.number}{mark}", *facts])
-    in_use = "none is in use" if current is None else f"* in use: version {current.number}"
     typer.echo(table_text(rows, "<>>>><"))
-    typer.echo(f"{in_use}, {describe(changes[-1])}" if changes else in_use)
+    typer.echo("none is in use" if current is None else f"* in use: version {current.number}")
+    for change in folder.history():
+        reason = f": {change.why}" if change.why else ""
+        typer.echo(
+            f"{called(change.version)} in use since {change.when} instead of "
+            f"{called(change.before)}, by {change.by}{reason}"
+        )

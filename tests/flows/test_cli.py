@@ -367,9 +367,7 @@ def test_export_writes_by_suffix(field, tmp_path, monkeypatch, capsys, suffix):
     out = tmp_path / f"scene{suffix}"
     assert run(monkeypatch, "export", field, "-o", out) == 0
     assert capsys.readouterr().out == f"{out}\n"
-    whole = out.stat().st_size
-    assert run(monkeypatch, "export", field, "--object", "red", "-o", out) == 0
-    assert 0 < out.stat().st_size < whole
+    assert out.stat().st_size
     assert [p.name for p in tmp_path.iterdir()] == [out.name]
 
 
@@ -379,8 +377,8 @@ def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeyp
     for suffix in (".html", ".spz"):
         assert run(monkeypatch, "export", ply, "-o", tmp_path / f"out{suffix}") == 0
     capsys.readouterr()
-    assert run(monkeypatch, "export", ply, "--object", "1", "-o", tmp_path / "a.spz") == 2
-    assert "scene.ply: a .ply has no objects" in capsys.readouterr().err
+    assert run(monkeypatch, "export", ply, "--text", "red", "-o", tmp_path / "a.html") == 2
+    assert "scene.ply: a .ply answers no words" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -392,7 +390,6 @@ def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeyp
         ),
         (("-o", "scene"), "found no suffix"),
         (("-o", "a.spz", "--text", "red"), "--text is for pages"),
-        (("-o", "a.spz", "--object", "99"), "'99': is no object of the field"),
         (("-o", "a.html", "--text", "unicorn"), "none of its words can be used"),
     ],
 )

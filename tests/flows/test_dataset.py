@@ -327,7 +327,7 @@ def test_what_is_damaged_or_not_there_is_one_sentence(made, tmp_path):
     [
         (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
         (["procedural:4-3"], "procedural:4-3: found no seeds"),
-        (["procedural:1", "--set", "targets=0"], "dataset: targets: found 0"),
+        (["procedural:1", "--targets", "0"], "dataset: targets: found 0"),
         (["procedural:1", "--set", "images=bmp"], "dataset: images: found 'bmp'"),
         (["procedural:1", "procedural:0-1"], "its clip would be called 'procedural_1'"),
         (["procedural:1", "--set", "min_overlap=2"], "dataset: min_overlap: found 2"),

@@ -168,7 +168,7 @@ def test_a_camera_file_may_hold_one_camera_or_many(field, tmp_path, ask, monkeyp
     [
         ("a.gif", [], "expected the name of a picture"),
         ("a.png", ["--orbit", "4"], "expected the name of a film to end in .mp4 or .gif"),
-        ("a.mp4", ["--orbit", "1"], "--orbit: found 1, expected a number of frames from 2 to"),
+        ("a.mp4", ["--orbit", "1"], "greater than or equal to 2"),
         ("a.mp4", ["--orbit", "4", "--view", "1"], "leave out --view and --between"),
     ],
 )
@@ -254,19 +254,6 @@ def test_what_fits_no_text_stays_without_one(field, tmp_path, ask):
     assert rows[2]["objects"] == []
     _, rows = ask("segment", field, "yellow", "red", "--threshold", "0.99")
     assert rows[2]["share"] == 1
-
-
-def test_shares_are_of_all_views_and_an_id_map_of_one(field, tmp_path, ask, monkeypatch, capsys):
-    both = ["--view", "0", "--view", "1"]
-    one, two, all_of_them = (
-        {row["label"]: row["share"] for row in ask("segment", field, "red", "blue", *words)[1]}
-        for words in ([], ["--view", "1"], both)
-    )
-    for label, share in all_of_them.items():
-        assert share == pytest.approx((one[label] + two[label]) / 2)
-    assert run(monkeypatch, "segment", field, "red", *both, "-o", tmp_path / "a.png") == 2
-    assert "the labels of one view" in said(capsys)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):

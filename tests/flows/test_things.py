@@ -94,7 +94,6 @@ def test_a_thing_that_the_scene_does_not_hold_by_its_verdict_is_not_taken_out(
         ["objects", "remove", field, "red", "-o", out],
     ):
         assert run(monkeypatch, *command) == 3
-    assert run(monkeypatch, "export", field, "-o", out, "--object", "red wall") == 2
     assert not out.exists()
     assert run(monkeypatch, "objects", "extract", field, RED, "-o", out) == 0
 

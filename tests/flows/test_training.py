@@ -314,11 +314,11 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
     assert run(monkeypatch, *models, "--use", "2", "--why", "tried in the kitchen") == 0
     listed = capsys.readouterr().out.splitlines()
     assert listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
-    assert listed[-1].startswith("* in use: version 2, since ")
-    assert "instead of no version, by " in listed[-1] and "not used" not in listed[2]
+    assert listed[-2] == "* in use: version 2" and "not used" not in listed[2]
+    assert "instead of no version, by " in listed[-1]
     assert listed[-1].endswith(": tried in the kitchen")
     assert run(monkeypatch, *models, "--roll-back") == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith("none is in use, since ")
+    assert "none is in use" in capsys.readouterr().out.splitlines()
     assert run(monkeypatch, *models, "--roll-back") == 2
     assert "cannot roll back, as nothing is in use" in capsys.readouterr().err
     for wrong in ("7", "two", "-1"):
@@ -330,8 +330,8 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
         run(monkeypatch, *models, "--use", "1") == run(monkeypatch, *models, "--use", "none") == 0
     )
     capsys.readouterr()
-    assert run(monkeypatch, *models, "--history") == 0
-    told = [line.split(", by ")[0].split() for line in capsys.readouterr().out.splitlines()]
+    assert run(monkeypatch, *models) == 0
+    told = [line.split(", by ")[0].split() for line in capsys.readouterr().out.splitlines()[-4:]]
     assert [" ".join(w for w in words if "T" not in w) for words in told] == [
         "version 2 in use since instead of no version",
         "no version in use since instead of version 2",
