@@ -52,10 +52,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def slgaussian(
     version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
-        ),
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show it.")
     ] = False,
 ) -> None:
     """Hold the options of all commands."""

@@ -28,13 +28,8 @@ NOTHING = "no text fits"
 def query(
     ctx: typer.Context,
     field: options.Folder,
-    texts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="TEXT", help='What to look for, as "red basket".'),
-    ] = None,
-    like: Annotated[
-        list[Path] | None, typer.Option(help="Look for what a picture shows; may be repeated.")
-    ] = None,
+    texts: options.Texts = None,
+    like: Annotated[list[Path] | None, typer.Option(help="Look for what a picture shows.")] = None,
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
@@ -52,7 +47,6 @@ def query(
     \b
     slgaussian query field/ "red basket" -o hit.png
     slgaussian query field/ "blue carpet" "wooden table" --view 0 --view 1 --json
-    slgaussian query field/ "red basket" --between 0 1 0.5 -o hit.jpg
     slgaussian query field/ --like crop.png --set share=0.8 -o hit.png
     """
     from flows.cli.open_field import choose_cameras, open_field, render_view, sort_texts
@@ -221,9 +215,7 @@ def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:
 def segment(
     ctx: typer.Context,
     field: options.Folder,
-    texts: Annotated[
-        list[str], typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
-    ],
+    texts: Annotated[list[str], typer.Argument(metavar="TEXT", help="What to look for.")],
     view: options.View = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
@@ -234,12 +226,9 @@ def segment(
     """Give each object in view the text that fits it best.
 
     What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
-    moves that bound from 0.5. Prints a row a text: its label, its share of the pixels, how well it
-    fits them on average, what a query for it alone says, and its objects. The exit status is 1 if a
-    text is refused.
-
-    -o labels.png draws it with a legend, and writes labels.ids.png beside it: a grey PNG with 16
-    bits, whose pixels are labels, 1 for the first text and 0 for none.
+    moves that bound from 0.5. Prints a row a text: label, share of the pixels, mean relevancy, what
+    a query for it alone says, and objects. The exit status is 1 if a text is refused. Beside -o
+    labels.png, labels.ids.png is written: a PNG with 16 bits, 1 for the first text and 0 for none.
 
     \b
     slgaussian segment field/ wall floor "red sofa" -o labels.png
@@ -320,9 +309,7 @@ def _labels_picture(
 
 
 def words() -> None:
-    """List the words that the encoder lexicon knows.
-
-    By family, with synonyms in brackets.
+    """List the words that the encoder lexicon knows, synonyms in brackets.
 
     \b
     slgaussian words

@@ -60,8 +60,7 @@ def field(
     cameras: options.Cameras = None,
     refine: options.Refine = False,
     keyframes: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=2, help="Of a walk, use the N sharpest, evenly."),
+        int | None, typer.Option(metavar="N", min=2, help="Use the N sharpest of a walk, evenly.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
 ) -> None:
@@ -128,10 +127,7 @@ def choose_word(field: SemanticField) -> str | None:
 def cameras(
     photos: options.Photos,
     out: Annotated[
-        str | None,
-        typer.Option(
-            "--out", "-o", help="transforms.json, or a folder ending in / for a COLMAP model."
-        ),
+        str | None, typer.Option("--out", "-o", help="transforms.json, or FOLDER/ for COLMAP.")
     ] = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -142,8 +138,7 @@ def cameras(
     the first two are 1 apart. A transforms.json says all this too, and `--cameras` reads it.
 
     \b
-    slgaussian cameras a.jpg b.jpg
-    slgaussian cameras photos/ -o transforms.json
+    slgaussian cameras a.jpg b.jpg -o transforms.json
     slgaussian cameras photos/ -o model/
     slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
     """

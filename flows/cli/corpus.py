@@ -40,8 +40,7 @@ def ingest(
         list[str],
         typer.Argument(
             metavar="SOURCE",
-            help="Folder or fsspec URL of .torch chunks; or folders of photographs or camera "
-            "files, and procedural:FIRST-LAST (seeds of rooms).",
+            help="Chunks (a folder or URL); or folders of photographs, procedural:FIRST-LAST.",
         ),
     ],
     out: options.Out,
@@ -49,13 +48,11 @@ def ingest(
 ) -> None:
     """Choose samples to learn from in a corpus of chunks.
 
-    Looks at every view. Leaves views.parquet (camera, blur, exposure and distance of each view),
-    pairs.parquet (two context and three target views each) and failures.parquet (what could not
-    be used, and why). After new chunks were added, only those are read.
-
-    Sources that are no chunks are first added to OUT/chunks, in the format of RealEstate10K, each
-    scene as a clip with the name of its folder; those that are there are left as they are. The exit
-    status is 1 if something was left out.
+    Leaves views.parquet (camera, blur, exposure and distance of each view), pairs.parquet (two
+    context and three target views each) and failures.parquet (what could not be used, and why).
+    Reads new chunks alone. Sources that are no chunks are first added to OUT/chunks, in the format
+    of RealEstate10K, each scene as a clip with the name of its folder. The exit status is 1 if
+    something was left out.
 
     \b
     slgaussian ingest chunks/train -o corpus
@@ -96,9 +93,7 @@ def ingest(
 @options.configured("size", *options.COMPONENTS, "most", *options.ENGINE, model=CorpusSettings)
 def supervise(
     ctx: typer.Context,
-    chunks: Annotated[
-        str, typer.Argument(metavar="CHUNKS", help="Folder or fsspec URL of .torch chunks.")
-    ],
+    chunks: Annotated[str, typer.Argument(help="Folder or fsspec URL of .torch chunks.")],
     out: options.Out,
     verbose: options.Verbose = False,
 ) -> None:
@@ -130,13 +125,12 @@ def _prepare(command: str, settings: CorpusSettings, verbose: bool) -> None:
 @options.configured(*SET_FIELDS, *options.ENGINE, model=DatasetSettings)
 def dataset(
     ctx: typer.Context,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the training set.")],
+    out: Annotated[Path, typer.Argument(help="Folder of the training set.")],
     sources: Annotated[
         list[str],
         typer.Argument(
             metavar="SOURCE",
-            help="Folder of photographs, of a scene of any format, of chunks, or of camera files; "
-            "procedural:FIRST-LAST; or PLACE=SOURCE.",
+            help="Folder of any scene, or of chunks; procedural:FIRST-LAST; or PLACE=SOURCE.",
         ),
     ],
     verbose: options.Verbose = False,

@@ -38,23 +38,17 @@ ROOM = 2**30
 @options.configured("store", "runner", *options.COMPONENTS, "encoder")
 def doctor(
     ctx: typer.Context,
-    components: Annotated[
-        bool,
-        typer.Option("--components", help="List the components and their fields, no checks."),
-    ] = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of a configuration file.")
-    ] = False,
+    components: Annotated[bool, typer.Option("--components", help="List all components.")] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema.")] = False,
 ) -> None:
     """Check what a run needs, and say what to do about it.
 
     Looks at packages, threads, the store, the Prefect server and the files and models that options
     name, and says of each: ok, or BAD with what to do. A model is known by its digest where the hub
     has one, and otherwise loaded and tried. Nothing is downloaded. The exit status is 1 if anything
-    is BAD.
+    is BAD. Or lists the components with their fields, or the schema of a configuration file.
 
     \b
-    slgaussian doctor
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
     slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
     slgaussian doctor --components

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,9 +33,7 @@ Hits = tuple[tuple[int, float], ...]
 """Ids of objects with their relevancies."""
 
 objects = typer.Typer(
-    name="objects",
-    cls=Group,
-    help="List the objects of a field; teach, name, remove or extract them.",
+    name="objects", cls=Group, help="List, teach, name, remove or extract objects."
 )
 
 
@@ -43,14 +42,9 @@ objects = typer.Typer(
 def list_(
     ctx: typer.Context,
     field: options.Folder,
-    texts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="TEXT", help="What to tell objects by. [default: what is known]"),
-    ] = None,
+    texts: options.Texts = None,
     words: options.Words = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Picture of all: .png or .jpg.")
-    ] = None,
+    out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
     """List the objects of a field: words, size, place and views.
@@ -64,8 +58,6 @@ def list_(
     slgaussian objects list field/
     slgaussian objects list field/ wall "red sofa" plant -o objects.png
     """
-    import json
-
     from flows.cli.open_field import open_field, refusals, sort_texts
     from flows.cli.pictures import check_picture, write_picture
     from flows.cli.tables import table_text
@@ -98,8 +90,7 @@ def teach(
     field: options.Folder,
     word: Annotated[str, typer.Argument(metavar="WORD", help='What you call it, as "fox".')],
     at: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="X Y", help="Pixel of the thing: column and row from the top left."),
+        tuple[int, int] | None, typer.Option(metavar="X Y", help="Column and row of its pixel.")
     ] = None,
     view: options.View = None,
     forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
@@ -113,7 +104,6 @@ def teach(
     \b
     slgaussian objects teach field/ fox --at 312 140
     slgaussian objects teach field/ fox --at 80 210 --view 1
-    slgaussian query field/ fox -o hit.png
     slgaussian objects teach field/ fox --forget
     """
     from flows.cli.open_field import choose_cameras
@@ -149,15 +139,12 @@ def teach(
 def name(
     field: options.Folder,
     id_: Annotated[int, typer.Argument(metavar="ID", help="The object, as `objects list` has it.")],
-    name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="Its name; left out, it has none.")
-    ] = None,
+    name: Annotated[str | None, typer.Argument(help="Its name; left out, it has none.")] = None,
 ) -> None:
     """Give an object a name that can be asked, or take it away.
 
     \b
     slgaussian objects name field/ 17 "my chair"
-    slgaussian query field/ "my chair"
     slgaussian objects name field/ 17
     """
     from slgaussian.field import SemanticField
@@ -173,10 +160,7 @@ def name(
 def remove(
     ctx: typer.Context,
     field: options.Folder,
-    texts: Annotated[
-        list[str],
-        typer.Argument(metavar="OBJECT", help="Texts, names that you gave, or ids of objects."),
-    ],
+    texts: Annotated[list[str], typer.Argument(metavar="OBJECT", help="Texts, names, or ids.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
     words: options.Words = None,
 ) -> None:
@@ -221,10 +205,7 @@ def remove(
 def extract(
     ctx: typer.Context,
     field: options.Folder,
-    text: Annotated[
-        str,
-        typer.Argument(metavar="OBJECT", help="A text, a name that you gave, or an id."),
-    ],
+    text: Annotated[str, typer.Argument(metavar="OBJECT", help="A text, a name, or an id.")],
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
     words: options.Words = None,
 ) -> None:

@@ -91,8 +91,9 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results."
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON.")]
 
-Photos = Annotated[
-    list[str], typer.Argument(metavar="PHOTO", help="Two or more photographs, or a folder of them.")
+Photos = Annotated[list[str], typer.Argument(metavar="PHOTO", help="Photographs, or a folder.")]
+Texts = Annotated[
+    list[str] | None, typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
 ]
 Cameras = Annotated[
     Path | None,
@@ -101,26 +102,13 @@ Cameras = Annotated[
     ),
 ]
 Refine = Annotated[bool, typer.Option("--refine", help="Find given cameras anew, in their world.")]
-Folder = Annotated[
-    Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote, or OUT/fields/SCENE.")
-]
-FieldOrPly = Annotated[
-    Path, typer.Argument(metavar="FIELD|PLY", help="Folder that `field` wrote, or any 3DGS .ply.")
-]
-Words = Annotated[
-    Path | None, typer.Option(help="Words taught elsewhere: words.npz of another field.")
-]
-View = Annotated[
-    str | None,
-    typer.Option(metavar="<name>", help="View, by name or number from 0. [default: 0]"),
-]
+Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
+FieldOrPly = Annotated[Path, typer.Argument(metavar="FIELD|PLY", help="Field, or any 3DGS .ply.")]
+Words = Annotated[Path | None, typer.Option(help="Words taught elsewhere: words.npz of a field.")]
+View = Annotated[str | None, typer.Option(help="By name or number from 0. [default: 0]")]
 Views = Annotated[
     list[str] | None,
-    typer.Option(
-        "--view",
-        metavar="<name>",
-        help="Look from this view, by name or number from 0; may be repeated. [default: 0]",
-    ),
+    typer.Option("--view", help="Views to look from, by name or number from 0. [default: 0]"),
 ]
 CameraFile = Annotated[
     Path | None,
@@ -130,9 +118,7 @@ Between = Annotated[
     tuple[str, str, float] | None,
     typer.Option(metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to B."),
 ]
-Picture = Annotated[
-    Path | None, typer.Option("--out", "-o", help="Picture of the answer: .png or .jpg.")
-]
+Picture = Annotated[Path | None, typer.Option("--out", "-o", help="Picture: .png or .jpg.")]
 
 
 def settings_from(

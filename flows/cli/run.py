@@ -17,9 +17,7 @@ from slgaussian.errors import InputError
 @options.configured("preset", "seed", *options.ENGINE)
 def run(
     ctx: typer.Context,
-    config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="TOML file with any of the settings.")
-    ],
+    config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the results.")] = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -52,15 +50,14 @@ def benchmark(
     out: options.Out = Path("slg-benchmark"),
     verbose: options.Verbose = False,
 ) -> None:
-    """Score the method, and others, on a labelled set or on made-up rooms.
+    """Score the method, and others, on a labelled set or made-up rooms.
 
     Builds a field from each scene's context views and asks it in its target views. Without --pairs,
     two context views are chosen for each labelled frame, and written to OUT/pairs.json. Leaves a
     report, tables, masks and fields.
 
     \b
-    slgaussian benchmark --rooms 0-19 --against query-2d --against lerf-like
-    slgaussian benchmark --rooms 0-19 --sweep preset=fast,paper --sweep views=2,3
+    slgaussian benchmark --rooms 0-19 --against lerf-like --sweep views=2,3
     slgaussian benchmark --data 3dovs --format ovs3d --set max_baseline=0.6
     slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels
     """
@@ -116,10 +113,7 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
         typer.echo(f"report: {results.report}")
     if results.ready:
         typer.echo(f"look at it: {results.look}\n{results.ready}")
-    if results.failures:
-        left_out = ", ".join(failure.scene for failure in results.failures)
-        typer.echo(f"left out: {left_out}; see {settings.out / 'failures.parquet'}", err=True)
-        raise typer.Exit(1)
+    report_left_out(settings.out, results.failures)
 
 
 def report_left_out(out: Path, failures: Sequence[Any]) -> None:

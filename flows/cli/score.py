@@ -18,19 +18,10 @@ NAMED = 3
 @options.configured(*options.LABELLED_SET, "size")
 def score(
     ctx: typer.Context,
-    predictions: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PREDICTIONS", help="Folder of masks as `benchmark` writes it, or a JSON file."
-        ),
-    ],
+    predictions: Annotated[Path, typer.Argument(help="Folder of masks, or a JSON file.")],
     protocol: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="<name>",
-            help="What scores mean: slgaussian, langsplat, langsplat-rescaled or 3d-ovs; may be "
-            "repeated. [default: all that the folder has]",
-        ),
+        typer.Option(help="What scores mean: slgaussian, langsplat, langsplat-rescaled or 3d-ovs."),
     ] = None,
     out: options.Out = Path("slg-score"),
 ) -> None:
@@ -38,7 +29,8 @@ def score(
 
     Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO's run
     lengths. One that is missing counts as empty. Without --pairs every labelled frame is asked what
-    is labelled in it. Leaves tables and masks as `benchmark` does, which `compare` reads.
+    is labelled in it; without --protocol all are scored that the folder has. Leaves tables and
+    masks as `benchmark` does, which `compare` reads.
 
     \b
     slgaussian score masks --data office --pairs office/pairs.json --labels office/labels -o mine
@@ -67,13 +59,8 @@ def score(
 
 
 def compare(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Folders that benchmark, run or score wrote."),
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for compare.html and compare.md.")
-    ] = None,
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of results.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the pages.")] = None,
 ) -> None:
     """Compare the settings and the scores of two runs, or rank those of more.
 
@@ -82,8 +69,6 @@ def compare(
     each data set, protocol and size; only what was asked the same is in one table.
 
     \b
-    slgaussian benchmark --rooms 0-9 -o before
-    slgaussian benchmark --rooms 0-9 --set replicas=1 -o after
     slgaussian compare before after -o changes
     slgaussian compare ours theirs another -o board
     """

@@ -35,13 +35,7 @@ def render(
     between: options.Between = None,
     camera: options.CameraFile = None,
     orbit: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=2,
-            max=2000,
-            help="Look from N places on a short turn: turn.mp4 or turn.gif.",
-        ),
+        int | None, typer.Option(metavar="N", min=2, max=2000, help="Draw a turn of N frames.")
     ] = None,
 ) -> None:
     """Draw a field, or any .ply of Gaussians, from a camera.
@@ -137,19 +131,15 @@ def view(
     ctx: typer.Context,
     source: options.FieldOrPly,
     port: Annotated[
-        int | None,
-        typer.Option(min=1, max=65535, help="Where to listen. [default: 8080, or a free one]"),
+        int | None, typer.Option(min=1, max=65535, help="[default: 8080, or a free one]")
     ] = None,
-    host: Annotated[
-        str, typer.Option(help="Who can open it: at 0.0.0.0, whoever has the address it prints.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Where to listen; 0.0.0.0 is for all.")] = "127.0.0.1",
 ) -> None:
     """Look at a scene in the browser; ask it by word and by click.
 
-    Prints the address to open. Several people may open it, and change the same field.
-    Type a word, or click a thing to see what it is, to name it, to teach a word for it, or to
-    remove it; Save changes writes all that into the folder of the field. A .ply can only be looked
-    at. Ctrl-C ends it.
+    Prints the address to open; several people may, and change the same field. Type a word, or click
+    a thing to see what it is, to name it, to teach a word for it, or to remove it; Save changes
+    writes all that into the folder of the field. A .ply can only be looked at. Ctrl-C ends it.
 
     \b
     slgaussian view field/

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,7 +25,7 @@ store_app = typer.Typer(
 
 
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder to inspect.")],
+    path: Annotated[Path, typer.Argument(help="File or folder to inspect.")],
     as_json: options.AsJson = False,
 ) -> None:
     """Show the data spec, origin and digest of a file, and check it.
@@ -56,25 +55,13 @@ def inspect(
 @store_app.command()
 def gc(
     store: options.Store = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Remove it. Otherwise it is only listed.")
-    ] = False,
-    age: Annotated[
-        float, typer.Option(min=0, help="Days; what was written since then stays, whatever it is.")
-    ] = 1.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Remove it, and not only list it.")] = False,
+    age: Annotated[float, typer.Option(min=0, help="Days; what is younger stays.")] = 1.0,
     superseded: Annotated[
-        bool,
-        typer.Option(
-            "--superseded",
-            help="Also results of other versions of the stages than those of this installation.",
-        ),
+        bool, typer.Option("--superseded", help="Also results of other versions of the stages.")
     ] = False,
     keep: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="<path>",
-            help="Table such as lessons.parquet; what it names stays. May be repeated.",
-        ),
+        list[Path] | None, typer.Option(help="Table as lessons.parquet; what it names stays.")
     ] = None,
 ) -> None:
     """Say what nothing in a store refers to, and remove it with --yes.
@@ -84,7 +71,6 @@ def gc(
     than --age.
 
     \b
-    slgaussian store gc
     slgaussian store gc --store s3://bucket/slg --yes
     slgaussian store gc --superseded --keep corpus/lessons.parquet --age 7 --yes
     """
@@ -93,8 +79,8 @@ def gc(
     from slgaussian.storage.housekeeping import collect
 
     stages = _stage_versions() if superseded else None
-    with _opened(store) as (opened, progress):
-        garbage = collect(opened, age * DAY, stages, keep or (), yes, progress)
+    with _opened(store) as opened:
+        garbage = collect(opened, age * DAY, stages, keep or (), yes)
     kinds = {
         "artifacts that nothing refers to": garbage.artifacts,
         "records that are superseded or unreadable": garbage.records,
@@ -112,9 +98,7 @@ def gc(
 @store_app.command()
 def verify(
     store: options.Store = None,
-    remove: Annotated[
-        bool, typer.Option("--remove", help="Delete what is damaged: it is then made again.")
-    ] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Delete what is damaged.")] = False,
 ) -> None:
     """Read everything in a store, and name what is damaged.
 
@@ -122,13 +106,12 @@ def verify(
     and stays.
 
     \b
-    slgaussian store verify
     slgaussian store verify --store s3://bucket/slg --remove
     """
     from slgaussian.storage import housekeeping
 
-    with _opened(store) as (opened, progress):
-        state = housekeeping.verify(opened, remove, _stage_versions(), progress)
+    with _opened(store) as opened:
+        state = housekeeping.verify(opened, remove, _stage_versions())
     for reason in state.damaged.values():
         typer.echo(f"damaged: {reason}")
     done = " and removed: the next run makes them again" if state.damaged and remove else ""
@@ -150,7 +133,6 @@ def du(store: options.Store = None) -> None:
     """Count the files and bytes in a store, by spec and stage.
 
     \b
-    slgaussian store du
     slgaussian store du --store s3://bucket/slg
     """
     from rich.filesize import decimal
@@ -158,8 +140,8 @@ def du(store: options.Store = None) -> None:
     from flows.cli.tables import table_text
     from slgaussian.storage.housekeeping import usage
 
-    with _opened(store) as (opened, progress):
-        rows = usage(opened, progress)
+    with _opened(store) as opened:
+        rows = usage(opened)
     total = [sum(column) for column in zip(*rows.values(), strict=True)] or [0, 0]
     lines = [["folder", "made by", "files", "size"]]
     for (folder, maker), (files, size) in [*rows.items(), (("all", ""), total)]:
@@ -168,10 +150,9 @@ def du(store: options.Store = None) -> None:
 
 
 @contextmanager
-def _opened(url: str | None) -> Iterator[tuple[ArtifactStore, Callable[[str, int, int], None]]]:
-    """Open a store; on a terminal, show how far a long walk through it is."""
+def _opened(url: str | None) -> Iterator[ArtifactStore]:
+    """Open a store that is there; on a terminal, show that it is read."""
     from rich.console import Console
-    from rich.filesize import decimal
 
     from flows.settings import make_settings
     from slgaussian.storage.store import ArtifactStore
@@ -179,15 +160,8 @@ def _opened(url: str | None) -> Iterator[tuple[ArtifactStore, Callable[[str, int
     store = ArtifactStore(make_settings({} if url is None else {"store": url}, "store").store)
     if store.local and not Path(store.path).is_dir():
         raise InputError(f"{store.root}: found no folder, expected a store; say where with --store")
-    counts, sizes = Counter[str](), Counter[str]()
-    with Console(stderr=True).status(f"reading {store.root}") as status:
-
-        def progress(kind: str, files: int, size: int) -> None:
-            counts[kind] += files
-            sizes[kind] += size
-            status.update(f"{counts[kind]} {kind}, {decimal(sizes[kind])}")
-
-        yield store, progress
+    with Console(stderr=True).status(f"reading {store.root}"):
+        yield store
 
 
 def _stage_versions() -> dict[str, int]:

@@ -20,8 +20,7 @@ def train(
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
     start: Annotated[
-        Path | None,
-        typer.Option("--from", help="Weights to begin from: a file, or a folder of versions."),
+        Path | None, typer.Option("--from", help="Weights to begin from, or a folder of versions.")
     ] = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -62,19 +61,10 @@ def train(
 @options.configured("chunks", "models", "steps", "store", model=RetrainSettings)
 def retrain(
     ctx: typer.Context,
-    config: Annotated[
-        Path | None,
-        typer.Argument(metavar="CONFIG", help="TOML file with any of the settings."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for the tables and contact sheets.")
-    ] = None,
-    every: Annotated[
-        float | None, typer.Option(help="Seconds: do it again and again, until stopped.")
-    ] = None,
-    cron: Annotated[
-        str | None, typer.Option(help="Times to do it at, as cron writes them: '0 3 * * *'.")
-    ] = None,
+    config: Annotated[Path | None, typer.Argument(help="TOML file with any settings.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for tables.")] = None,
+    every: Annotated[float | None, typer.Option(help="Seconds: do it again and again.")] = None,
+    cron: Annotated[str | None, typer.Option(help="Times to do it at: '0 3 * * *'.")] = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Learn what is new in a corpus; use it if it is better.
@@ -107,20 +97,17 @@ def retrain(
 
 
 def versions(
-    models: Annotated[Path, typer.Argument(metavar="MODELS", help="Folder of versions.")],
-    use: Annotated[
-        str | None,
-        typer.Option(metavar="<number>", help="Put this version to use, or none with `none`."),
-    ] = None,
+    models: Annotated[Path, typer.Argument(help="Folder of versions.")],
+    use: Annotated[str | None, typer.Option(help="Put this version to use, or `none`.")] = None,
     roll_back: Annotated[
-        bool,
-        typer.Option("--roll-back", help="Put to use what the one in use was trained from."),
+        bool, typer.Option("--roll-back", help="Use what the one in use was trained from.")
     ] = False,
     why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
 ) -> None:
-    """List the weights that `retrain` keeps, who put which to use and why; or switch to others.
+    """List the weights that `retrain` keeps, or switch to others.
 
-    What the gate refused can be put to use by hand, and what it let pass can be taken out of use.
+    Prints who put which to use when, and why. What the gate refused can be put to use by hand, and
+    what it let pass can be taken out of use.
 
     \b
     slgaussian versions models
