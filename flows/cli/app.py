@@ -62,19 +62,18 @@ def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
     typer.echo(f"warning: {message}", err=True)
 
 
-@cache
-def _waiting() -> Callable[[str], None]:
-    """Return what shows that kernels are compiled; its imports are heavy, and seldom needed."""
-    from flows.runners.progress import Waiting
-
-    return Waiting(sys.stderr)
-
-
 def main() -> None:
     """Run the command line; errors meant for users end in one sentence and exit status 2."""
     warnings.showwarning = _show_warning
+
+    @cache
+    def waiting() -> Callable[[str], None]:  # its imports are heavy, and seldom needed
+        from flows.runners.progress import Waiting
+
+        return Waiting(sys.stderr)
+
     try:
-        with compiling.told_to(lambda text: _waiting()(text)):
+        with compiling.told_to(lambda text: waiting()(text)):
             status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
         typer.echo(f"error: {usage_sentence(error)}", err=True)

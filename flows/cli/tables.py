@@ -1,10 +1,9 @@
-"""Tables and pages for a terminal, or for a pipe with each row in a line."""
+"""Tables for a terminal, or for a pipe with each row in a line."""
 
 import sys
 from collections.abc import Iterable, Sequence
 
 from rich.console import Console
-from rich.markdown import Markdown
 from rich.table import Table
 
 UNBOUNDED = 10_000
@@ -28,8 +27,3 @@ def table_text(rows: Iterable[Sequence[str]], sides: str = "<") -> str:
     with console.capture() as text:
         console.print(table)
     return "\n".join(line.rstrip() for line in text.get().splitlines())
-
-
-def print_markdown(text: str) -> None:
-    """Print a page of Markdown, laid out on a terminal and as it is into a pipe."""
-    Console().print(Markdown(text)) if sys.stdout.isatty() else print(text)
