@@ -19,9 +19,9 @@ NAMED = 3
 def score(
     ctx: typer.Context,
     predictions: Annotated[Path, typer.Argument(help="Folder of masks, or a JSON file.")],
-    protocol: Annotated[
+    protocols: Annotated[
         list[str] | None,
-        typer.Option(help="What scores mean: slgaussian, langsplat, langsplat-rescaled or 3d-ovs."),
+        typer.Option("--protocol", help="slgaussian, langsplat, langsplat-rescaled or 3d-ovs."),
     ] = None,
     out: options.Out = Path("slg-score"),
 ) -> None:
@@ -37,13 +37,11 @@ def score(
     slgaussian score masks.json --rooms 0-19 --size 416x576 --protocol 3d-ovs
     slgaussian compare scores mine
     """
-    values = options.settings_from(ctx)
-    values.pop("protocol", None)  # that of the command, and not a rule of queries
-    settings = make_settings(values, "score")
+    settings = make_settings(options.settings_from(ctx), "score")
     from flows import scoring
     from flows.cli.score_tables import methods_text
 
-    scores = scoring.score(settings, predictions, protocol or [], out)
+    scores = scoring.score(settings, predictions, protocols or [], out)
     rows = [row for result in scores.results for row in result.rows]
     notes, tally = [*scores.said], scores.tally
     if tally.missing:
