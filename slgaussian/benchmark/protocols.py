@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark import metrics, ranking
-from slgaussian.benchmark.boundary_recall import boundary_iou
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import langsplat
 from slgaussian.language.query import Rules
@@ -196,7 +195,7 @@ class ScoringProtocol:
 
 
 def _overlap(mask: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
-    return {"iou": metrics.iou(mask, truth), "boundary_iou": boundary_iou(mask, truth)}
+    return {"iou": metrics.iou(mask, truth), "boundary_iou": metrics.boundary_iou(mask, truth)}
 
 
 def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
@@ -247,7 +246,7 @@ def _langsplat_given(given: GivenFrame, k: int) -> dict[str, Any]:
 def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
     region = frame.labels == k + 1
     scores = {
-        "boundary_iou": boundary_iou(region, frame.masks[k]),
+        "boundary_iou": metrics.boundary_iou(region, frame.masks[k]),
         "class_iou": frame.class_ious[k],
         "accuracy": frame.accuracy,
     }

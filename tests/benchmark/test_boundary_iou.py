@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from slgaussian.benchmark.boundary_recall import boundary_iou, reach, rim
+from slgaussian.benchmark.metrics import boundary_iou, reach, rim
 
 MASKS = arrays(bool, st.tuples(st.integers(1, 70), st.integers(1, 90)))
 

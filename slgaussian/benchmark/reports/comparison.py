@@ -6,28 +6,19 @@ protocol, judged at the same size.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from slgaussian.benchmark.outputs import mask_place
-from slgaussian.benchmark.reports.encoding import picture
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
     Block,
-    Card,
-    Cards,
-    Cell,
     Column,
     Fold,
     Prose,
     Report,
     Section,
     Table,
-    Terms,
     escape,
     flatten,
     number,
@@ -40,24 +31,12 @@ from slgaussian.benchmark.reports.score_tables import (
 )
 from slgaussian.benchmark.scores import key_of, of_first_protocol
 from slgaussian.errors import InputError
-from slgaussian.formats.images import read_mask
 
 Row = Mapping[str, Any]
 Pairs = Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
 
 CHANGED = 8
 """Queries that are shown, those whose IoU changed most."""
-
-WIDTH = 300
-"""Pixels, at most, of the width of a picture of two masks."""
-
-BOTH, FIRST, SECOND, NEITHER = (236, 239, 244), (230, 126, 34), (0, 114, 178), (29, 35, 48)
-"""Colours of the pixels of two masks: in both, in that of the first run alone, of the second."""
-
-LEGEND = Terms(
-    {"both": "found by both", "A": "found by A alone", "B": "found by B alone"},
-    {"both": "swatch both", "A": "swatch first", "B": "swatch second"},
-)
 
 COSTS = {
     "prepare": ("to prepare a scene, s", 1.0, 4),
@@ -107,20 +86,14 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         sections.append(Section(f"B minus A, {table.title}", blocks))
     if costs := _costs_table(first, second):
         sections.append(Section("What they cost", [costs]))
-    if changes := _changes(first.folder, second.folder, pairs):
-        sections.append(Section("IoU that changed most", changes))
+    if changes := _changes_table(pairs):
+        sections.append(Section("IoU that changed most", [changes]))
     summary = escape(_summary(first, second, pairs))
     return Report("Two runs", [Prose(opening), Prose(f"{summary}.")], sections)
 
 
 def _untitled(table: Table) -> Table:
     return Table(table.columns, table.lines, "", table.notes)
-
-
-def mask_change(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Draw two masks bool [H, W] in one picture uint8 [H, W, 3]."""
-    colors = np.array([NEITHER, FIRST, SECOND, BOTH], np.uint8)
-    return colors[first.astype(int) + 2 * second.astype(int)]
 
 
 def _pairs(first: Run, second: Run) -> Pairs:
@@ -267,10 +240,10 @@ def _costs_table(first: Run, second: Run) -> Table | None:
     return Table.of(["", "A", "B"], rows, notes=[note])
 
 
-def _changes(first: Path, second: Path, pairs: Pairs) -> list[Block]:
-    """Show the most changed queries of the first method of both, what became worse first."""
+def _changes_table(pairs: Pairs) -> Table | None:
+    """List the most changed queries of the first method of both, what became worse first."""
     if not pairs:
-        return []
+        return None
     name, (earlier, later) = next(iter(pairs.items()))
     mine, theirs = _aligned(of_first_protocol(earlier), of_first_protocol(later))
     changed = [
@@ -279,29 +252,19 @@ def _changes(first: Path, second: Path, pairs: Pairs) -> list[Block]:
         if None not in (row["iou"], other["iou"]) and row["iou"] != other["iou"]
     ]
     if not changed:
-        return []
-    changed = sorted(changed, key=lambda one: -abs(one[2]))[:CHANGED]
-    rows, cards = [], []
-    for row, other, _ in sorted(changed, key=lambda one: one[2]):
-        query, place = row["query"], f"{row['scene']}, {row['frame']}"
-        ious = [f"{one['iou']:.3f}" for one in (row, other)]
-        rows.append([query, place, *ious])
-        masks = [_read_mask(folder, one) for folder, one in ((first, row), (second, other))]
-        before, after = masks
-        if before is not None and after is not None and before.shape == after.shape:
-            drawn = picture(mask_change(before, after), WIDTH, place, f"masks of {query} in both")
-            chips = [(f"A {ious[0]}", ""), (f"B {ious[1]}", "")]
-            cards.append(Card(query, chips, [drawn]))
-    heads = ["Query", Column("Scene and frame", is_text=True), "IoU of A", "IoU of B"]
-    note = f"By {escape(name)}, {escape(mine[0]['protocol'])}."
-    table = Table.of(heads, [[Cell(row[0]), *row[1:]] for row in rows], notes=[note])
-    return [table, Cards(cards, "few"), LEGEND] if cards else [table]
-
-
-def _read_mask(folder: Path, row: Row) -> np.ndarray | None:
-    """Read the mask of a row; None if it is not there."""
-    try:
-        data = (folder / "predictions" / mask_place(row)).read_bytes()
-        return read_mask(io.BytesIO(data))
-    except (OSError, InputError):
         return None
+    changed = sorted(changed, key=lambda one: -abs(one[2]))[:CHANGED]
+    rows = [
+        [
+            row["query"],
+            f"{row['scene']}, {row['frame']}",
+            number(row["iou"], 3),
+            number(other["iou"], 3),
+            mask_place(row).as_posix(),
+        ]
+        for row, other, _ in sorted(changed, key=lambda one: one[2])
+    ]
+    texts = (Column(title, is_text=True) for title in ("Scene and frame", "Mask, in predictions/"))
+    place, mask = texts
+    note = f"By {escape(name)}, {escape(mine[0]['protocol'])}."
+    return Table.of(["Query", place, "IoU of A", "IoU of B", mask], rows, notes=[note])

@@ -9,8 +9,10 @@ never published: another pair of the same scene is another question.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from typing import Any
 
 from slgaussian.benchmark.baselines import PAPER_ABLATION
@@ -58,83 +60,32 @@ class _Source:
     groups: tuple[_Group, ...]
 
 
-_LERF = (("LERF", "lerf-like"), ("LangSplat", "langsplat-like"), ("SLGaussian", "slgaussian"))
-TABLES = (
+_PAPER = tomllib.loads((files(__package__) / "paper_tables.toml").read_text("utf-8"))
+
+TABLES = tuple(
     _Source(
-        "Table 1. 3D semantic segmentation (IoU, %) and localization accuracy (%) on LERF",
-        LERF,
-        ("figurines", "ramen", "teatime", "waldo_kitchen"),
-        (
+        one["title"],
+        one["format"],
+        tuple(one["scenes"]),
+        tuple(
             _Group(
-                "IoU (%)",
-                "iou",
-                _LERF,
-                (
-                    (20.88, 43.05, 47.28),
-                    (16.06, 47.66, 55.21),
-                    (21.64, 8.70, 40.65),
-                    (15.12, 8.94, 22.86),
-                    (18.43, 27.09, 41.50),
-                ),
-            ),
-            _Group(
-                "Localization accuracy (%)",
-                "hit_box",
-                _LERF,
-                (
-                    (58.33, 83.33, 91.67),
-                    (40.00, 90.00, 80.00),
-                    (62.50, 18.75, 50.00),
-                    (46.15, 15.38, 61.54),
-                    (51.75, 51.87, 70.80),
-                ),
-            ),
+                group["title"],
+                group["metric"],
+                tuple(map(tuple, group["methods"])),
+                tuple(map(tuple, group["numbers"])),
+                group.get("protocol"),
+            )
+            for group in one["group"]
         ),
-    ),
-    _Source(
-        "Table 2. 3D semantic segmentation on 3D-OVS",
-        OVS3D,
-        ("bed", "bench", "blue_sofa", "covered_desk", "lawn"),
-        (
-            _Group(
-                "IoU (%)",
-                "iou",
-                _LERF,
-                (
-                    (20.85, 0.62, 66.60),
-                    (26.51, 33.31, 81.35),
-                    (14.21, 19.46, 50.48),
-                    (7.57, 15.51, 51.97),
-                    (0.00, 30.40, 60.70),
-                    (13.83, 19.86, 62.22),
-                ),
-            ),
-            _Group(
-                "mIoU (%)",
-                "miou",
-                (_LERF[0], ("3D-OVS", "3d-ovs-like"), *_LERF[1:]),
-                (
-                    (12.67, 15.86, 1.72, 41.33),
-                    (29.92, 17.16, 27.08, 47.02),
-                    (23.65, 23.41, 6.23, 30.25),
-                    (20.63, 18.13, 21.17, 47.67),
-                    (5.50, 13.70, 31.69, 54.38),
-                    (18.47, 17.65, 17.58, 44.13),
-                ),
-                "3d-ovs",
-            ),
-        ),
-    ),
+    )
+    for one in _PAPER["table"]
 )
 """Tables 1 and 2."""
 
-ABLATION = "Table 3. Ablation: chosen IoU (%)"
-ABLATED = ((LERF, "teatime"), (OVS3D, "covered_desk"))
-ABLATION_NUMBERS = ((8.70, 15.51), (6.58, 10.48), (10.84, 16.40), (40.65, 51.97))
+ABLATION_NUMBERS = tuple(map(tuple, _PAPER["ablation"]["numbers"]))
 """The numbers of Table 3, in the order of :data:`slgaussian.benchmark.baselines.PAPER_ABLATION`."""
 
-QUERY_2D = "Table 4. Querying a new view against the 2D query, LERF"
-QUERY_2D_NUMBERS = {"query-2d": (44.64, 65.08), "slgaussian": (41.50, 70.80)}
+QUERY_2D_NUMBERS = {name: tuple(_PAPER["query-2d"][name]) for name in PAPER_SECONDS}
 """The numbers of Table 4: chosen IoU and localization accuracy, %."""
 
 
@@ -273,7 +224,7 @@ def _scenes_table(source: _Source, run: _Run, protocol: str) -> Table:
 
 def _ablation_table(run: _Run, protocol: str) -> Table:
     lines = []
-    last = len(ABLATION_NUMBERS) - 1
+    last, scenes = len(ABLATION_NUMBERS) - 1, _PAPER["ablation"]["scenes"]
     for k, ((parts, method), numbers) in enumerate(
         zip(PAPER_ABLATION.items(), ABLATION_NUMBERS, strict=True)
     ):
@@ -285,12 +236,14 @@ def _ablation_table(run: _Run, protocol: str) -> Table:
                 run.number(format, (scene,), method, protocol, "iou"),
                 "best" if k == last else "",
             )
-            for (format, scene), paper in zip(ABLATED, numbers, strict=True)
+            for (format, scene), paper in zip(scenes, numbers, strict=True)
         ]
         lines.append(Line((Cell(label), *cells), run.name(method)))
-    columns = [Column(scene.replace("_", " "), group="Chosen IoU (%)") for _, scene in ABLATED]
+    columns = [Column(scene.replace("_", " "), group="Chosen IoU (%)") for _, scene in scenes]
     head = Column("", is_text=True)
-    return Table((head, *columns), tuple(lines), ABLATION, run.notes((protocol,)))
+    return Table(
+        (head, *columns), tuple(lines), _PAPER["ablation"]["title"], run.notes((protocol,))
+    )
 
 
 def _query_2d_table(run: _Run, protocol: str) -> Table:
@@ -309,4 +262,4 @@ def _query_2d_table(run: _Run, protocol: str) -> Table:
         *map(Column, ("Chosen IoU (%)", "Localization accuracy (%)")),
     ]
     columns = (*heads, Column("Speed (s/q)"))
-    return Table(columns, tuple(lines), QUERY_2D, run.notes((protocol,)))
+    return Table(columns, tuple(lines), _PAPER["query-2d"]["title"], run.notes((protocol,)))

@@ -23,7 +23,6 @@ from slgaussian.benchmark.reports.model import (
     Cards,
     Column,
     Fold,
-    Plots,
     Points,
     Prose,
     Report,
@@ -38,7 +37,6 @@ from slgaussian.benchmark.reports.model import (
     number,
 )
 from slgaussian.benchmark.reports.paper_tables import paper_section
-from slgaussian.benchmark.reports.plots import plot_curves, plot_reliability
 from slgaussian.benchmark.reports.scenes import Scene, accounts_table, metrics_table
 from slgaussian.benchmark.reports.score_tables import (
     MAIN,
@@ -46,12 +44,11 @@ from slgaussian.benchmark.reports.score_tables import (
     claims,
     conditions,
     difference_tables,
-    is_of_curve,
     method_tables,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
 from slgaussian.benchmark.reports.summary import summarize
-from slgaussian.benchmark.scores import GOOD, key_of, of_first_protocol, reliability, score_table
+from slgaussian.benchmark.scores import GOOD, key_of, of_first_protocol, score_table
 from slgaussian.datasets.published import Standing
 
 Row = Mapping[str, Any]
@@ -242,38 +239,10 @@ def _score_sections(
         every.append(table)
         if table.title in more:
             every.append(replace(more[table.title], title="By other protocols, and calibration"))
-        every.append(Plots(_plots(table.title, scores, by_method)))
         if table.title in gains:
             every.append(replace(gains[table.title], title=f"{ours} minus each other method"))
-    note = f"by every protocol, plots{', differences' if others else ''}"
+    note = f"by every protocol{', and differences' if others else ''}"
     yield Section("Every score", every, note=note, is_folded=True)
-
-
-def _plots(
-    dataset: str, scores: Sequence[Row], by_method: Mapping[str, Sequence[Row]]
-) -> dict[str, str]:
-    """Return the plots of a data set, each with its caption."""
-    ours = next(iter(by_method))
-    curves: dict[str, dict[float, float]] = {}
-    for score in scores:
-        if score["dataset"] == dataset and is_of_curve(score):
-            curves.setdefault(score["method"], {})[score["threshold"]] = score["value"]
-    sure = {}
-    for method, rows in by_method.items():
-        own = reliability(
-            row
-            for row in rows
-            if row["dataset"] == dataset and row["protocol"].startswith("slgaussian@")
-        )
-        if own.counts.any():
-            sure[method] = own
-    plots = {}
-    if curves:
-        plots["IoU with each threshold of the relevancy"] = plot_curves(curves, ours)
-    if sure:
-        caption = "Calibration: how often the point is right, by how sure; larger: more queries"
-        plots[caption] = plot_reliability(sure, ours)
-    return plots
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
