@@ -55,7 +55,7 @@ def slgaussian(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show it.")
     ] = False,
 ) -> None:
-    """Hold the options of all commands."""
+    """Take the options of the program itself."""
 
 
 def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:

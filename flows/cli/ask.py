@@ -61,12 +61,12 @@ def query(
         field, options.settings_from(ctx, Method, preset=ctx.params["preset"]), words
     )
     crops = {str(file): _read_crop(file) for file in like or ()}
-    asked, refused = sort_texts(opened, texts)
+    accepted, refused = sort_texts(opened, texts)
     answers, rows = [], []
     cameras = choose_cameras(field, opened.cameras, view, camera, between)
     for name, shot in cameras.items():
         seen = render_view(field, opened, shot)
-        results = seen.query_all(asked, **rules) if asked else []
+        results = seen.query_all(accepted, **rules) if accepted else []
         results += [replace(seen.like(*crop, **rules), text=file) for file, crop in crops.items()]
         hits = {hit.text: hit for hit in results}
         for text in [*texts, *crops]:
@@ -245,14 +245,14 @@ def segment(
     if out is not None:
         check_picture(out)
     rules, opened = opening.open_field(field, options.settings_from(ctx, Method), words)
-    asked, refused = opening.sort_texts(opened, texts)
+    accepted, refused = opening.sort_texts(opened, texts)
     chosen = opening.choose_cameras(field, opened.cameras, view and [view], camera, between)
     ((name, shot),) = chosen.items()
     seen = opening.render_view(field, opened, shot)
-    hits = seen.query_all(asked, **rules)
+    hits = seen.query_all(accepted, **rules)
     # A text has the label of its place among all texts, from 1.
-    numbers = [texts.index(text) + 1 for text in asked]
-    labels = np.array([0, *numbers], np.int32)[seen.segment(asked, **rules)]
+    numbers = [texts.index(text) + 1 for text in accepted]
+    labels = np.array([0, *numbers], np.int32)[seen.segment(accepted, **rules)]
     best = np.stack([hit.relevancy for hit in hits]).max(0)
     pixels = np.bincount(labels.ravel(), minlength=len(texts) + 1)
     total = np.bincount(labels.ravel(), best.ravel(), minlength=len(texts) + 1)

@@ -74,7 +74,7 @@ def ingest(
         left_out = len(packed.left_out)
         typer.echo(f"{packed.clips} clips in {len(packed.chunks)} new chunks  {chunks}")
         if left_out:
-            typer.echo(f"left out: {left_out}, each said above", err=True)
+            typer.echo(f"left out: {left_out}, for the reasons above", err=True)
         if not (Path(chunks) / INDEX).exists():
             raise typer.Exit(1)
     elif sources[1:]:

@@ -13,19 +13,16 @@ from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from packaging.requirements import Requirement
 
 from flows.cli import options
+from flows.settings import Settings, make_settings
 from slgaussian import __version__
-from slgaussian.components.finding import Finding, Findings
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import PACKAGE, requirements
-
-if TYPE_CHECKING:
-    from flows.settings import Settings
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are shown even if all is well."""
@@ -53,8 +50,9 @@ def doctor(
     slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
     slgaussian doctor --components
     """
-    from flows.settings import Settings, make_settings
     from slgaussian.components.catalogue import as_text
+    from slgaussian.components.intact import check_component
+    from slgaussian.kernels import threads
 
     if components and schema:
         raise InputError("doctor: --components and --schema are two outputs; choose one")
@@ -62,39 +60,34 @@ def doctor(
         typer.echo(as_text() if components else json.dumps(Settings.model_json_schema(), indent=1))
         return
     settings = make_settings(options.settings_from(ctx), "doctor")
-    healthy = True
-    for finding in examine(settings, "runner" in settings.model_fields_set):
-        healthy &= bool(finding.good)
-        typer.echo(f"{'ok ' if finding.good else 'BAD'}  {finding.name:<12} {finding.said}")
-    raise typer.Exit(0 if healthy else 1)
-
-
-def examine(settings: Settings, runner: bool = False) -> Findings:
-    """Check packages, store, server, ``runner`` if wanted, and the models of the chosen parts."""
-    from slgaussian.components.intact import check_component
-    from slgaussian.kernels import threads
-
     opened, tables = list[Any](), settings.component_values()
-    yield Finding(PACKAGE, f"{__version__}, Python {platform.python_version()}")
-    yield from _tried("packages", _packages)
-    yield Finding("threads", f"{threads.cores()} cores")
-    yield from _tried("store", _store, settings.store, opened)
-    yield from _tried("server", _server, *opened)
-    if runner and opened:
-        yield from _tried("runner", _runner, settings.runner, opened[0])
-    for kind, part in settings.component_names().items():
-        yield from _tried(part, check_component, kind, part, tables.get(part, {}))
+    typer.echo(f"ok   {PACKAGE:<12} {__version__}, Python {platform.python_version()}")
+    checks: list[bool] = [
+        _passes("packages", _packages),
+        _passes("threads", lambda: f"{threads.cores()} cores"),
+        _passes("store", _store, settings.store, opened),
+        _passes("server", _server, *opened),
+    ]
+    if "runner" in settings.model_fields_set and opened:
+        checks.append(_passes("runner", _runner, settings.runner, opened[0]))
+    for kind, name in settings.component_names().items():
+        checks.append(_passes(name, check_component, kind, name, tables.get(name, {})))
+    raise typer.Exit(0 if all(checks) else 1)
 
 
-def _tried(name: str, check: Callable[..., str], *arguments: Any) -> Findings:
+def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
+    """Print what a check returns as ok, or why it fails as BAD; return whether it passes."""
+    passes = False
     try:
-        if message := check(*arguments):
-            yield Finding(name, message)
+        message, passes = check(*arguments), True
     except SLGaussianError as error:
-        yield Finding(name, str(error).removeprefix(f"{name} ").removeprefix(f"{name}: "), False)
+        message = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
     except Exception as error:  # whatever it is, the other checks go on
         reason = one_line(f"{type(error).__name__}: {error}")
-        yield Finding(name, f"cannot be checked ({reason}); install it as the README says", False)
+        message = f"cannot be checked ({reason}); install it as the README says"
+    if message:
+        typer.echo(f"{'ok ' if passes else 'BAD'}  {name:<12} {message}")
+    return passes
 
 
 def _packages() -> str:

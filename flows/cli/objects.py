@@ -65,8 +65,8 @@ def list_(
     if out is not None:
         check_picture(out)
     rules, opened = open_field(field, options.settings_from(ctx, Method), words)
-    asked, refused = sort_texts(opened, texts or [])
-    things = opened.inventory(asked or None, **rules)
+    accepted, refused = sort_texts(opened, texts or [])
+    things = opened.inventory(accepted or None, **rules)
     if out is not None:
         write_picture(out, _picture(field, opened, things))
     rows = [_row(thing) for thing in things]

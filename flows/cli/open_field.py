@@ -73,10 +73,10 @@ def sort_texts(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], d
             field.reader.understood(text)
         except InputError as error:
             refused[text] = str(error)
-    asked = [text for text in dict.fromkeys(texts) if text not in refused]
-    if texts and not asked:
+    accepted = [text for text in dict.fromkeys(texts) if text not in refused]
+    if texts and not accepted:
         raise InputError("; ".join(refused.values()))
-    return asked, refused
+    return accepted, refused
 
 
 def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
