@@ -16,7 +16,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("attribution", version=2)
+@stage("attribution", version=3)
 def attribution(
     run: RunContext,
     sample: ArtifactRef,
@@ -41,7 +41,7 @@ def attribution(
         base, pieces = run.read(gaussians, Gaussians.from_arrays), found.labels
         if not method.tracker.implementation.final:
             pieces = Inputs(shown, asked, base, found, method.proposer.load()).own_labels.labels
-        rows = attribute_errors(asked, base, shown, found, pieces, known, settings)
+        rows = attribute_errors(asked, base, shown, pieces, known, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
     return run.store.put("attribution", table, {"misses": misses})

@@ -67,7 +67,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
     for inputs in built(sample, range(SEEDS)):
         first = first or inputs
         pieces = first.own_labels.labels
-        found = inputs.field, inputs.gaussians, sample, inputs.label_maps
+        found = inputs.field, inputs.gaussians, sample
         lost = attribute_errors(*found, pieces, truth)
         stages = {
             f"{stage}_iou": float(np.mean([row[f"{stage}_iou"] for row in lost]))

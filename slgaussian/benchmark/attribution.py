@@ -21,16 +21,14 @@ from slgaussian.benchmark.scores import GOOD
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.labels import LabelMaps
 from slgaussian.language.locate import central_point
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import BankReader, QueryResult, Rules, ask
+from slgaussian.language.query import QueryResult, Rules, ask
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 
 STAGES = {
     "threshold": "threshold",
-    "joined": "association",
     "language": "language",
     "pieces": "mask: in pieces",
     "parted": "association",
@@ -42,7 +40,6 @@ STAGES = {
 STAND_INS = {
     "iou": ("as it is", ""),
     "threshold_iou": ("threshold", "each query cut where it is best for it"),
-    "joined_iou": ("joined", "ids of one thing scored as one"),
     "language_iou": ("language", "whole things named, one for each part of the truth"),
     "pieces_iou": ("pieces", "as many objects named as help"),
     "parted_iou": ("parted", "each view's own pieces, as before association"),
@@ -66,12 +63,11 @@ def attribute_errors(
     field: SemanticField,
     gaussians: Gaussians,
     sample: Sample,
-    label_maps: LabelMaps,
     pieces: np.ndarray,
     truth: Truth,
     settings: EvaluationSettings | None = None,
 ) -> list[dict[str, Any]]:
-    """Ask a field what the truth knows, and say what lost each miss.
+    """Ask a field what the truth knows, and name the stage that lost each miss.
 
     Parameters
     ----------
@@ -81,8 +77,6 @@ def attribute_errors(
         Those that were predicted for it, before the field merged any.
     sample : Sample
         True depths and instances are used where its context views have them.
-    label_maps : LabelMaps
-        Of the context views, as they went into the field.
     pieces : int32 [V, H, W]
         What was proposed in each context view, before association; 0 none. Numbers of different
         views have nothing to do with each other.
@@ -100,7 +94,7 @@ def attribute_errors(
     settings = settings or EvaluationSettings()
     rules = replace(settings.rules, protocol="slgaussian")
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
-    scene = _Scene(field, gaussians, sample, label_maps, pieces)
+    scene = _Scene(field, gaussians, sample, pieces)
     columns = load_spec("attribution").columns
     rows = []
     for target in sample.targets:
@@ -115,7 +109,7 @@ def attribute_errors(
 
 
 def verdict(row: Mapping[str, Any]) -> str | None:
-    """What lost the query of a row of spec ``attribution``; None if it was not lost."""
+    """Name the stage that lost the query of a row of spec ``attribution``; None without a miss."""
     if _is_good(row["iou"], row["hit"]):
         return None
     for name, stage in STAGES.items():
@@ -135,7 +129,6 @@ class _Scene:
     field: SemanticField
     gaussians: Gaussians
     sample: Sample
-    label_maps: LabelMaps
     pieces: np.ndarray
 
     @cached_property
@@ -167,9 +160,8 @@ class _Frame:
         self.masks, self.rules, self.field = masks, rules, field
         self.places = {query: column for column, query in enumerate(masks)}
         self.seen = ObjectMap(field.render(camera).ids, field.bank.ids)
-        labels = scene.pieces, scene.label_maps.labels
-        self.apart = oracles.Apart.of(gaussians, scene.views, *labels, camera)
-        self.parted = [ObjectMap(own, np.unique(own[own > 0])) for own in self.apart.pieces]
+        apart = oracles.own_pieces(gaussians, scene.views, scene.pieces, camera)
+        self.parted = [ObjectMap(own, np.unique(own[own > 0])) for own in apart]
         self.true = oracles.context_truth(scene.sample, target, masks, scene.depths)
         labels = self.true.labels.ravel()[gaussians.source.numpy()]
         self.drawn = {"mask": oracles.elect(gaussians, labels, camera)}
@@ -177,8 +169,8 @@ class _Frame:
             self.drawn["geometry"] = oracles.elect(scene.moved, labels, camera)
 
     def row(self, query: str) -> dict[str, Any]:
-        """What is found out about a query, all but where it comes from."""
-        truth, hit = self.masks[query], self._ask(query, self.field.reader)
+        """Return the columns of a query but those that name it."""
+        truth, hit = self.masks[query], self._ask(query)
         found, point = (np.zeros_like(truth), None) if hit is None else (hit.mask, hit.point)
         row: dict[str, Any] = {
             "iou": metrics.iou(found, truth),
@@ -195,7 +187,6 @@ class _Frame:
         }
         judged = {
             "threshold": self._cut(hit, truth),
-            "joined": self._cut(self._ask_joined(query, hit), truth),
             **{name: (metrics.iou(m, truth), _middle_is_in(m, truth)) for name, m in masks.items()},
         }
         for name in STAGES:
@@ -204,19 +195,12 @@ class _Frame:
         row["known"] = float(self.true.known[self.places[query]])
         return row | {"lost": verdict(row)}
 
-    def _ask(self, query: str, reader: BankReader) -> QueryResult | None:
-        """None if the query is not understood."""
+    def _ask(self, query: str) -> QueryResult | None:
+        """Return None if the query is not understood."""
         try:
-            return ask([query], self.seen, reader, self.rules)[0]
+            return ask([query], self.seen, self.field.reader, self.rules)[0]
         except InputError:
             return None
-
-    def _ask_joined(self, query: str, hit: QueryResult | None) -> QueryResult | None:
-        pairs = self.apart.one_thing(self.masks[query], self.field.bank)
-        if not pairs:
-            return hit
-        bank = oracles.joined(self.field.bank, pairs)
-        return self._ask(query, BankReader(bank, self.field.encoder))
 
     def _cut(self, hit: QueryResult | None, truth: np.ndarray) -> tuple[float, bool]:
         """IoU with the best threshold, and whether a point is right: as found, or the best one's.

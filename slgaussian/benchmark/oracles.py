@@ -22,10 +22,6 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.semantic.decode import elected_ids
 
-ONE_THING = 0.5
-"""Two objects of different views are one thing if they share more than this share of the smaller
-one's pixels, and more than this fraction of each lies in the truth."""
-
 CRUMB = 0.05
 """Fraction of a mask below which a connected part of it does not count."""
 
@@ -42,7 +38,7 @@ whose depth it doubts. With 0.9 the IoU in made-up rooms is 0.016 lower."""
 
 
 def best_prefix(keys: np.ndarray, inside: np.ndarray, areas: np.ndarray, total: int) -> np.ndarray:
-    """Which pieces to take, in falling order of a key, so that their union overlaps best.
+    """Choose pieces, in falling order of a key, so that their union overlaps best.
 
     With scores for keys it is the best that any threshold can do. With ``inside / areas`` it is the
     best that any choice of pieces can do: at the best IoU t, taking a piece pays if and only if its
@@ -75,14 +71,14 @@ def best_prefix(keys: np.ndarray, inside: np.ndarray, areas: np.ndarray, total: 
 
 
 def best_pieces(seen: ObjectMap, truth: np.ndarray) -> np.ndarray:
-    """Which objects of an image, united, overlap best with a mask bool [H, W]: bool [N]."""
+    """Choose the objects of an image that, united, overlap a mask bool [H, W] best: bool [N]."""
     inside = seen.areas_within(truth)
     fractions = inside / np.maximum(seen.areas, 1)
     return best_prefix(fractions, inside, seen.areas, int(np.count_nonzero(truth)))
 
 
 def best_wholes(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
-    """Which objects to take if only whole things may be named, one a part of the truth.
+    """Choose objects if only whole things may be named, one a part of the truth.
 
     A whole thing is what words are compared with: an object, or a group of the bank. There may be
     as many as the truth bool [H, W] has :func:`parts`; the one that helps the IoU most goes first.
@@ -104,7 +100,7 @@ def best_wholes(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndar
 
 
 def parts(mask: np.ndarray) -> int:
-    """Connected parts of a mask bool [H, W] that are no crumbs of it: :data:`CRUMB`."""
+    """Count connected parts of a mask bool [H, W] that are no crumbs of it: :data:`CRUMB`."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     areas = stats[1:, cv2.CC_STAT_AREA]
     return int(np.count_nonzero(areas >= CRUMB * areas.sum()))
@@ -120,90 +116,28 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
 
 
 def each_view(gaussians: Gaussians, count: int, size: int) -> list[Gaussians]:
-    """The Gaussians of each of ``count`` views of ``size`` pixels; ``source`` is a pixel of it."""
+    """Return the Gaussians of each of ``count`` views of ``size`` pixels, ``source`` within it."""
     view = gaussians.source // size
     bare = replace(gaussians, features=None)
     own = [bare[torch.nonzero(view == index)[:, 0]] for index in range(count)]
     return [replace(part, source=part.source - index * size) for index, part in enumerate(own)]
 
 
-@dataclass(frozen=True, eq=False)
-class Apart:
-    """What each of V context views alone shows to a camera, and all with their pieces kept apart.
+def own_pieces(
+    gaussians: Gaussians, views: Sequence[Gaussians], pieces: np.ndarray, camera: Camera
+) -> list[np.ndarray]:
+    """Draw each view's own pieces [V, H, W], those of :func:`each_view` alone; then all together.
 
-    Attributes
-    ----------
-    pieces : int32 [V + 1, H, W]
-        The view's own pieces, as they were before association; 0 none. The last one shows all
-        views, in which no piece of one is that of another.
-    objects : int32 [V, H, W]
-        The objects that association made of them.
+    Pieces are as they were before association, 0 none; in the last image no piece of one view is
+    that of another.
     """
-
-    pieces: np.ndarray
-    objects: np.ndarray
-
-    @staticmethod
-    def of(
-        gaussians: Gaussians,
-        views: Sequence[Gaussians],
-        pieces: np.ndarray,
-        objects: np.ndarray,
-        camera: Camera,
-    ) -> Apart:
-        """Draw all Gaussians, and those of :func:`each_view`, with both labels [V, H, W]."""
-        drawn = []
-        for own, made, alone in zip(pieces, objects, views, strict=True):
-            # One image for both: the label is a pair of them.
-            wide = int(made.max()) + 1
-            known, place = np.unique(own.astype(np.int64) * wide + made, return_inverse=True)
-            labels = (place.ravel()[alone.source.numpy()] + 1).astype(np.int32)
-            found = np.append(0, known)[elect(alone, labels, camera)]
-            drawn.append((found // wide, found % wide))
-        shown, made = map(list, zip(*drawn, strict=True))
-        starts = np.cumsum([0, *(int(own.max()) for own in pieces[:-1])])[:, None, None]
-        every = np.where(pieces > 0, pieces + starts, 0).astype(np.int32)
-        shown.append(elect(gaussians, every.ravel()[gaussians.source.numpy()], camera))
-        return Apart(np.stack(shown).astype(np.int32), np.stack(made).astype(np.int32))
-
-    def one_thing(self, truth: np.ndarray, bank: MemoryBank) -> list[tuple[int, int]]:
-        """Pairs of objects, as rows of the bank, that truth bool [H, W] says are one thing.
-
-        No view holds both, they lie in the same place, and in the truth: :data:`ONE_THING`. Each is
-        in one pair at most, those that share more pixels first.
-        """
-        shown = [ObjectMap(objects, bank.ids) for objects in self.objects]
-        right = [2 * seen.areas_within(truth) > seen.areas for seen in shown]
-        found = []
-        for a in range(len(shown)):
-            for b in range(a + 1, len(shown)):
-                wide = len(bank) + 1
-                pairs = shown[a].rows.astype(np.int64) * wide + shown[b].rows
-                pairs, shared = np.unique(pairs[truth], return_counts=True)
-                for pair, count in zip(pairs.tolist(), shared.tolist(), strict=True):
-                    one, other = pair // wide - 1, pair % wide - 1
-                    if min(one, other) < 0 or (bank.present[one] & bank.present[other]).any():
-                        continue
-                    smaller = min(shown[a].areas[one], shown[b].areas[other])
-                    if right[a][one] and right[b][other] and count > ONE_THING * smaller:
-                        found.append((-count, one, other))
-        taken: set[int] = set()
-        chosen = []
-        for _, one, other in sorted(found):
-            if not taken & {one, other}:
-                chosen.append((one, other))
-                taken |= {one, other}
-        return chosen
-
-
-def joined(bank: MemoryBank, pairs: Sequence[tuple[int, int]]) -> MemoryBank:
-    """The bank in which both objects of a pair say what the views of either say."""
-    features, present = bank.features.copy(), bank.present.copy()
-    for one, other in pairs:
-        for row, more in ((one, other), (other, one)):
-            held = bank.present[more]
-            features[row, held], present[row, held] = bank.features[more, held], True
-    return replace(bank, features=features, present=present, boxes=None)
+    drawn = [
+        elect(alone, own.ravel()[alone.source.numpy()].astype(np.int32), camera)
+        for own, alone in zip(pieces, views, strict=True)
+    ]
+    starts = np.cumsum([0, *(int(own.max()) for own in pieces[:-1])])[:, None, None]
+    every = np.where(pieces > 0, pieces + starts, 0).astype(np.int32)
+    return [*drawn, elect(gaussians, every.ravel()[gaussians.source.numpy()], camera)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +162,7 @@ class ContextTruth:
 def context_truth(
     sample: Sample, target: View, masks: Mapping[str, np.ndarray], predicted: np.ndarray
 ) -> ContextTruth:
-    """Truth of the context views for the masks bool [H, W] of a target, by query.
+    """Return the truth of the context views for the masks bool [H, W] of a target, by query.
 
     It is exact where the data say what every pixel shows. Elsewhere the masks are carried back:
     each context pixel goes to the target by its true depth, or by ``predicted`` float [V, H, W]
@@ -255,13 +189,13 @@ def context_truth(
 
 
 def true_depths(sample: Sample) -> np.ndarray:
-    """True z-depth of the context views, float32 [V, H, W], 0 where it is not known."""
+    """Return true z-depth of the context views, float32 [V, H, W], 0 where it is not known."""
     nothing = np.zeros(sample.context[0].image.shape[:2], np.float32)
     return np.stack([nothing if v.depth is None else v.depth for v in sample.context])
 
 
 def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray:
-    """The pixel of the target that shows what a context pixel shows: its flat index, or -1.
+    """Return the pixel of the target that shows what a context pixel shows: its flat index, or -1.
 
     Parameters
     ----------
@@ -299,7 +233,7 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
 
 
 def moved(gaussians: Gaussians, sample: Sample, predicted: np.ndarray) -> Gaussians:
-    """Gaussians moved along their lines of sight to the true depth of their source pixels.
+    """Move Gaussians along their lines of sight to the true depth of their source pixels.
 
     They grow with their distance, and of each pixel the first, which shows it, does not stay faint.
     Those of pixels whose true or ``predicted`` depth [V, H, W] is not known stay as they are.
@@ -324,7 +258,7 @@ def moved(gaussians: Gaussians, sample: Sample, predicted: np.ndarray) -> Gaussi
 
 
 def _without_specks(place: np.ndarray) -> np.ndarray:
-    """Pixels of the target [H, W], -1 filled from nearby: depth that is a little off hides some."""
+    """Fill -1 in pixels of the target [H, W] from nearby: depth a little off hides some."""
     known = place >= 0
     if not known.any():
         return place
@@ -334,7 +268,7 @@ def _without_specks(place: np.ndarray) -> np.ndarray:
 
 
 def _sets(masks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Which masks each pixel lies in: int32 [H, W] from 2, and bool [L + 1, Q] of each number."""
+    """Number the sets of masks that pixels lie in: int32 [H, W] from 2, and bool [L + 1, Q]."""
     numbers = np.zeros(masks[0].shape, np.int64)
     for mask in masks:
         numbers = 2 * numbers + mask

@@ -45,14 +45,12 @@ def build(sample, gaussians, labels):
 def of(room, field, labels=None, pieces=None, truth=None, sample=None, **settings):
     """The rows of the attribution, by query."""
     labels = room.label_maps.labels if labels is None else labels
-    label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     pieces = labels if pieces is None else pieces
     truth = room.truth if truth is None else truth
     rows = attribute_errors(
         field,
         room.gaussians if field is room.field else field.gaussians,
         sample or room.sample,
-        label_maps,
         pieces,
         Truth(truth),
         EvaluationSettings(**settings),
@@ -144,31 +142,8 @@ def test_the_best_score_on_another_thing_is_no_loss_of_the_threshold(room, exact
 def test_a_query_that_nobody_knows_is_a_loss_of_language(room, exact, thing):
     truth = {"view_01": {"qqwx": room.truth["view_01"][thing[0]]}}
     row = of(room, exact, truth=truth)["qqwx"]
-    assert row["iou"] == row["threshold_iou"] == row["joined_iou"] == 0
+    assert row["iou"] == row["threshold_iou"] == 0
     assert row["lost"] == "language"
-
-
-def test_two_ids_of_one_thing_are_a_loss_of_association(room, exact, thing):
-    """The second view's half of it is all that the target shows, and says something else."""
-    phrase, number = thing
-    labels = room.label_maps.labels.copy()
-    pieces, other = labels.copy(), int(labels.max()) + 1
-    labels[1][labels[1] == number] = other
-    field = build(room.sample, exact.gaussians, labels)
-    of_other = field.gaussians.source.numpy()
-    size = labels[0].size
-    first = (of_other < size) & (labels.ravel()[of_other] == number)
-    faint = field.gaussians.opacities.clone()
-    faint[first] = 0.3
-    features, present = field.bank.features.copy(), field.bank.present.copy()
-    rows = np.searchsorted(field.bank.ids, [number, other])
-    walls = np.searchsorted(field.bank.ids, around(room, number))
-    features[rows[1], 1], present[rows[1], 1] = features[walls, 1], True
-    bank = replace(field.bank, features=features, present=present, boxes=None)
-    split = field.changed(bank=bank, gaussians=replace(field.gaussians, opacities=faint))
-    row = of(room, split, labels, pieces)[phrase]
-    assert row["threshold_iou"] < 0.5 < row["joined_iou"]
-    assert row["lost"] == "association"
 
 
 def test_one_id_of_two_things_is_a_loss_of_association(room, exact, thing):
@@ -409,7 +384,7 @@ def test_verdicts_follow_the_order_of_the_stages():
         row[f"{name}_iou"] = 0.5
         assert verdict(row) == stage
         row[f"{name}_hit"] = False
-        assert verdict(row) != stage or name in ("joined", "parted")
+        assert verdict(row) != stage or name == "parted"
         row[f"{name}_hit"] = True
     assert verdict(row | {"iou": 0.9, "hit": False}) == "threshold"
     assert verdict(row | {"iou": 0.5}) is None
