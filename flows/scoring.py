@@ -14,13 +14,13 @@ from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.given import (
-    GIVEN,
-    Judged,
+from slgaussian.benchmark.external_predictions import (
+    SCORABLE,
+    JudgedScene,
     Predictions,
     Tally,
     read_predictions,
-    score_given,
+    score_predictions,
 )
 from slgaussian.benchmark.outputs import (
     clear_predictions,
@@ -55,10 +55,10 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     """
     for name in protocols:
         load_protocol(name)
-        if name not in GIVEN:
+        if name not in SCORABLE:
             raise InputError(
                 f"protocol: {name!r} scores relevancies, of which masks say nothing; expected one "
-                f"of {', '.join(GIVEN)}"
+                f"of {', '.join(SCORABLE)}"
             )
     if settings.size not in ("auto", judged_at(settings.size)):
         raise InputError(
@@ -76,7 +76,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     scenes, said = ([], []) if by_labels else scenes_of(settings)
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
     tally, results, masks = Tally(), [], []
-    for result in score_given(given, judged, chosen, tally):
+    for result in score_predictions(given, judged, chosen, tally):
         masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
         results.append(replace(result, predictions={}))
     if not tally.used:
@@ -104,14 +104,14 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     return Scores(results, given, tally, said)
 
 
-def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[Judged]:
+def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[JudgedScene]:
     for scene in scenes:
         asked = evaluation(settings, scene)
         truth = labels(scene).read(photographs(settings, scene).read())
-        yield Judged(scene.name, asked.dataset, asked.place, truth)
+        yield JudgedScene(scene.name, asked.dataset, asked.place, truth)
 
 
-def _by_labels(settings: Settings) -> Iterator[Judged]:
+def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
     """Every labelled frame of the data, asked what is labelled in it."""
     data, format = settings.data, settings.format or "nerfstudio"
     if data is None:
@@ -129,4 +129,4 @@ def _by_labels(settings: Settings) -> Iterator[Judged]:
         for frame, view in zip(frames, scene.views(frames, judged_at(settings.size)), strict=True):
             own = read_truth((settings.labels or data) / place, known[frame], [view])
             truth = Truth({**truth.masks, **own.masks}, {**truth.boxes, **own.boxes})
-        yield Judged(name, dataset, None, truth)
+        yield JudgedScene(name, dataset, None, truth)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
-from slgaussian.benchmark.given import GIVEN
+from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.formats import rle
 from slgaussian.storage.specs import load_spec
 from tests.flows.command import ROOM, room, run, said
@@ -107,7 +107,7 @@ def samples(folder: Path) -> dict:
 
 def test_a_method_of_another_package_is_in_the_report(made):
     rows = [row for key, row in samples(made).items() if key[0] == "colours"]
-    assert {row["protocol"].partition("@")[0] for row in rows} == {*GIVEN, "threshold-free"}
+    assert {row["protocol"].partition("@")[0] for row in rows} == {*SCORABLE, "threshold-free"}
     assert any(row["iou"] for row in rows) and any(row["average_precision"] for row in rows)
     (value,) = [
         row["value"]

@@ -1,4 +1,4 @@
-"""Score masks that anybody made: a folder of PNG files, or a JSON file of run lengths.
+"""Score masks of any program: a folder of PNG files, or a JSON file of run lengths.
 
 A folder is as a benchmark writes it, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
 (:func:`slgaussian.benchmark.outputs.mask_place`), white where something was found. A JSON file is a
@@ -18,20 +18,20 @@ Whatever follows from relevancies has no score, and what follows from the point 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
 from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult
 from slgaussian.benchmark.outputs import file_name, mask_place
 from slgaussian.benchmark.protocols import PROTOCOLS, GivenFrame, How, ScoringProtocol
-from slgaussian.benchmark.scores import scene_means
+from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle, strict_json
 from slgaussian.formats.images import read_mask
@@ -41,15 +41,16 @@ from slgaussian.storage.specs import load_spec
 NOT_GIVEN = "no mask was given"
 """Note of a row that is scored as an empty mask, because there is none."""
 
-GIVEN = tuple(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
+SCORABLE = tuple(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
 """The protocols by which masks can be scored."""
 
 Key = tuple[str, ...]
+_Name = Annotated[str, Field(min_length=1)]
 
 
 @dataclass(frozen=True)
-class Given:
-    """A mask that was given.
+class Prediction:
+    """A mask that another program made.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Predictions:
-    """All masks that were given.
+    """All masks of a folder or file.
 
     Attributes
     ----------
@@ -83,30 +84,30 @@ class Predictions:
         Where they are.
     methods : {method: tuple of str}
         The protocols whose masks each has; none where its masks are for any.
-    masks : {key: Given}
+    masks : {key: Prediction}
     keys : function (row) -> tuple of keys
         By which the mask of a row, of the columns of the data spec ``samples``, may be known.
     """
 
     place: Path
     methods: Mapping[str, tuple[str, ...]]
-    masks: Mapping[Key, Given]
+    masks: Mapping[Key, Prediction]
     keys: Callable[[Mapping[str, Any]], tuple[Key, ...]]
 
     @property
     def protocols(self) -> tuple[str, ...]:
-        """Those of the masks, in the order of all; the first where masks are for any."""
+        """The protocols of the masks, in the order of all; the first where masks are for any."""
         found = {name for has in self.methods.values() for name in has}
-        return tuple(name for name in GIVEN if name in found) or GIVEN[:1]
+        return tuple(name for name in SCORABLE if name in found) or SCORABLE[:1]
 
     def key(self, row: Mapping[str, Any]) -> Key | None:
-        """That of the mask of a row; None if none is given."""
+        """Return the key of the mask of a row; None if there is none."""
         return next((key for key in self.keys(row) if key in self.masks), None)
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A scene and what should be found in it.
+class JudgedScene:
+    """A scene and its truth.
 
     Attributes
     ----------
@@ -127,7 +128,7 @@ class Judged:
 
 @dataclass
 class Tally:
-    """What was found out about the masks that were given.
+    """Counts of the masks of some predictions.
 
     ``asked`` samples have a truth, of which ``missing`` have no mask (those that
     ``missing_of`` names first). ``used`` are the keys of masks that were asked for; ``scenes``,
@@ -144,7 +145,7 @@ class Tally:
     seconds: dict[tuple[str, str, str, str], float] = field(default_factory=dict)
 
     def unknown(self, predictions: Predictions) -> dict[str, list[str]]:
-        """The masks that nothing asked for: ``scenes``, ``frames`` and ``queries`` by name."""
+        """Name the masks that nothing asked for: ``scenes``, ``frames`` and ``queries`` by name."""
         found: dict[str, dict[str, None]] = {"scenes": {}, "frames": {}, "queries": {}}
         for key, one in predictions.masks.items():
             if key in self.used:
@@ -159,7 +160,7 @@ class Tally:
 
 
 def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predictions:
-    """The masks in a folder, or in a JSON file. Those of a folder are not opened yet.
+    """Read the masks in a folder, or in a JSON file. Those of a folder are not opened yet.
 
     Of a folder those of ``protocols`` alone, if any is named.
 
@@ -178,9 +179,9 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
     return _file(place)
 
 
-def score_given(
+def score_predictions(
     predictions: Predictions,
-    scenes: Iterable[Judged],
+    scenes: Iterable[JudgedScene],
     protocols: Sequence[ScoringProtocol],
     tally: Tally,
 ) -> Iterator[SceneResult]:
@@ -207,7 +208,7 @@ def score_given(
 
 def _score_scene(
     predictions: Predictions,
-    judged: Judged,
+    judged: JudgedScene,
     method: str,
     protocols: Sequence[ScoringProtocol],
     tally: Tally,
@@ -217,30 +218,30 @@ def _score_scene(
     masks: dict[tuple[str, str, str], np.ndarray] = {}
     for frame, truths in judged.truth.masks.items():
         boxes = judged.truth.boxes.get(frame, {})
-        texts = list(truths)
-        looked_up = {
-            protocol.name: _look_up(predictions, common, frame, truths, protocol, tally)
+        by_protocol = {
+            protocol.name: _look_up(
+                predictions, {**common, "frame": frame, "protocol": protocol.label}, truths, tally
+            )
             for protocol in protocols
         }
         # By both protocols the same texts compete, and theirs are the masks that say which wins.
-        competing = looked_up.get("3d-ovs")
-        labels = None if competing is None else _winners(competing, truths, method, frame)
+        competing = by_protocol.get("3d-ovs")
+        labels = None if competing is None else _winners(competing, list(truths), method)
         for protocol in protocols:
-            found = looked_up[protocol.name]
+            known = by_protocol[protocol.name]
             given = GivenFrame(
-                [found[text][1] for text in texts],
-                [None if (one := found[text][0]) is None else one.point for text in texts],
+                [mask for _, mask in known],
+                [None if one is None else one.point for one, _ in known],
                 list(truths.values()),
-                [boxes_of(truths[text], boxes.get(text)) for text in texts],
+                [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()],
                 labels,
             )
-            leads = protocol is protocols[0]
-            for text, scored in zip(texts, protocol.score_given(given), strict=True):
+            scores = protocol.score_given(given)
+            for text, scored, (one, mask) in zip(truths, scores, known, strict=True):
                 absent = not truths[text].any()
-                if absent and not leads:
+                if absent and protocol is not protocols[0]:
                     continue
-                one, mask = found[text]
-                x, y = (None, None) if scored.point is None else scored.point
+                x, y = scored.point or (None, None)
                 notes = [NOT_GIVEN] * (one is None and not absent) + [ABSENT] * absent
                 row = {
                     **common,
@@ -259,64 +260,55 @@ def _score_scene(
                 rows.append({name: row.get(name) for name in load_spec("samples").columns})
                 if one is not None:
                     masks[protocol.label, frame, text] = mask
-    leading = [row for row in rows if row["protocol"] == protocols[0].label]
-    means = scene_means(leading)
+    means = scene_means(of_first_protocol(rows))
     return SceneResult(judged.scene, rows, means, masks, {}, {}, judged.dataset, method)
 
 
 def _look_up(
     predictions: Predictions,
-    common: Mapping[str, str],
-    frame: str,
+    row: Mapping[str, str],
     truths: Mapping[str, np.ndarray],
-    protocol: ScoringProtocol,
     tally: Tally,
-) -> dict[str, tuple[Given | None, np.ndarray]]:
-    """What is given for each text of a frame, and its mask, empty where nothing is."""
-    found: dict[str, tuple[Given | None, np.ndarray]] = {}
+) -> list[tuple[Prediction | None, np.ndarray]]:
+    """Return the prediction for each text of a frame, and its mask, empty where there is none."""
+    known: list[tuple[Prediction | None, np.ndarray]] = []
+    scene, frame = row["scene"], row["frame"]
     for text, truth in truths.items():
-        key = predictions.key({**common, "frame": frame, "query": text, "protocol": protocol.label})
+        key = predictions.key({**row, "query": text})
         tally.asked += bool(truth.any())
         if key is None:
-            found[text] = None, np.zeros_like(truth)
+            known.append((None, np.zeros_like(truth)))
             if truth.any():
                 tally.missing += 1
-                tally.missing_of.append(f"{text} in {frame} of {common['scene']}")
+                tally.missing_of.append(f"{text} in {frame} of {scene}")
             continue
         tally.used.add(key)
         one = predictions.masks[key]
-        mask = one.read(*truth.shape)
+        known.append((one, one.read(*truth.shape)))
         if one.seconds is not None:
-            tally.seconds[common["scene"], frame, text, common["method"]] = one.seconds
-        found[text] = one, mask
-    return found
+            tally.seconds[scene, frame, text, row["method"]] = one.seconds
+    return known
 
 
 def _winners(
-    found: Mapping[str, tuple[Given | None, np.ndarray]],
-    truths: Mapping[str, np.ndarray],
-    method: str,
-    frame: str,
+    known: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str], method: str
 ) -> np.ndarray:
-    """Which of the texts wins, int32 [H, W], k + 1; InputError if two do."""
-    labels = np.zeros(next(iter(truths.values())).shape, np.int32)
-    texts = list(truths)
-    for k, text in enumerate(texts):
-        one, mask = found[text]
-        if (taken := labels[mask]).any():
+    """Return which of the texts wins, int32 [H, W], k + 1; InputError if two do."""
+    labels = np.zeros(known[0][1].shape, np.int32)
+    for k, (one, mask) in enumerate(known):
+        if one is not None and (taken := labels[mask]).any():
             other = texts[int(taken[taken > 0][0]) - 1]
-            where = frame if one is None else one.where
             raise InputError(
-                f"{where}: overlaps the mask of {other!r} by {method}, but by the protocol 3d-ovs "
-                "texts compete, and each pixel is of one at most; give masks that do not overlap, "
-                "or choose --protocol slgaussian"
+                f"{one.where}: overlaps the mask of {other!r} by {method}, but by the protocol "
+                "3d-ovs texts compete, and each pixel is of one at most; give masks that do not "
+                "overlap, or choose --protocol slgaussian"
             )
         labels[mask] = k + 1
     return labels
 
 
 def _names(frame: str) -> set[str]:
-    """What a frame may be called: with folder and ending, or without, or as a file."""
+    """Return the names of a frame: with folder and ending, or without, or as a file."""
     stem = Path(frame).stem
     return {frame, stem, file_name(stem)}
 
@@ -324,23 +316,23 @@ def _names(frame: str) -> set[str]:
 def _folder(place: Path, protocols: Sequence[str]) -> Predictions:
     root = place / "predictions" if (place / "predictions").is_dir() else place
     called = {file_name(name): name for name in ROWS}
-    masks: dict[Key, Given] = {}
+    masks: dict[Key, Prediction] = {}
     methods: dict[str, list[str]] = {}
     others: set[str] = set()
     for file in sorted(root.glob("*/*/*/*/*.png")):
         key = file.relative_to(root).parts
         folder, protocol, scene, frame, name = key
-        if protocol not in (protocols or GIVEN):
+        if protocol not in (protocols or SCORABLE):
             others.add(protocol)
             continue
-        masks[key] = Given(str(file), scene, frame, name.removesuffix(".png"), _png(file))
+        masks[key] = Prediction(str(file), scene, frame, name.removesuffix(".png"), _png(file))
         has = methods.setdefault(called.get(folder, folder), [])
         if protocol not in has:
             has.append(protocol)
     if not masks:
         but = f", but of {', '.join(sorted(others)[:5])}" if others else ""
         raise InputError(
-            f"{root}: holds no mask of {' or '.join(protocols or GIVEN)}{but}; expected "
+            f"{root}: holds no mask of {' or '.join(protocols or SCORABLE)}{but}; expected "
             "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
         )
     folders = {called.get(key[0], key[0]): key[0] for key in masks}
@@ -387,7 +379,7 @@ def _file(place: Path) -> Predictions:
             f"{place}: expected a list of masks, each with scene, frame, query, size and counts, "
             f"found {'an empty one' if content == [] else type(content).__name__}"
         )
-    masks: dict[Key, Given] = {}
+    masks: dict[Key, Prediction] = {}
     for number, entry in enumerate(content):
         where = f"{place}: [{number}]"
         method, one = _entry(entry, where, place.stem)
@@ -404,53 +396,42 @@ def _file(place: Path) -> Predictions:
     return Predictions(place, dict.fromkeys((key[0] for key in masks), ()), masks, keys)
 
 
-def _entry(entry: Any, where: str, file: str) -> tuple[str, Given]:
-    """The method of a mask, and the mask."""
-    if not isinstance(entry, dict):
-        raise InputError(f"{where}: found a {type(entry).__name__}, expected a mask as an object")
-    for name in ("scene", "frame", "query", "method"):
-        text = entry.get(name, file if name == "method" else None)
-        if not isinstance(text, str) or not text:
-            raise InputError(f"{where}: {name} is {_shown(text)}, expected text")
-    size: Any = entry.get("size")
-    if not _are_numbers(size, 2) or not all(type(n) is int and n > 0 for n in size):
-        raise InputError(f"{where}: size is {_shown(size)}, expected [height, width]")
-    point, score, seconds = (entry.get(name) for name in ("point", "score", "seconds"))
-    if point is not None and not _are_numbers(point, 2):
-        raise InputError(f"{where}: point is {_shown(point)}, expected [x, y] in pixels")
-    for name, value, most in (("score", score, 1.0), ("seconds", seconds, math.inf)):
-        if value is not None and not (_are_numbers([value], 1) and 0 <= value <= most):
-            expected = "a number from 0 on" if most > 1 else "a number from 0 to 1"
-            raise InputError(f"{where}: {name} is {_shown(value)}, expected {expected}")
-    called = f"{where}, {entry['query']!r} in {entry['frame']} of {entry['scene']}"
-    counts: Any = entry.get("counts")
+def _entry(entry: Any, where: str, file: str) -> tuple[str, Prediction]:
+    """Return the method of a mask, and the mask."""
+    try:
+        one = _Entry.model_validate(entry)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "a mask"
+        value = "missing" if first["type"] == "missing" else f"{first['input']!r:.60}"
+        raise InputError(f"{where}: {place} is {value}; {first['msg']}") from None
+    height, width = one.size
+    called = f"{where}, {one.query!r} in {one.frame} of {one.scene}"
 
-    def read(height: int, width: int) -> np.ndarray:
-        _check_size(called, size, height, width)  # before anything of that size is made
+    def read(rows: int, columns: int) -> np.ndarray:
+        _check_size(called, (height, width), rows, columns)  # before anything of that size is made
         try:
-            return rle.decode(counts, height, width)
+            return rle.decode(one.counts, rows, columns)
         except ValueError as bad:
             raise InputError(f"{called}: {bad}; write the mask again") from None
 
-    return entry.get("method", file), Given(
-        called,
-        entry["scene"],
-        entry["frame"],
-        entry["query"],
-        read,
-        None if point is None else (float(point[0]), float(point[1])),
-        None if score is None else float(score),
-        None if seconds is None else float(seconds),
+    point = None if one.point is None else (float(one.point[0]), float(one.point[1]))
+    return one.method or file, Prediction(
+        called, one.scene, one.frame, one.query, read, point, one.score, one.seconds
     )
 
 
-def _are_numbers(value: Any, count: int) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == count
-        and all(type(n) in (int, float) and math.isfinite(n) for n in value)
-    )
+class _Entry(BaseModel):
+    """A mask in a JSON file."""
 
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
-def _shown(value: Any) -> str:
-    return "missing" if value is None else f"{value!r:.60}"
+    scene: _Name
+    frame: _Name
+    query: _Name
+    method: _Name | None = None
+    size: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
+    counts: Any = None
+    point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    score: Annotated[float, Field(ge=0, le=1)] | None = None
+    seconds: Annotated[float, Field(ge=0)] | None = None
