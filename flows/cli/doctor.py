@@ -7,7 +7,6 @@ import os
 import platform
 import shutil
 import tempfile
-import urllib.request
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
@@ -138,6 +137,8 @@ def _store(place: str, opened: list[Any]) -> str:
 
 def _server(store: Any = None) -> str:
     """Ask the server of ``PREFECT_API_URL``, or start and stop one of our own."""
+    import urllib.request
+
     from flows.runners.environment import home_of, orchestration
     from slgaussian.storage.remote import redacted
     from slgaussian.storage.store import ArtifactStore
