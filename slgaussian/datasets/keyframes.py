@@ -44,14 +44,14 @@ def choose_keyframes(
     part = _way(len(blurs), cameras) * count
     number = np.minimum(part.astype(int), count - 1)
     off = np.abs(part - number - 0.5)
-    kept = []
+    chosen = []
     for k in range(count):
         own = np.flatnonzero(number == k)
         middle = own[off[own] <= MIDDLE / 2]
         if len(own):
             among = middle if len(middle) else own
-            kept.append(int(among[np.argmin(np.asarray(blurs)[among])]))
-    return kept
+            chosen.append(int(among[np.argmin(np.asarray(blurs)[among])]))
+    return chosen
 
 
 def _way(frames: int, cameras: Sequence[Camera] | None) -> np.ndarray:

@@ -38,8 +38,8 @@ def read(path: str | Path, scene: str) -> Scene:
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
     """List the scenes of the set by name, each with what :func:`read` takes besides the path."""
-    found = sorted(folder.parent.name for folder in Path(path).glob("*/sparse"))
-    return {name: {"scene": name} for name in found}
+    names = sorted(folder.parent.name for folder in Path(path).glob("*/sparse"))
+    return {name: {"scene": name} for name in names}
 
 
 def find_scene(path: str | Path, scene: str, known: dict[str, Any]) -> Path:

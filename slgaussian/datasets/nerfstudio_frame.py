@@ -87,8 +87,8 @@ class Frame:
     @staticmethod
     def of(file: Path, name: str, *levels: Mapping[str, Any]) -> Frame:
         """Make a frame of its values, and those of the file where it has none."""
-        known = ({k: v for k, v in level.items() if v is not None} for level in levels)
-        return Frame(file, name, ChainMap(*known))
+        stated = ({k: v for k, v in level.items() if v is not None} for level in levels)
+        return Frame(file, name, ChainMap(*stated))
 
     def error(self, what: str) -> InputError:
         """Return an error that names file and frame."""
@@ -219,9 +219,9 @@ class Frame:
 
     def _more(self, camera: Camera, own: Mapping[str, Any]) -> Camera:
         more = Frame.of(self.file, self.name, own)
-        said = own.get("estimated")
+        estimate = own.get("estimated")
         try:
-            estimated = None if said is None else Estimated.of(said)
+            estimated = None if estimate is None else Estimated.of(estimate)
         except ValueError as bad:
             raise self.error(f"estimated {bad}") from None
         return replace(

@@ -53,5 +53,5 @@ def read(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
     """List the scenes of the set by name, each with what :func:`read` takes besides the path."""
     marks = ("sparse", llff.FILE)
-    found = {folder.parent.name for mark in marks for folder in Path(path).glob(f"*/{mark}")}
-    return {name: {"scene": name} for name in sorted(found)}
+    names = {folder.parent.name for mark in marks for folder in Path(path).glob(f"*/{mark}")}
+    return {name: {"scene": name} for name in sorted(names)}

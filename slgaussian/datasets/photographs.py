@@ -40,20 +40,20 @@ def rgb(image: Image.Image) -> np.ndarray:
             np.asarray(image.convert("RGBA")), lambda part: part[..., :3] * part[..., 3:] / 255
         )
     width, height = image.size
-    found = np.empty((height, width, 3), np.uint8)
+    pixels = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _ROWS):
         end = min(top + _ROWS, height)
-        found[top:end] = np.asarray(image.crop((0, top, width, end)).convert("RGB"))
-    return found
+        pixels[top:end] = np.asarray(image.crop((0, top, width, end)).convert("RGB"))
+    return pixels
 
 
 def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Map some rows after the other, as float64, by ``colour``; round to uint8 [H, W, 3]."""
-    found = np.empty((*pixels.shape[:2], 3), np.uint8)
+    mapped = np.empty((*pixels.shape[:2], 3), np.uint8)
     for top in range(0, len(pixels), _ROWS):
         part = pixels[top : top + _ROWS].astype(np.float64)
-        found[top : top + _ROWS] = np.round(colour(part))
-    return found
+        mapped[top : top + _ROWS] = np.round(colour(part))
+    return mapped
 
 
 def open_photograph(

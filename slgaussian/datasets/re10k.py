@@ -179,12 +179,12 @@ def chunk_names(path: str | Path) -> list[str]:
     """List the names of the chunks of a split, in order, whether its index knows them or not."""
     fs, folder = open_place(path, "chunks")
     try:
-        found = fs.ls(folder, detail=False)
+        entries = fs.ls(folder, detail=False)
     except troubles() as error:
         raise InputError(
             f"{path}: cannot be listed ({explained(error, folder)}); expected a folder of chunks"
         ) from None
-    return sorted(os.path.basename(file) for file in found if file.endswith(".torch"))
+    return sorted(os.path.basename(file) for file in entries if file.endswith(".torch"))
 
 
 def read_chunk(file: str | Path) -> list[Clip]:
@@ -210,7 +210,7 @@ def read_chunk(file: str | Path) -> list[Clip]:
 def clips_in(data: bytes, file: str | Path) -> list[Clip]:
     """Parse the clips in the bytes of a chunk, still encoded; InputError, which names ``file``."""
     try:
-        found = tensorfile.load(data)
+        content = tensorfile.load(data)
     except tensorfile.CodeError as code:
         raise InputError(
             f"{file}: cannot be read as a chunk (it holds {code}, which could run code); get one "
@@ -220,12 +220,12 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
         raise InputError(
             f"{file}: cannot be read as a chunk ({error}); it is damaged or cut short, get it again"
         ) from None
-    if not isinstance(found, list):
-        raise InputError(f"{file}: found a {type(found).__name__}, expected a list of clips")
+    if not isinstance(content, list):
+        raise InputError(f"{file}: found a {type(content).__name__}, expected a list of clips")
     # One tensor may stand in many places, and there be copied as often.
     left = len(data)
     clips = []
-    for number, entry in enumerate(found):
+    for number, entry in enumerate(content):
         clips.append(_clip(file, number, entry, left))
         left -= sum(map(len, clips[-1].images))
     return clips

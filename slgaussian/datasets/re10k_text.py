@@ -40,13 +40,13 @@ def read(path: str | Path) -> Scene:
     folder = frames_of(file)
     photographs, cameras = {}, {}
     for time, row in zip(times.tolist(), rows, strict=True):
-        found = next((f for e in EXTENSIONS if (f := folder / f"{time}{e}").is_file()), None)
-        size = None if found is None else stored_size(found)
-        if found is None or size is None:
+        photograph = next((f for e in EXTENSIONS if (f := folder / f"{time}{e}").is_file()), None)
+        size = None if photograph is None else stored_size(photograph)
+        if photograph is None or size is None:
             continue
-        photographs[found.name] = found
+        photographs[photograph.name] = photograph
         try:
-            cameras[found.name] = re10k.camera_of(row, *size)
+            cameras[photograph.name] = re10k.camera_of(row, *size)
         except InputError as bad:
             raise InputError(f"{file}: frame {time}: {bad}") from None
     if len(cameras) < 2:
@@ -123,7 +123,7 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
     InputError
         If the file cannot be read, or an entry is neither null nor lists of frame numbers.
     """
-    found = {}
+    index = {}
     for key, entry in re10k.read_json(file).items():
         if entry is None:
             continue
@@ -133,8 +133,8 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
                 f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
                 '{"context": [0, 40], "target": [10, 20, 30]}, or null'
             )
-        found[key] = frames[0], frames[1]
-    return found
+        index[key] = frames[0], frames[1]
+    return index
 
 
 def _frames(entry: Any, name: str) -> list[str]:

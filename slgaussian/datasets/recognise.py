@@ -134,10 +134,10 @@ def _root(scene: Path, files: Sequence[Path]) -> Path | None:
 
 def _clip(place: Path, photographs: Sequence[str]) -> Scene:
     keys = sorted({name.rpartition("/")[0] for name in photographs})
-    known = re10k.read_index(place)
-    if len(keys) != 1 or keys[0] not in known:
+    index = re10k.read_index(place)
+    if len(keys) != 1 or keys[0] not in index:
         raise InputError(
-            f"{place}: name views of one clip as CLIP/FRAME, as in {next(iter(known), 'CLIP')}/0; "
+            f"{place}: name views of one clip as CLIP/FRAME, as in {next(iter(index), 'CLIP')}/0; "
             f"found {', '.join(photographs) or 'none'}"
         )
     clip = re10k.read(place, keys[0])

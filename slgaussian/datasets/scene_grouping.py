@@ -31,9 +31,9 @@ class Places:
         """Add a clip with the SHA-256 of its photographs and, if somebody said it, its place."""
         node = self._node("clip", clip)
         # Sixteen digits of sixty-four: of ten million photographs no two are taken for one.
-        known = np.array([int(digest[:16], 16) for digest in photographs], np.uint64)
-        self._photographs.append(known)
-        self._owners.append(np.full(len(known), node))
+        digests = np.array([int(digest[:16], 16) for digest in photographs], np.uint64)
+        self._photographs.append(digests)
+        self._owners.append(np.full(len(digests), node))
         if place:
             self._joined.append((node, self._node("said", place)))
 

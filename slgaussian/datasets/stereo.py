@@ -50,7 +50,7 @@ def read() -> Scene:
 
 def depth_from_disparity(disparity: np.ndarray) -> np.ndarray:
     """Compute depth in metres, float32, of left disparities in pixels; 0 where not finite."""
-    known = np.isfinite(disparity)
-    return np.where(known, BASELINE * FOCAL / (np.where(known, disparity, 0) + DOFFS), 0).astype(
+    finite = np.isfinite(disparity)
+    return np.where(finite, BASELINE * FOCAL / (np.where(finite, disparity, 0) + DOFFS), 0).astype(
         np.float32
     )

@@ -94,10 +94,10 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
     InputError
         If a folder holds none, there are fewer than two, or one is named twice.
     """
-    found: list[Path] = []
+    listed: list[Path] = []
     for place in map(Path, places):
         if not place.is_dir():
-            found.append(place)
+            listed.append(place)
             continue
         inside = photographs_of(place)
         if not inside:
@@ -105,20 +105,21 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
                 f"{place}: holds no photographs; expected files such as .jpg or .png there, or "
                 "below images"
             )
-        found += inside
-    whole = [Path(os.path.abspath(file)) for file in found]
+        listed += inside
+    whole = [Path(os.path.abspath(file)) for file in listed]
     for i, file in enumerate(whole):
         if file in whole[:i]:
-            raise InputError(f"{found[i]}: is given twice; give each photograph once")
-    if len(found) < 2:
-        only = str(found[0]) if found else "nothing"
+            raise InputError(f"{listed[i]}: is given twice; give each photograph once")
+    if len(listed) < 2:
+        only = str(listed[0]) if listed else "nothing"
         raise InputError(
             f"photographs: found {only}, expected at least two; add a photograph of the same "
             "things from a step aside"
         )
     folder = _common(whole)
     return {
-        place.relative_to(folder).as_posix(): file for place, file in zip(whole, found, strict=True)
+        place.relative_to(folder).as_posix(): file
+        for place, file in zip(whole, listed, strict=True)
     }
 
 
@@ -140,12 +141,12 @@ def find(files: Mapping[str, Path]) -> EstimatedCameras:
         As :func:`photographs`.
     """
     try:
-        known = [(name, str(file), file_sha256(file)) for name, file in files.items()]
+        stamped = [(name, str(file), file_sha256(file)) for name, file in files.items()]
     except OSError as bad:
         raise InputError(
             f"{bad.filename}: cannot be read ({bad.strerror}); give the files of photographs"
         ) from None
-    return _find(tuple(known))
+    return _find(tuple(stamped))
 
 
 @lru_cache(maxsize=8)

@@ -66,10 +66,10 @@ class _Checker:
             if name != "*" and name not in content and not self.keys[own].optional:
                 self.refuse(f"{shown}{name}", "nothing", _type_text(self.keys[own]))
         for name, value in content.items():
-            known = places.get(name, places.get("*"))
-            if known is None:
+            matching = places.get(name, places.get("*"))
+            if matching is None:
                 self.refuse(f"{shown}{name}", "an unknown key", f"only {', '.join(places)}")
-            self.check_value(value, known, f"{shown}{name}")
+            self.check_value(value, matching, f"{shown}{name}")
 
     def check_value(self, value: Any, place: str, shown: str) -> None:
         key = self.keys[place]

@@ -99,8 +99,8 @@ def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    known = spec.schema
-    schema = pa.schema([known.field(name) for name in table.column_names], known.metadata)
+    rules = spec.schema
+    schema = pa.schema([rules.field(name) for name in table.column_names], rules.metadata)
     table = pa.Table.from_arrays(table.columns, schema=speaking(schema, digest)).combine_chunks()
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd")
@@ -169,8 +169,8 @@ def stated(data: bytes) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
     metadata = pq.read_schema(pa.BufferReader(data)).metadata or {}
-    known = {name.decode(): text.decode() for name, text in metadata.items()}
-    return {n: strict_json.parse(text) if n == "made" else text for n, text in known.items()}
+    entries = {name.decode(): text.decode() for name, text in metadata.items()}
+    return {n: strict_json.parse(text) if n == "made" else text for n, text in entries.items()}
 
 
 @contextmanager

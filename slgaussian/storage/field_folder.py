@@ -88,9 +88,9 @@ class About:
             content = strict_json.parse(text)
             version, maker = content.get("format"), content.get("made_by")
             if version != FORMAT:
-                found = "none" if version is None else repr(version)[:40]
+                stated = "none" if version is None else repr(version)[:40]
                 by = f", made by {maker:.60}" if isinstance(maker, str) else ""
-                raise mismatch(file, "format", f"{found}{by}", f"{FORMAT}; {AGAIN}")
+                raise mismatch(file, "format", f"{stated}{by}", f"{FORMAT}; {AGAIN}")
             cameras = {name: _camera_of(own) for name, own in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()

@@ -85,7 +85,7 @@ def collect(
     """
     bound = store.clock() - age
     garbage = Garbage()
-    kept = {_name(uri) for table in keep for uri in _uris_of(table)}
+    referred = {_name(uri) for table in keep for uri in _uris_of(table)}
     for record in _records(store, tell):
         if record.file.written < bound and not _is_current(record, versions):
             garbage.records += 1
@@ -93,7 +93,7 @@ def collect(
             if delete:
                 store.remove([record.file.uri])
         else:
-            kept.update(map(_name, record.named))
+            referred.update(map(_name, record.named))
     for files in store.walk():
         gone = []
         for file in files:
@@ -103,7 +103,7 @@ def collect(
                 gone += [file] * old
             elif ref_of(file.uri) is None:
                 continue  # nobody knows whose it is
-            elif _name(file.uri) in kept:
+            elif _name(file.uri) in referred:
                 garbage.kept += 1
             else:
                 garbage.artifacts += old

@@ -52,11 +52,11 @@ def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
             return {}
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r:.40}, expected {FORMAT}")
-        known = {}
+        photographs = {}
         for name, (place, digest) in content["photographs"].items():
             if not isinstance(place, str) or not isinstance(digest, str):
                 raise ValueError("a place is no text")
-            known[name] = Path(place), digest
+            photographs[name] = Path(place), digest
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
-    return known
+    return photographs

@@ -116,8 +116,8 @@ def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mappi
     data = cache.get(uri)
     if data is not None:
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as kept:
-                return dict(kept)
+            with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+                return dict(stored)
         except (ValueError, OSError, EOFError, zipfile.BadZipFile):
             cache.drop(uri)
     arrays = make()

@@ -93,15 +93,15 @@ def statement(digest: str = "") -> dict[str, Any]:
     if made is not None and digest in made.given:
         made = None
     about: dict[str, Any] = {"program": f"slgaussian {__version__}"}
-    known = {}
+    origin = {}
     if made is not None:
         about["stage"] = made.stage
         if made.version is not None:
             about["stage_version"] = made.version
         about |= {"settings": dict(made.settings), "of": dict(made.of)}
-        known = {"source": made.source, "licence": made.licence}
+        origin = {"source": made.source, "licence": made.licence}
     about["software"] = software()
-    return {"made": about, **{name: text for name, text in known.items() if text}}
+    return {"made": about, **{name: text for name, text in origin.items() if text}}
 
 
 def speaking(schema: pa.Schema, digest: str = "") -> pa.Schema:

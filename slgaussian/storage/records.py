@@ -83,8 +83,8 @@ class Records:
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:
         """Return those of the file and of its parts; None if one has none."""
         stamps = [self.store.stamp(uri) for uri in ref.uris]
-        known = [stamp for stamp in stamps if stamp is not None]
-        return known if len(known) == len(stamps) else None
+        present = [stamp for stamp in stamps if stamp is not None]
+        return present if len(present) == len(stamps) else None
 
     def _read(self, uri: str) -> tuple[ArtifactRef, Any]:
         """Return the ref in a record, and the stamps of its files; SpecError if there is none."""

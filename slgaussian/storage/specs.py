@@ -170,15 +170,15 @@ class Spec:
 
     def about(self, names: Iterable[str]) -> dict[str, Any]:
         """Return what an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
-        known = {name: self.fields[name] for name in names if name in self.fields}
-        letters = {axis for own in known.values() for axis in own.shape}
+        listed = {name: self.fields[name] for name in names if name in self.fields}
+        letters = {axis for own in listed.values() for axis in own.shape}
         return {
             "spec": self.label,
             "meaning": self.doc,
             "axes": {letter: said for letter, said in self.axes.items() if letter in letters},
             "fields": {
                 name: {"axes": list(own.shape), **own.describe(plain=True)}
-                for name, own in known.items()
+                for name, own in listed.items()
             },
         }
 

@@ -434,8 +434,8 @@ def address(spec: str, digest: str) -> str:
 def ref_of(uri: str) -> ArtifactRef | None:
     """Return the ref of the artifact at a path of a store; None if it is another file."""
     spec, digest = uri.partition("/")[0], uri.rpartition("/")[2].partition(".")[0]
-    known = spec in spec_names() and is_digest(digest) and uri == address(spec, digest)
-    return ArtifactRef(spec, uri, digest) if known else None
+    is_artifact = spec in spec_names() and is_digest(digest) and uri == address(spec, digest)
+    return ArtifactRef(spec, uri, digest) if is_artifact else None
 
 
 def is_digest(text: str) -> bool:
