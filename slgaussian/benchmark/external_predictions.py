@@ -30,7 +30,7 @@ from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult
 from slgaussian.benchmark.outputs import file_name, mask_place
-from slgaussian.benchmark.protocols import PROTOCOLS, GivenFrame, How, ScoringProtocol
+from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, How, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle, strict_json
@@ -41,7 +41,9 @@ from slgaussian.storage.specs import load_spec
 NOT_GIVEN = "no mask was given"
 """Note of a row that is scored as an empty mask, because there is none."""
 
-SCORABLE = tuple(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
+NO_RELEVANCY = np.zeros((0, 0), np.float32)
+
+SCORABLE = tuple(name for name, one in PROTOCOLS.items() if one.scores_masks)
 """The protocols by which masks can be scored."""
 
 Key = tuple[str, ...]
@@ -229,14 +231,18 @@ def _score_scene(
         labels = None if competing is None else _winners(competing, list(truths), method)
         for protocol in protocols:
             known = by_protocol[protocol.name]
-            given = GivenFrame(
-                [mask for _, mask in known],
-                [None if one is None else one.point for one, _ in known],
+            answers = [
+                Answer(NO_RELEVANCY, mask, None if one is None else one.point)
+                for one, mask in known
+            ]
+            asked = Frame(
+                answers,
                 list(truths.values()),
                 [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()],
                 labels,
+                external=True,
             )
-            scores = protocol.score_given(given)
+            scores = protocol.score(asked, How("given"))
             for text, scored, (one, mask) in zip(truths, scores, known, strict=True):
                 absent = not truths[text].any()
                 if absent and protocol is not protocols[0]:

@@ -30,12 +30,12 @@ THRESHOLDS = tuple(k / ranking.BINS for k in range(1, ranking.BINS))
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method says to one text in one view.
+    """The answer of a method to one text in one view.
 
     Attributes
     ----------
     relevancy : float [H, W]
-        In [0, 1]; 0 where nothing is known.
+        In [0, 1]; 0 where nothing is known. Empty where a mask was made elsewhere.
     mask : bool [H, W]
         What the method selects by the rules it is asked with.
     point : (x, y) or None
@@ -52,56 +52,35 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a method answered in one view, and the truth.
+    """The answers of a method in one view, and the truth.
 
     Attributes
     ----------
     answers, masks, boxes : sequences
         Of each query: an :class:`Answer`, the true mask bool [H, W], and the true boxes
         float [n, 4] (x0, y0, x1, y1).
-    labels : int32 [H, W]
-        ``k + 1`` where query ``k`` wins over all others, 0 where none does.
+    labels : int32 [H, W] or None
+        ``k + 1`` where query ``k`` wins over all others, 0 where none does; None if not known.
+    external : bool
+        Whether masks were made elsewhere: then there are no relevancies, and points only of some.
     """
 
     answers: Sequence[Answer]
     masks: Sequence[np.ndarray]
     boxes: Sequence[np.ndarray]
-    labels: np.ndarray
+    labels: np.ndarray | None
+    external: bool = False
 
     @cached_property
-    def class_ious(self) -> list[float | None]:
-        """See :func:`slgaussian.benchmark.metrics.class_ious`."""
+    def class_ious(self) -> Sequence[float | None]:
+        """See :func:`slgaussian.benchmark.metrics.class_ious`; None where labels are not known."""
+        if self.labels is None:
+            return [None] * len(self.masks)
         return metrics.class_ious(self.labels, self.masks)
 
     @cached_property
-    def accuracy(self) -> float:
-        """See :func:`slgaussian.benchmark.metrics.exact_accuracy`."""
-        return metrics.exact_accuracy(self.labels, self.masks)
-
-
-@dataclass(frozen=True, eq=False)
-class GivenFrame:
-    """Masks that were made elsewhere for one view, and the truth.
-
-    Attributes
-    ----------
-    found, points : sequences
-        Of each query: the mask bool [H, W], and the point (x, y) or None where none is given.
-    masks, boxes : sequences
-        As :class:`Frame` has them.
-    labels : int32 [H, W] or None
-        Likewise; None where it is not known which query wins.
-    """
-
-    found: Sequence[np.ndarray]
-    points: Sequence[tuple[float, float] | None]
-    masks: Sequence[np.ndarray]
-    boxes: Sequence[np.ndarray]
-    labels: np.ndarray | None = None
-
-    @cached_property
     def accuracy(self) -> float | None:
-        """See :func:`slgaussian.benchmark.metrics.exact_accuracy`; None without ``labels``."""
+        """See :func:`slgaussian.benchmark.metrics.exact_accuracy`."""
         return None if self.labels is None else metrics.exact_accuracy(self.labels, self.masks)
 
 
@@ -152,15 +131,15 @@ class ScoringProtocol:
         In images of that many pixels' width, if methods are asked with those rules.
     score_query : function (Frame, int, How) -> Scored
         Query number k of a frame.
-    score_mask : function (GivenFrame, int) -> {column: score}, optional
-        What masks alone say of query number k, by the same definitions; None where it is nothing.
+    scores_masks : bool
+        Whether masks without relevancies can be scored.
     """
 
     name: str
     version: int
     how: Callable[[Rules, int], How]
     score_query: Callable[[Frame, int, How], Scored]
-    score_mask: Callable[[GivenFrame, int], dict[str, Any]] | None = None
+    scores_masks: bool = True
 
     @property
     def label(self) -> str:
@@ -168,29 +147,20 @@ class ScoringProtocol:
         return f"{self.name}@{self.version}"
 
     def score(self, frame: Frame, how: How) -> list[Scored]:
-        """One a query, in their order; without a pixel of truth it has no scores."""
-        scored = [self.score_query(frame, k, how) for k in range(len(frame.masks))]
-        return [
-            one if truth.any() else replace(one, scores={})
-            for one, truth in zip(scored, frame.masks, strict=True)
-        ]
+        """Score each query, in their order; without a pixel of truth it has no scores.
 
-    def score_given(self, given: GivenFrame) -> list[Scored]:
-        """One a query, as :meth:`score`, of masks that were made elsewhere.
-
-        InputError if masks say nothing by this protocol.
+        InputError if masks were made elsewhere and say nothing by this protocol.
         """
-        if self.score_mask is None:
-            able = ", ".join(name for name, one in PROTOCOLS.items() if one.score_mask is not None)
+        if frame.external and not self.scores_masks:
+            able = ", ".join(name for name, one in PROTOCOLS.items() if one.scores_masks)
             raise InputError(
                 f"protocol: {self.name!r} scores relevancies, of which masks say nothing; expected "
                 f"one of {able}"
             )
+        scored = [self.score_query(frame, k, how) for k in range(len(frame.masks))]
         return [
-            Scored(
-                self.score_mask(given, k) if truth.any() else {}, given.found[k], given.points[k]
-            )
-            for k, truth in enumerate(given.masks)
+            one if truth.any() else replace(one, scores={})
+            for one, truth in zip(scored, frame.masks, strict=True)
         ]
 
 
@@ -200,27 +170,21 @@ def _overlap(mask: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
 
 def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
     answer, truth = frame.answers[k], frame.masks[k]
-    scores = _overlap(answer.mask, truth) | {
-        "class_iou": frame.class_ious[k],
-        "hit_mask": metrics.point_in_mask(answer.point, truth),
-        "hit_box": metrics.point_in_boxes(answer.point, frame.boxes[k]),
-    }
+    scores = _overlap(answer.mask, truth) | {"class_iou": frame.class_ious[k]}
+    if answer.point is not None or not frame.external:
+        scores["hit_mask"] = metrics.point_in_mask(answer.point, truth)
+        scores["hit_box"] = metrics.point_in_boxes(answer.point, frame.boxes[k])
     return Scored(scores, answer.mask, answer.point)
 
 
-def _slgaussian_given(given: GivenFrame, k: int) -> dict[str, Any]:
-    truth, point = given.masks[k], given.points[k]
-    scores = _overlap(given.found[k], truth)
-    if given.labels is not None:
-        scores["class_iou"] = metrics.iou(given.labels == k + 1, truth)
-    if point is not None:
-        scores["hit_mask"] = metrics.point_in_mask(point, truth)
-        scores["hit_box"] = metrics.point_in_boxes(point, given.boxes[k])
-    return scores
-
-
 def _langsplat(frame: Frame, k: int, how: How) -> Scored:
-    relevancy, truth, boxes = frame.answers[k].relevancy, frame.masks[k], frame.boxes[k]
+    answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
+    if frame.external:
+        scores = _overlap(answer.mask, truth)
+        if answer.point is not None:
+            scores["hit_box"] = metrics.point_in_boxes(answer.point, boxes)
+        return Scored(scores, answer.mask, answer.point)
+    relevancy = answer.relevancy
     side = langsplat.FILTER if how.filter is None else how.filter
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
     known = relevancy > 0
@@ -236,31 +200,15 @@ def _langsplat(frame: Frame, k: int, how: How) -> Scored:
     return Scored(scores, mask, point)
 
 
-def _langsplat_given(given: GivenFrame, k: int) -> dict[str, Any]:
-    scores = _overlap(given.found[k], given.masks[k])
-    if given.points[k] is not None:
-        scores["hit_box"] = metrics.point_in_boxes(given.points[k], given.boxes[k])
-    return scores
-
-
 def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
+    assert frame.labels is not None  # by this protocol texts always compete
     region = frame.labels == k + 1
     scores = {
         "boundary_iou": metrics.boundary_iou(region, frame.masks[k]),
         "class_iou": frame.class_ious[k],
         "accuracy": frame.accuracy,
     }
-    return Scored(scores, region)
-
-
-def _three_d_ovs_given(given: GivenFrame, k: int) -> dict[str, Any]:
-    # Masks of which none overlaps another are the regions where their texts win.
-    scores = _overlap(given.found[k], given.masks[k])
-    return {
-        "boundary_iou": scores["boundary_iou"],
-        "class_iou": scores["iou"],
-        "accuracy": given.accuracy,
-    }
+    return Scored(scores, region, frame.answers[k].point if frame.external else None)
 
 
 def _threshold_free(frame: Frame, k: int, how: How) -> Scored:
@@ -295,13 +243,13 @@ def _stretched_rescaled(rules: Rules, width: int) -> How:
 PROTOCOLS: Mapping[str, ScoringProtocol] = {
     protocol.name: protocol
     for protocol in (
-        ScoringProtocol("slgaussian", 2, _by_rules, _slgaussian, _slgaussian_given),
-        ScoringProtocol("langsplat", 2, _stretched, _langsplat, _langsplat_given),
-        ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat, _langsplat_given),
+        ScoringProtocol("slgaussian", 2, _by_rules, _slgaussian),
+        ScoringProtocol("langsplat", 2, _stretched, _langsplat),
+        ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat),
+        ScoringProtocol("3d-ovs", 2, lambda rules, width: How("arg-max"), _three_d_ovs),
         ScoringProtocol(
-            "3d-ovs", 2, lambda rules, width: How("arg-max"), _three_d_ovs, _three_d_ovs_given
+            "threshold-free", 2, lambda rules, width: How("none"), _threshold_free, False
         ),
-        ScoringProtocol("threshold-free", 2, lambda rules, width: How("none"), _threshold_free),
     )
 }
 """All protocols by name."""

@@ -270,6 +270,6 @@ def test_a_folder_of_other_masks_says_of_what_they_are(folder, judged):
 def test_masks_say_nothing_of_a_protocol_without_masks(folder, judged):
     assert set(SCORABLE) == PROTOCOLS.keys() - {"threshold-free"}
     predictions = read_predictions(folder)
-    protocols = [replace(load_protocol("slgaussian"), score_mask=None)]
+    protocols = [replace(load_protocol("slgaussian"), scores_masks=False)]
     with pytest.raises(InputError, match="scores relevancies, of which masks say nothing"):
         list(score_predictions(predictions, [judged], protocols, Tally()))
