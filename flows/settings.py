@@ -30,7 +30,7 @@ from slgaussian.components.registry import KINDS, brought, find_config, names_of
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
-from slgaussian.language.configs import ClipConfig, GridConfig, NamedConfig, SeparatedConfig
+from slgaussian.language.configs import ClipConfig, GridConfig, SeparatedConfig
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
@@ -205,7 +205,6 @@ class MethodSettings(QueryRules):
     sam2_video: Sam2VideoConfig = Sam2VideoConfig()
     precomputed: PrecomputedConfig = PrecomputedConfig()
     clip: ClipConfig = ClipConfig()
-    named: NamedConfig = NamedConfig()
     grid: GridConfig = GridConfig()
     separated: SeparatedConfig = SeparatedConfig()
     branch: BranchConfig = BranchConfig()

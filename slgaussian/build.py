@@ -21,7 +21,6 @@ from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
-from slgaussian.language.named import Named, true_names
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths
@@ -63,7 +62,7 @@ def build_field(
     Parameters
     ----------
     sample : Sample
-        Its targets are not looked at, nor its truths, but by the encoder ``named``.
+        Its targets are not looked at, nor its truths.
     method : Method, optional
         Its parts and their settings; ``Method()`` if left out, which needs no weights.
     trust_cameras : bool
@@ -158,16 +157,12 @@ def remember(
     """Draw an ID code for every object and encode what each view shows of it (section 3.2).
 
     Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them,
-    unless ``held`` is ``objects`` (:data:`slgaussian.components.method.BANK`). With the encoder
-    ``named`` objects get the vectors of their true names instead, and groups none.
+    unless ``held`` is ``objects`` (:data:`slgaussian.components.method.BANK`).
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
-    loaded = encoder.load()
-    names = true_names(sample, label_maps) if isinstance(loaded, Named) else None
-    grouped = names is None and held == "groups"
-    groups = group_objects(geometry.seen, label_maps) if grouped else None
+    groups = group_objects(geometry.seen, label_maps) if held == "groups" else None
     around = geometry.surroundings
-    return build_bank(sample.context, label_maps, loaded, drawn, names, around, groups)
+    return build_bank(sample.context, label_maps, encoder.load(), drawn, around, groups)
 
 
 def lift_field(

@@ -141,7 +141,7 @@ def cost(count: int) -> dict:
     masks = time.process_time() - start
     codes = load_codes()(maps, rng_for(0, scene.name, "codes"))
     groups, start = group_objects(geometry.seen, maps), time.process_time()
-    bank = build_bank(views, maps, load_encoder(), codes, None, geometry.surroundings, groups)
+    bank = build_bank(views, maps, load_encoder(), codes, geometry.surroundings, groups)
     return {
         "views": count,
         "objects": len(bank),

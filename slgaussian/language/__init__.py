@@ -17,7 +17,6 @@ if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for
 ENCODERS = {
     "lexicon": "slgaussian.language.lexicon:Lexicon",
     "clip": "slgaussian.language.configs:ClipConfig",
-    "named": "slgaussian.language.configs:NamedConfig",
 }
 CODES = {
     "grid": "slgaussian.language.configs:GridConfig",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -160,7 +160,6 @@ def build_bank(
     label_maps: LabelMaps,
     encoder: Encoder,
     codes: np.ndarray,
-    names: Mapping[int, str] | None = None,
     surroundings: Sequence[Surroundings] | None = None,
     groups: np.ndarray | None = None,
 ) -> MemoryBank:
@@ -175,21 +174,17 @@ def build_bank(
     encoder : Encoder
     codes : float32 [N, D]
         One code for each of ``label_maps.ids``, in that order.
-    names : {id: str}, optional
-        For experiments, what the objects are called: an oracle, whose features are those of the
-        names as texts, the same in all views. An object without a name is absent from all.
     surroundings : sequence of V Surroundings, optional
         Where the pixels of each view lie in the room, for encoders that make use of it.
     groups : int [L, N], optional
         Which group each object belongs to at each level, as
         :func:`slgaussian.masks.levels.group_objects` says. A group of one object is that object,
-        and groups of the same objects at several levels are one. Names have none.
+        and groups of the same objects at several levels are one.
 
     Raises
     ------
     InputError
-        If views, label maps, codes and groups do not match, there is no object at all, the encoder
-        cannot use a name, or names have groups.
+        If views, label maps, codes and groups do not match, or there is no object at all.
     """
     ids = label_maps.ids
     if len(ids) == 0:
@@ -202,17 +197,15 @@ def build_bank(
         )
     if len(codes) != len(ids):
         raise InputError(f"memory bank: found {len(codes)} codes for {len(ids)} objects")
-    if groups is not None and (names is not None or groups.shape[1:] != (len(ids),)):
+    if groups is not None and groups.shape[1:] != (len(ids),):
         raise InputError(
-            f"memory bank: found groups {groups.shape} for {len(ids)} objects"
-            f"{'' if names is None else ' with names'}, expected [levels, {len(ids)}] and no names"
+            f"memory bank: found groups {groups.shape} for {len(ids)} objects, expected [levels, "
+            f"{len(ids)}]"
         )
     present = label_maps.areas() > 0
     members, levels = None, None
     if groups is not None:
         members, levels = _members(groups)
-    if names is not None:
-        present &= np.isin(ids, list(names))[:, None]
     arounds: Sequence[Surroundings | None] = (
         [None] * len(views) if surroundings is None else surroundings
     )
@@ -221,10 +214,6 @@ def build_bank(
     for v, (view, labels, held, around) in enumerate(of_views):
         masks = labels == ids[held][:, None, None]
         boxes[held, v] = _boxes(masks)
-        if names is not None:
-            encoded = encoder.encode_text([names[i] for i in ids[held].tolist()])
-            columns.append(_half_rounded(encoded, held))
-            continue
         shown = np.zeros(0, bool) if members is None else (members & held).any(1)
         groups_here = np.zeros((shown.sum(), *labels.shape), bool)
         if members is not None:

@@ -9,7 +9,6 @@ from pydantic import Field
 
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.pretrained import model_digest, tokenizer_digest
-from slgaussian.io import file_digest
 
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""
@@ -41,16 +40,6 @@ class ClipConfig(ComponentConfig, title="clip"):
     batch: int = Field(4, ge=1, description="Regions encoded together: memory goes with it.")
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="Of CLIP's image tower on a CPU: float32 or bfloat16."
-    )
-
-
-class NamedConfig(ComponentConfig, title="named"):
-    """An oracle that is told what objects are, with vectors by name."""
-
-    target = "slgaussian.language.named:Named"
-
-    table: Annotated[Path | None, File(file_digest)] = Field(
-        None, description="Names and vectors, .npz."
     )
 
 

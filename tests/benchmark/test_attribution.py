@@ -37,7 +37,14 @@ def build(sample, gaussians, labels):
     """A field of these labels that knows what its objects are called."""
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     codes = load_codes("grid")(label_maps, np.random.default_rng(0))
-    named = build_bank(sample.context, label_maps, load_encoder("lexicon"), codes, sample.phrases)
+    bank = build_bank(sample.context, label_maps, load_encoder("lexicon"), codes)
+    ids = [int(id_) for id_ in bank.ids]
+    texts = [sample.phrases.get(id_, "wall") for id_ in ids]
+    vectors = load_encoder("lexicon").encode_text(texts)[:, None].astype(np.float16)
+    present = bank.present & np.isin(ids, list(sample.phrases))[:, None]
+    features = np.where(present[..., None], vectors, 0).astype(np.float32)
+    boxes = np.where(present[..., None], bank.boxes, 0)
+    named = replace(bank, features=features, present=present, boxes=boxes)
     gaussians = replace(gaussians, features=None)
     return known_field(sample, gaussians, label_maps, Method(codes="grid", keep="all"), named)
 

@@ -5,7 +5,6 @@ import pickle
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import pytest
 from pydantic import Field
 
@@ -16,16 +15,17 @@ from slgaussian.components.method import Method
 from slgaussian.components.registry import KINDS, find_config, names_of
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, file_digest
-from slgaussian.language.named import Named
+from slgaussian.semantic.branch import Architecture, Branch, save_branch
+from slgaussian.semantic.trained import TrainedBranch
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
 
 
 @pytest.fixture
-def table(tmp_path) -> Path:
-    """A table of names for the encoder ``named``."""
-    file = tmp_path / "names.npz"
-    np.savez(file, names=np.array(["ball", "box"]), features=np.eye(2, dtype=np.float32))
+def weights(tmp_path) -> Path:
+    """Weights of the lifting ``branch``, drawn at random."""
+    file = tmp_path / "branch.safetensors"
+    file.write_bytes(save_branch(Branch(Architecture(widths=(4, 8), hidden=8))))
     return file
 
 
@@ -42,44 +42,45 @@ def test_the_identity_is_flat_plain_and_complete():
     assert json.dumps(Method().identity()) == json.dumps(expected)
 
 
-def test_a_file_is_known_by_its_content_wherever_it_is(table, tmp_path):
-    moved = tmp_path / "elsewhere.npz"
-    moved.write_bytes(table.read_bytes())
-    here, there = (Component.of("encoder", "named", {"table": place}) for place in (table, moved))
-    assert here.identity() == there.identity() == {"table": file_digest(table)}
-    assert here.places() == {"table": str(table)} != there.places()
+def test_a_file_is_known_by_its_content_wherever_it_is(weights, tmp_path):
+    moved = tmp_path / "elsewhere.safetensors"
+    moved.write_bytes(weights.read_bytes())
+    places = weights, moved
+    here, there = (Component.of("lifting", "branch", {"weights": place}) for place in places)
+    assert here.identity() == there.identity() == {"weights": file_digest(weights)}
+    assert here.places() == {"weights": str(weights)} != there.places()
     assert str(tmp_path) not in json.dumps(here.identity())
 
 
-def test_a_part_comes_back_from_its_identity_and_its_places(table):
-    made = Component.of("encoder", "named", {"table": str(table)})
-    identity = {"encoder": "named", "named": made.identity()}
-    again = Component.stored("encoder", json.loads(json.dumps(identity)), made.places())
+def test_a_part_comes_back_from_its_identity_and_its_places(weights):
+    made = Component.of("lifting", "branch", {"weights": str(weights)})
+    identity = {"lifting": "branch", "branch": made.identity()}
+    again = Component.stored("lifting", json.loads(json.dumps(identity)), made.places())
     assert again == made == pickle.loads(pickle.dumps(made))
-    assert isinstance(again.load(), Named)
-    with pytest.raises(InputError, match=r"table : cannot be read"):
-        Component.stored("encoder", identity).load()
+    assert isinstance(again.load(), TrainedBranch)
+    with pytest.raises(InputError, match="no version is in use"):
+        Component.stored("lifting", identity).load()
 
 
-def test_a_file_that_changed_is_refused(table):
-    part = Component.of("encoder", "named", {"table": table})
-    table.write_bytes(b"another")
-    with pytest.raises(InputError, match=r"table .*names\.npz: was changed after the run"):
+def test_a_file_that_changed_is_refused(weights):
+    part = Component.of("lifting", "branch", {"weights": weights})
+    weights.write_bytes(b"another")
+    with pytest.raises(InputError, match=r"branch\.safetensors: was changed after the run"):
         part.load()
-    with pytest.raises(InputError, match=r"names\.npz: is another$"):
+    with pytest.raises(InputError, match=r"branch\.safetensors: is another$"):
         part.load("is another")
-    table.unlink()
-    with pytest.raises(InputError, match=r"names\.npz: cannot be read \(No such file"):
+    weights.unlink()
+    with pytest.raises(InputError, match=r"branch\.safetensors: cannot be read \(No such file"):
         part.load()
 
 
-def test_a_file_of_which_no_digest_is_known_may_be_any(table):
-    assert KnownFile(str(table), None).checked("table", file_digest) == str(table)
+def test_a_file_of_which_no_digest_is_known_may_be_any(weights):
+    assert KnownFile(str(weights), None).checked("weights", file_digest) == str(weights)
 
 
 def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
-    with pytest.raises(InputError, match=r"named table .*none\.npz: cannot be read"):
-        Component.of("encoder", "named", {"table": tmp_path / "none.npz"})
+    with pytest.raises(InputError, match=r"weights .*none\.npz: cannot be read"):
+        Component.of("lifting", "branch", {"weights": tmp_path / "none.npz"})
 
 
 @pytest.mark.parametrize(

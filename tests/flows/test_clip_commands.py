@@ -13,7 +13,6 @@ from pipelines import calls_of, keyed
 
 from flows.scene import scene_task
 from flows.settings import Settings, make_settings, read_toml
-from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
@@ -124,8 +123,6 @@ def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
     assert f"model {other}: is not what the field was built with" in said(capsys)
     assert run(monkeypatch, "query", made, "red", "--set", "clip.model=no/such/place") == 2
     assert "model no/such/place: there is no such folder" in said(capsys)
-    assert run(monkeypatch, "query", made, "red", "--set", f"named.table={tmp_path}/x.npz") == 2
-    assert "named is given, but the field is built, and its encoder is 'clip'" in said(capsys)
     assert run(monkeypatch, "query", made, "word " * 100) == 2
     assert "tokens, but the model reads at most 77" in said(capsys)
 
@@ -225,33 +222,6 @@ def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
         remembered(other)
 
 
-def test_an_oracle_of_names_finds_what_is_there(tmp_path, server):
-    """With true names, real masks and real depth, whatever is seen well is found."""
-    scene = datasets.load("procedural", seed=1, objects=4, views=3)
-    names = sorted(set(scene.phrases.values()))
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(len(names), 32)) + 1.7
-    np.savez(tmp_path / "names.npz", names=np.array(names), features=features)
-    config = tmp_path / "run.toml"
-    room = {key: value for key, value in ROOM.items() if key != "queries"}
-    config.write_text(
-        'size = "96x128"\nnear = 0.8\nfar = 12.0\nencoder = "named"\nreplicas = 1\nout = "out"\n'
-        'store = "store"\n[named]\ntable = "names.npz"\n[[scenes]]\n'
-        + "\n".join(f"{key} = {_toml(value)}" for key, value in room.items())
-    )
-    settings = read_toml(config, {})
-    finished = score(settings, ArtifactStore(settings.store))
-    rows = [r for r in finished.results[0].rows if r["protocol"].startswith("slgaussian@")]
-    assert len(rows) >= 4 and all(row["note"] == "" for row in rows)
-    assert np.mean([row["iou"] for row in rows]) > 0.4
-
-
-def _toml(value) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
-    return json.dumps(value)
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -268,11 +238,6 @@ def _toml(value) -> str:
             "batch: found 0",
         ),
         (["--set", "clip.batch=2"], "settings of 'clip' are given, but no part is 'clip'"),
-        (["--set", "encoder=named"], "named table: none given"),
-        (
-            ["--set", "encoder=named", "--set", "named.table=none.npz"],
-            "named table none.npz: cannot be",
-        ),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(model, tmp_path, monkeypatch, capsys, words, sentence):
@@ -288,8 +253,7 @@ def test_a_run_that_cannot_be_does_not_begin(model, tmp_path, monkeypatch, capsy
 def test_files_beside_the_configuration_are_found_and_a_name_is_left(tmp_path):
     (tmp_path / "clip.bin").touch()
     config = tmp_path / "run.toml"
-    config.write_text('[clip]\nmodel = "clip.bin"\ntokenizer = "a/b"\n[named]\ntable = "n.npz"\n')
+    config.write_text('[clip]\nmodel = "clip.bin"\ntokenizer = "a/b"\n')
     read = read_toml(config, {})
     assert read.clip.model == str(tmp_path / "clip.bin")
     assert read.clip.tokenizer == "a/b"
-    assert read.named.table == tmp_path / "n.npz"

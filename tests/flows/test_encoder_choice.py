@@ -108,8 +108,8 @@ def test_without_transformers_it_is_the_lexicon(model, monkeypatch, capsys):
 def test_a_table_of_clip_may_be_given_and_of_no_other(model):
     clip = {"clip": {"model": str(model)}}
     assert make_settings({"encoder": "auto", **clip}, "test").encoder == "clip"
-    with pytest.raises(InputError, match="settings of 'named' are given, but no part is 'named'"):
-        make_settings({"encoder": "auto", "named": {"table": "names.npz"}}, "test")
+    with pytest.raises(InputError, match="settings of 'branch' are given, but no part is 'branch'"):
+        make_settings({"encoder": "auto", "branch": {"weights": "weights.safetensors"}}, "test")
 
 
 def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys):
@@ -148,7 +148,7 @@ def test_the_help_names_it(monkeypatch, capsys):
     for command in ("field", "demo", "doctor"):
         assert run(monkeypatch, command, "--help") == 0
         told = " ".join(capsys.readouterr().out.split())
-        assert "lexicon, clip, named or auto. [default: lexicon]" in told
+        assert "lexicon, clip or auto. [default: lexicon]" in told
 
 
 def test_a_word_like_it_is_none(monkeypatch, capsys, tmp_path):

@@ -157,7 +157,7 @@ def test_completion_and_help_need_no_heavy_library():
     env = {**os.environ, **asked, "_SLGAUSSIAN_COMPLETE": "complete_bash"}
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [b"lexicon", b"clip", b"named", b"auto"]
+    assert done.stdout.split() == [b"lexicon", b"clip", b"auto"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -247,5 +247,3 @@ def test_groups_that_make_no_sense_are_refused(pieces, lexicon):
             replace(bank, **changes)
     with pytest.raises(InputError, match=r"found groups \(3, 4\) for 5 objects"):
         grouped_bank(pieces, lexicon, groups=pieces[2][:, :4])
-    with pytest.raises(InputError, match="with names"):
-        grouped_bank(pieces, lexicon, names={2: "red ball"})

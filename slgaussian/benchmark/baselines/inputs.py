@@ -17,7 +17,6 @@ from slgaussian.geometry.room import Surroundings
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank, build_bank
-from slgaussian.language.named import true_names
 from slgaussian.language.query import TextReader
 from slgaussian.masks import MaskProposer
 from slgaussian.masks.flatten import flatten, without_crumbs
@@ -112,6 +111,5 @@ class Inputs:
             return MemoryBank(ids, codes, nothing, np.zeros((0, len(seen)), bool))
         if grouped and self.bank.levels is not None:
             groups = group_objects(seen, label_maps)
-        names = true_names(self.sample, label_maps) if self.encoder.name == "named" else None
         views = [one.view for one in seen]
-        return build_bank(views, label_maps, self.encoder, codes, names, surroundings, groups)
+        return build_bank(views, label_maps, self.encoder, codes, surroundings, groups)
