@@ -34,7 +34,7 @@ pixels, is added in quadrature: what model and detector do not tell."""
 START = 0.6
 """That scale at first."""
 
-APART = np.array([(0.0, 0.0), (-0.75, 0.75), (0.75, -0.75)])
+APART = np.array([(m - d / 2, m + d / 2) for m in (0.0, -1.5, 1.5) for d in (0.0, -1.5, 1.5)])
 """Focal lengths of two lenses to start from, deviations from what is usual."""
 
 RANSAC = {
