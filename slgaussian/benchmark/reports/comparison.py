@@ -74,7 +74,7 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         return Report("Runs ranked", [Prose(opening)], sections)
     second = others[0]
     pairs = _pairs(first, second)
-    opening = f"A: {escape(first.folder)}. B: {escape(second.folder)}. Differences are B minus A. "
+    opening = f"A: {escape(first.folder)}. B: {escape(second.folder)}. Differences are B minus A."
     sections = [_made_section(first, second)]
     gains = {name: (later, earlier) for name, (earlier, later) in pairs.items()}
     more = {table.title: table for table in difference_tables(gains, MORE, "Method")}
