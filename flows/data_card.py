@@ -1,12 +1,11 @@
 """The card of a training set: what is in it, how good it is, whose it is, and what was refused.
 
-``README.md`` with a contact sheet and histograms beside it. The same set and settings give the same
+``README.md`` with a contact sheet beside it. The same set and settings give the same
 bytes: there is no time and no place of this machine in it.
 """
 
 from __future__ import annotations
 
-import io
 import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -16,10 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import matplotlib
 import numpy as np
 import pyarrow as pa
-from matplotlib.figure import Figure
 
 from flows.clip_sources import Source
 from flows.dataset_settings import DatasetSettings, SetSettings
@@ -32,14 +29,13 @@ from slgaussian.benchmark.pictures import (
     paint_depth,
     paint_labels,
 )
-from slgaussian.benchmark.reports.plots import STYLE
 from slgaussian.datasets import licences
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
 from tasks.packed import Room
 
-CARD, SHEET, HISTOGRAMS = "README.md", "sheet.jpg", "quality.png"
+CARD, SHEET = "README.md", "sheet.jpg"
 
 SHEET_ROWS, SHEET_SIDE = 12, 144
 """Most samples on the contact sheet, and the pixels of a picture on it."""
@@ -51,7 +47,7 @@ QUALITY = (
     "overlap", "baseline", "blur", "clipped", "unlabelled", "unlabelled_targets", "confirmed",
     "explained", "objects",
 )  # fmt: skip
-"""The columns of the index that are drawn."""
+"""The columns of the index whose quantiles the card gives."""
 
 SHOWN = 3
 """Reasons of each kind of refusal that the card quotes."""
@@ -64,13 +60,12 @@ def write_card(
     failures: Sequence[Failure],
     stages: Mapping[str, int],
 ) -> None:
-    """Write the card and its pictures beside the index of a set; OSError if that fails.
+    """Write the card and its contact sheet beside the index of a set; OSError if that fails.
 
     ``sources`` are those of each sample, and ``stages`` the versions of the stages.
     """
     samples = TrainingSet(out)
     write_atomic(out / SHEET, encode_jpeg(_sheet(samples), SHEET_WIDE))
-    write_atomic(out / HISTOGRAMS, _histograms(samples.rows))
     page = _template().render(
         **_counts(out, samples.rows),
         size=f"{settings.size[0]}x{settings.size[1]}",
@@ -84,7 +79,6 @@ def write_card(
         versions={"slgaussian": __version__, "numpy": version("numpy"), "torch": version("torch")},
         stages=", ".join(f"{name} {number}" for name, number in stages.items()),
         sheet=SHEET,
-        histograms=HISTOGRAMS,
         index=INDEX,
     )
     write_atomic(out / CARD, page.encode())
@@ -230,22 +224,3 @@ def samples_row(item: Mapping[str, Any]) -> list[tuple[str, np.ndarray]]:
                 (f"depth of {caption}", paint_depth(own["depth"][number].numpy(), near, far)),
             ]
     return views
-
-
-def _histograms(rows: pa.Table) -> bytes:
-    out = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure = Figure((9.0, 5.4), layout="constrained")
-        for axes, name in zip(figure.subplots(3, 3).flat, QUALITY, strict=True):
-            values = [
-                rows.filter(pa.compute.field("split") == split)[name].to_numpy() for split in SPLITS
-            ]
-            top = max(1, *(own.max(initial=0) for own in values)) if name == "objects" else 1
-            drawn = {"bins": 25, "range": (0, top), "stacked": True, "label": SPLITS}
-            axes.hist(values, **drawn, color=("#0072B2", "#E69F00"))
-            axes.set_title(name, fontsize=9.5)
-            axes.grid(axis="y")
-        figure.axes[0].legend(frameon=False)
-        figure.supylabel("samples")
-        figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
-    return out.getvalue()

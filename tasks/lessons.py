@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -50,45 +45,37 @@ def lessons(
 ) -> ArtifactRef:
     """Lessons of the samples of a chunk: spec ``lessons``.
 
-    ``meta`` has the contact sheet's place in the store (spec ``sheet``), seconds by part, and under
-    ``left_out`` the samples that could not be done.
+    ``meta`` has the contact sheet's place in the store (spec ``sheet``) and, under ``left_out``,
+    the samples that could not be done.
     """
-    watch, store = _Watch(), run.store
-    with watch("read"):
-        clips = read_chunk(run, chunk)
-        samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
+    store, clips = run.store, read_chunk(run, chunk)
+    samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
     propose = proposer.load()
     rows, bad, tiles = [], [], []
     for made in store.get(predictions).to_pylist():
         row = samples[made["sample"]]
-        with watch("read"):
-            ref = ArtifactRef("gaussians", made["uri"], made["digest"])
-            gaussians = Gaussians.from_arrays(store.get(ref))
+        ref = ArtifactRef("gaussians", made["uri"], made["digest"])
+        gaussians = Gaussians.from_arrays(store.get(ref))
         try:
-            with watch("read"):
-                sample = read_sample(clips[row["clip"]], row, framing, targets=True)
-            with watch("depth"):
-                seen = seen_everywhere(sample, gaussians)
-            with watch("masks"):
-                found = associate(seen, propose, tracker.load(), replicas)
+            sample = read_sample(clips[row["clip"]], row, framing, targets=True)
+            seen = seen_everywhere(sample, gaussians)
+            found = associate(seen, propose, tracker.load(), replicas)
         except InputError as error:
             bad.append(left_out(made["sample"], error))
             continue
         lesson = _lesson(sample, gaussians, found.labels)
-        with watch("write"):
-            ref = store.put("lesson", lesson.to_arrays())
+        ref = store.put("lesson", lesson.to_arrays())
         rows.append({**row_of(lesson, ref), "clip": row["clip"]})
         if len(rows) <= SHEET_ROWS:
             tiles += _tiles(sample, lesson)
     parts, sheet = [row["uri"] for row in rows], None
     if tiles:
-        with watch("sheet"):
-            columns = len(tiles) // min(len(rows), SHEET_ROWS)
-            png = encode_png(contact_sheet(tiles, SHEET_SIDE, columns))
-            sheet = store.put("sheet", {"png": np.frombuffer(png, np.uint8)})
+        columns = len(tiles) // min(len(rows), SHEET_ROWS)
+        png = encode_png(contact_sheet(tiles, SHEET_SIDE, columns))
+        sheet = store.put("sheet", {"png": np.frombuffer(png, np.uint8)})
         parts.append(sheet.uri)
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
-    meta = {"samples": len(rows), "left_out": bad, "parts": parts, "times": dict(watch.spent)}
+    meta = {"samples": len(rows), "left_out": bad, "parts": parts}
     if sheet is not None:
         meta["sheet"] = {"uri": sheet.uri, "digest": sheet.digest}
     return store.put("lessons", table, meta)
@@ -126,18 +113,3 @@ def _tiles(sample: Sample, lesson: Lesson) -> list[tuple[str, np.ndarray]]:
         without = f"{(own == 0).mean():.0%} without an id"
         tiles += [(caption, view.image), (without, paint_labels(own, view.image))]
     return tiles
-
-
-@dataclass
-class _Watch:
-    """Seconds spent by part."""
-
-    spent: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
-
-    @contextmanager
-    def __call__(self, part: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.spent[part] += time.perf_counter() - start

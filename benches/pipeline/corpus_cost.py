@@ -57,10 +57,6 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         made = take_chunks(settings, stages[-1])
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     last = [refs[stages[-1]].meta for refs in made.refs.values()]
-    times: dict[str, float] = {}
-    for meta in last:
-        for part, seconds in meta.get("times", {}).items():
-            times[part] = times.get(part, 0) + seconds
     return {
         "wall": wall,
         "cpu": cpu,
@@ -72,7 +68,6 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         "peak": held("VmHWM") / 2**20,
         "idle": before,
         "items": sum(meta.get("views", meta.get("samples")) for meta in last),
-        "times": times,
         "failures": len(made.failures),
     }
 
@@ -208,14 +203,12 @@ def main() -> None:
         }
         for n in MACHINES
     ]
-    parts = stages[-1]["times"]
     publish(
         "pipeline/corpus.md.j2",
         given.out,
         rows={"stages": stages, "runs": runs, "paper": paper},
         rooms=given.rooms,
         packing=room,
-        parts={part: seconds / sum(parts.values()) for part, seconds in parts.items()},
         sample=sizes["road"],
         flows=flows,
         learnt=runs[0],
