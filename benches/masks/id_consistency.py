@@ -212,7 +212,7 @@ def procedural_cells(pairs: int) -> Iterator[tuple[dict[str, Cells], dict[int, d
             return maps
 
         shown = {}
-        for name in ("geometric", "flow"):
+        for name in ("geometric",):
             shown[name] = measure(
                 regions,
                 load_tracker(name),
@@ -226,7 +226,7 @@ def procedural_cells(pairs: int) -> Iterator[tuple[dict[str, Cells], dict[int, d
             measure(regions, load_tracker(name), place, back=back)
         if seed < max(1, pairs // 5):
             for replicas in COPIES:
-                for name in ("geometric", "flow", "noisy"):
+                for name in ("geometric", "noisy"):
                     noisy = name == "noisy"
                     tracker = load_tracker("geometric" if noisy else name)
                     tracker = Noisy(tracker, LOST) if noisy else tracker
@@ -272,7 +272,7 @@ def labelled_cells(folder: Path) -> tuple[Cells, dict[str, dict]]:
         depths, once = predicted_depths(sample), Once(Regions().propose)
         places = labelled_points(sample, folder / "labels")
         shown = {}
-        for name in ("geometric", "flow"):
+        for name in ("geometric",):
             shown[name], seconds = run(sample, depths, once, load_tracker(name))
             cell = cells.setdefault((name,), Cell())
             cell.seconds.append(seconds)

@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from benches.common.chart_style import BLUE, FAINT, GREEN, ORANGE, STYLE
+from benches.common.chart_style import BLUE, FAINT, GREEN, STYLE
 from benches.masks.id_consistency import OVERLAPS
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
 
-COLORS = {"geometric": BLUE, "flow": ORANGE, "noisy": GREEN}
-MARKERS = {"geometric": "o", "flow": "s", "noisy": "^"}
+COLORS = {"geometric": BLUE, "noisy": GREEN}
+MARKERS = {"geometric": "o", "noisy": "^"}
 GAP = 6
 
 
@@ -46,7 +46,7 @@ def chart(rows: dict[str, list[dict]]) -> bytes:
         draw_lines(copies, rows["copies"], "copies", "pixels")
         copies.set(title="Pixels with one id in both views", xlabel="copies of each view")
         copies.set_ylabel("share of common pixels")
-        copies.set_xticks([row["copies"] for row in rows["copies"] if row["tracker"] == "flow"])
+        copies.set_xticks([row["copies"] for row in rows["copies"] if row["tracker"] == "noisy"])
         draw_times(time, rows["trackers"])
         figure.legend(
             *copies.get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False

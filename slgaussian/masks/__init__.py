@@ -20,7 +20,6 @@ PROPOSERS = {
 }
 TRACKERS = {
     "geometric": "slgaussian.masks.geometric:GeometricTracker",
-    "flow": "slgaussian.masks.flow:FlowTracker",
     "sam2-video": "slgaussian.masks.configs:Sam2VideoConfig",
     "precomputed": "slgaussian.masks.configs:PrecomputedConfig",
 }

@@ -50,8 +50,8 @@ def associate(
     Copies are asked of the tracker one after the other until one repeats its predecessor. From
     there on, image, memory and last answer are the same again, so every further copy would be the
     same too; it counts and is not computed: :attr:`LabelMaps.computed` says how many were. Trackers
-    that return remembered labels for a remembered image, like ``geometric`` and ``flow``, thus cost
-    one look-up a view and the vote is unanimous: copies do nothing for them. One that segments a
+    that return remembered labels for a remembered image, like ``geometric``, thus cost one look-up
+    a view and the vote is unanimous: copies do nothing for them. One that segments a
     remembered image anew, like ``sam2-video``, is asked twice, and its own answer has the majority
     over the detection from three copies on. One with a working memory is asked up to
     ``replicas - 1`` times and its noise is voted down.

@@ -33,7 +33,7 @@ class GeometricTracker(MemoryTracker):
         if seen.depth is None:
             raise InputError(
                 f"tracker 'geometric': view {seen.view.name!r} comes without predicted depth; give "
-                "depths, or choose the tracker 'flow', which needs none"
+                "depths"
             )
         return super().describe(seen, labels)
 

@@ -205,7 +205,7 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, 
 
 def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    context, method = RunContext(store), Method(tracker="flow", codes="grid")
+    context, method = RunContext(store), Method(codes="grid")
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
     ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1)

@@ -95,7 +95,7 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path,
 
 def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     store = ArtifactStore(tmp_path / "store")
-    context, method = RunContext(store), Method(tracker="flow")
+    context, method = RunContext(store), Method(tracker="geometric")
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
     own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}

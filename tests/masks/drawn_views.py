@@ -10,7 +10,7 @@ SIZE = (120, 160)
 
 
 def texture(seed, size=SIZE, contrast=18.0):
-    """Smooth noise, float [H, W], that flow can hold on to."""
+    """Smooth noise, float [H, W], that matching can hold on to."""
     noise = np.random.default_rng(seed).standard_normal(size)
     smooth = ndimage.gaussian_filter(noise, 1.5)
     return contrast * smooth / smooth.std()
@@ -39,6 +39,12 @@ def view(picture, name="a"):
     K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
     image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     return SeenView(View(name, Camera(K, np.eye(4), width, height), image))
+
+
+def flat(picture, name="a"):
+    """A picture as a view of a plane at depth 1."""
+    seen = view(picture, name)
+    return SeenView(seen.view, np.ones(picture.shape[:2], np.float32))
 
 
 def with_depths(views, depths):

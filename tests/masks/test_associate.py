@@ -2,13 +2,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, paste, view, with_depths
+from drawn_views import SIZE, canvas, flat, paste, view, with_depths
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
 from slgaussian.masks.associate import associate, match_detections
-from slgaussian.masks.flow import FlowTracker
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
 
@@ -58,31 +57,31 @@ WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
 
 
 def test_one_view_alone():
-    maps = associate([view(picture())], Regions(), FlowTracker())
+    maps = associate([flat(picture())], Regions(), GeometricTracker())
     assert maps.labels.shape == (1, *SIZE)
     assert maps.ids.tolist() == list(range(1, maps.ids[-1] + 1))
     assert (maps.labels > 0).all() and (maps.margin == 1).all()
 
 
 def test_identical_views_get_identical_labels():
-    maps = associate([view(picture()), view(picture(), "b")], Regions(), FlowTracker())
+    maps = associate([flat(picture()), flat(picture(), "b")], Regions(), GeometricTracker())
     np.testing.assert_array_equal(maps.labels[0], maps.labels[1])
 
 
 def test_no_proposals_at_all():
-    views = [view(picture()), view(picture(1), "b")]
-    maps = associate(views, Drawn([], [], [], []), FlowTracker())
+    views = [flat(picture()), flat(picture(1), "b")]
+    maps = associate(views, Drawn([], [], [], []), GeometricTracker())
     assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
 
 
 def test_blank_images_are_one_object():
     blank = np.full((*SIZE, 3), 200)
-    maps = associate([view(blank), view(blank + 1, "b")], Regions(), FlowTracker())
+    maps = associate([flat(blank), flat(blank + 1, "b")], Regions(), GeometricTracker())
     assert all(len(np.unique(labels)) == 1 and labels[0, 0] > 0 for labels in maps.labels)
 
 
 def test_a_one_pixel_mask_is_absorbed_by_what_surrounds_it():
-    maps = associate([view(picture())], Drawn([WHOLE, (40, 41, 40, 41)]), FlowTracker())
+    maps = associate([flat(picture())], Drawn([WHOLE, (40, 41, 40, 41)]), GeometricTracker())
     assert (maps.labels == 1).all()  # a crumb is under 2.4 pixels here
 
 
@@ -90,11 +89,11 @@ def test_an_object_seen_in_one_view_only_is_kept():
     first, second = picture(), picture()
     paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
     boxes = [WHOLE, (20, 60, 20, 70), (60, 100, 90, 140)]
-    views = [view(first), view(second, "b")]
-    maps = associate(views, Drawn(boxes, [*boxes, (5, 35, 110, 150)]), FlowTracker())
+    views = [flat(first), flat(second, "b")]
+    maps = associate(views, Drawn(boxes, [*boxes, (5, 35, 110, 150)]), GeometricTracker())
     new = maps.labels[1][20, 130]
     assert new == 4 and not (maps.labels[0] == new).any()
-    swapped = associate(views[::-1], Drawn([*boxes, (5, 35, 110, 150)], boxes), FlowTracker())
+    swapped = associate(views[::-1], Drawn([*boxes, (5, 35, 110, 150)], boxes), GeometricTracker())
     gone = swapped.labels[0][20, 130]
     assert gone > 0 and not (swapped.labels[1] == gone).any()
     for maps_of_order in (maps, swapped):
@@ -103,7 +102,7 @@ def test_an_object_seen_in_one_view_only_is_kept():
 
 def test_regions_left_out_by_the_first_proposals_are_proposed_again():
     drawn = Drawn([(0, 60, 0, SIZE[1])], [(60, SIZE[0], 0, SIZE[1])])
-    maps = associate([view(picture())], drawn, FlowTracker())
+    maps = associate([flat(picture())], drawn, GeometricTracker())
     assert (maps.labels[0][:60] == 1).all() and (maps.labels[0][60:] == 2).all()
 
 
@@ -127,15 +126,15 @@ def test_copies_that_repeat_are_counted_and_not_computed():
     np.testing.assert_array_equal(maps.labels[0] == 0, lost > 4)
 
 
-def test_flow_asks_once_a_view_and_agrees():
+def test_geometry_asks_once_a_view_and_agrees():
     asked = []
 
-    class Counted(FlowTracker):
+    class Counted(GeometricTracker):
         def propagate(self, seen):
             asked.append(seen.view.name)
             return super().propagate(seen)
 
-    maps = associate([view(picture()), view(picture(3), "b")], Regions(), Counted())
+    maps = associate([flat(picture()), flat(picture(3), "b")], Regions(), Counted())
     assert asked == ["a", "b", "b"] and (maps.margin == 1).all()
 
 
@@ -167,7 +166,7 @@ def test_objects_of_a_room_keep_their_ids(swapped):
 
 def test_same_bytes_again():
     _, views = room()
-    one, two = (associate(views, Regions(), FlowTracker()).labels.tobytes() for _ in range(2))
+    one, two = (associate(views, Regions(), GeometricTracker()).labels.tobytes() for _ in range(2))
     assert one == two
 
 
@@ -240,4 +239,4 @@ def test_merge_keeps_what_no_region_covers():
 )
 def test_bad_input_is_refused(views, settings, says):
     with pytest.raises(InputError, match=says):
-        associate(views, Regions(), FlowTracker(), **settings)
+        associate(views, Regions(), GeometricTracker(), **settings)

@@ -195,11 +195,10 @@ def test_a_view_without_depth_or_with_that_of_another_is_refused():
         tracker.add(replace(picture, depth=np.ones((3, 3), np.float32)), labels)
 
 
-@pytest.mark.parametrize("name", ["geometric", "flow"])
-def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(name, monkeypatch):
+def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch):
     scene = reader.read(seed=3, height=104, width=144, views=10, baseline=2.0)
     views = [scene.read(each) for each in scene.cameras]
-    tracker, asked = load_tracker(name), []
+    tracker, asked = load_tracker("geometric"), []
     match = type(tracker).match
     monkeypatch.setattr(
         type(tracker),
@@ -209,9 +208,6 @@ def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(name, monkey
     for each in views[:9]:
         tracker.add(SeenView(each, each.depth), each.instances)
     labels = tracker.propagate(SeenView(views[9], views[9].depth))
-    assert len(asked) == 6 and asked == sorted(asked) and "view_08" in asked
-    assert "view_00" not in asked
-    if name == "geometric":
-        assert asked == [f"view_{k:02d}" for k in range(3, 9)]
-        known = labels > 0
-        assert (labels == views[9].instances)[known].mean() > 0.9
+    assert asked == [f"view_{k:02d}" for k in range(3, 9)]
+    known = labels > 0
+    assert (labels == views[9].instances)[known].mean() > 0.9

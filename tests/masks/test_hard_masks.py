@@ -60,20 +60,18 @@ def scene(things, moved, move=(0, 14)):
 
 RED = ((30, 75, 30, 70), (200, 50, 40), 11)
 BLUE = ((55, 100, 85, 140), (50, 60, 200), 12)
-both = pytest.mark.parametrize("tracker", ["geometric", "flow"])
 
 
-def run(tracker, things, moved=None, swapped=False, **settings):
+def run(things, moved=None, swapped=False, **settings):
     views, proposer = scene(things, things if moved is None else moved)
     order = -1 if swapped else 1
-    maps = associate(views[::order], proposer, load_tracker(tracker), **settings)
+    maps = associate(views[::order], proposer, load_tracker("geometric"), **settings)
     return maps, maps.labels[::order]
 
 
-@both
 @pytest.mark.parametrize("swapped", [False, True])
-def test_swapped_views_find_the_same_objects(tracker, swapped):
-    maps, labels = run(tracker, [RED, BLUE], swapped=swapped)
+def test_swapped_views_find_the_same_objects(swapped):
+    maps, labels = run([RED, BLUE], swapped=swapped)
     assert maps.ids.tolist() == [1, 2, 3] and len(maps.seen_once) == 0
     ids = [main_label(labels[0], box) for box in (WHOLE, RED[0], BLUE[0])]
     for (top, bottom, left, right), number in zip((RED[0], BLUE[0]), ids[1:], strict=True):
@@ -83,48 +81,44 @@ def test_swapped_views_find_the_same_objects(tracker, swapped):
     assert ids == [1, 3, 2]
 
 
-@both
 @pytest.mark.parametrize("swapped", [False, True])
-def test_an_object_that_leaves_the_view_is_kept_and_marked(tracker, swapped):
+def test_an_object_that_leaves_the_view_is_kept_and_marked(swapped):
     leaver = ((20, 80, -12, 12), (40, 190, 60), 21)
-    maps, labels = run(tracker, [leaver, RED, BLUE], swapped=swapped)
+    maps, labels = run([leaver, RED, BLUE], swapped=swapped)
     gone = main_label(labels[0], leaver[0])
     assert maps.seen_once.tolist() == [gone]
     assert not (labels[1] == gone).any()
     assert main_label(labels[0], RED[0]) == main_label(labels[1], (30, 75, 16, 56))
 
 
-@both
-def test_two_identical_objects_side_by_side_keep_their_own_ids(tracker):
+def test_two_identical_objects_side_by_side_keep_their_own_ids():
     twins = [((40, 80, left, left + 28), (200, 180, 40), 31) for left in (40, 72)]
-    maps, labels = run(tracker, twins)
+    maps, labels = run(twins)
     ids = [main_label(labels[0], box) for box, *_ in twins]
     assert len(set(ids)) == 2 and len(maps.ids) == 3
     assert ids == [main_label(labels[1], (40, 80, left, left + 28)) for left in (26, 58)]
 
 
-@both
-def test_nested_masks_stay_apart(tracker):
+def test_nested_masks_stay_apart():
     inner = ((40, 60, 40, 60), (60, 60, 200), 13)
-    _, labels = run(tracker, [((25, 80, 25, 80), (200, 60, 50), 11), inner])
+    _, labels = run([((25, 80, 25, 80), (200, 60, 50), 11), inner])
     found = [main_label(labels[0], box) for box in (WHOLE, (25, 38, 25, 80), inner[0])]
     assert len(set(found)) == 3
     assert main_label(labels[1], (40, 60, 26, 46)) == found[2]
 
 
-@both
-def test_no_mask_in_one_view_or_in_none(tracker):
+def test_no_mask_in_one_view_or_in_none():
     views, _ = scene([RED], [RED])
     nothing = Drawn(*((v, []) for v in views))
-    maps = associate(views, nothing, load_tracker(tracker))
+    maps = associate(views, nothing, load_tracker("geometric"))
     assert not maps.labels.any() and len(maps.ids) == len(maps.seen_once) == 0
     assert maps.areas().shape == (0, 2)
     first = Drawn((views[0], [WHOLE, RED[0]]), (views[1], []))
-    maps = associate(views, first, load_tracker(tracker))
+    maps = associate(views, first, load_tracker("geometric"))
     # What was propagated stays, though nothing was detected.
     assert main_label(maps.labels[1], (30, 75, 16, 56)) == main_label(maps.labels[0], RED[0]) > 0
     last = Drawn((views[0], []), (views[1], [WHOLE]))
-    maps = associate(views, last, load_tracker(tracker))
+    maps = associate(views, last, load_tracker("geometric"))
     assert maps.seen_once.tolist() == [1] and not maps.labels[0].any()
 
 
@@ -144,15 +138,14 @@ def test_one_pixel_masks_come_through_every_step_unharmed():
     assert maps.ids.tolist() == [1]  # a crumb: see flatten
 
 
-@both
-def test_two_thousand_masks(tracker):
+def test_two_thousand_masks():
     things = [((20, 100, 40, 120), (190, 60, 50), 7)]
     views, _ = scene(things, things)
     tiles = [(y, y + 2, x, x + 4) for y in range(0, 120, 2) for x in range(0, 136, 4)][:2000]
     moved = [(top, bottom, left - 14, right - 14) for top, bottom, left, right in tiles]
     seen = [box for box in moved if box[3] > 0]
     proposer = Drawn((views[0], tiles), (views[1], seen))
-    maps = associate(views, proposer, load_tracker(tracker))
+    maps = associate(views, proposer, load_tracker("geometric"))
     assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
     assert 2000 <= len(maps.ids) <= 4000
 
@@ -238,16 +231,15 @@ def test_an_id_map_with_holes_keeps_them(tmp_path):
 def test_views_of_different_size_are_one_clear_refusal():
     views = [view(canvas()), view(canvas()[:100], "b")]
     with pytest.raises(InputError, match=r"'b': image is \(100, 160, 3\).*bring all views to it"):
-        associate(views, Drawn(), load_tracker("flow"))
+        associate(views, Drawn(), load_tracker("geometric"))
 
 
-def test_trackers_carry_between_views_of_different_size():
+def test_labels_are_carried_between_views_of_different_size():
     (a, b), proposer = scene([RED, BLUE], [RED, BLUE])
     labels = flatten(proposer.propose(a))
     half = SeenView(b.view.resized(90, 120), np.ones((90, 120), np.float32))
-    for name in ("geometric", "flow"):
-        tracker = load_tracker(name)
-        tracker.add(a, labels)
-        carried = tracker.propagate(half)
-        assert carried.shape == (90, 120)
-        assert main_label(carried, (25, 55, 14, 40)) == main_label(labels, RED[0]), name
+    tracker = load_tracker("geometric")
+    tracker.add(a, labels)
+    carried = tracker.propagate(half)
+    assert carried.shape == (90, 120)
+    assert main_label(carried, (25, 55, 14, 40)) == main_label(labels, RED[0])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 import transformers
-from drawn_views import canvas, paste, view
+from drawn_views import canvas, flat, paste
 from safetensors.torch import load_file, save_file
 from small_models import SIDE, sam2_config, save_sam, save_sam2
 
@@ -22,7 +22,7 @@ from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
 from slgaussian.masks.associate import associate
 from slgaussian.masks.configs import Automatic
-from slgaussian.masks.flow import FlowTracker
+from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.sam_image import normalised, pixel_values
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
@@ -144,8 +144,8 @@ def test_the_whole_path_to_label_maps(folders, name):
         paste(drawn, (20, 60, 20, 70), (200, 40, 40), 1)
         paste(drawn, (60, 100, 90, 140), (40, 60, 200), 2)
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
-    views = [view(first), view(second, "b")]
-    maps = associate(views, proposer, FlowTracker())
+    views = [flat(first), flat(second, "b")]
+    maps = associate(views, proposer, GeometricTracker())
     assert maps.labels.shape == (2, 120, 160) and len(maps.ids) >= 1
     assert (maps.labels[0] == maps.labels[1]).mean() > 0.98
 
