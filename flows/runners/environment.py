@@ -86,11 +86,12 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
 
         # Nobody watches this server.
         send_no_events()
-        os.environ[NO_EVENTS] = "1"
+        outside = os.environ.setdefault(NO_EVENTS, "here")
         # Heartbeats, which nobody would hear either, delay the end by up to a second.
         with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
             yield server.wait
-        del os.environ[NO_EVENTS]
+        if outside == "here":
+            del os.environ[NO_EVENTS]
     finally:
         server.stop()
         del os.environ["PREFECT_API_URL"]

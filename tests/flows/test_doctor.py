@@ -133,19 +133,10 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
     assert told["ok"][-1] == f"sam model {tmp_path / 'sam'}: can be loaded and used"
     (tmp_path / "small.ckpt").write_bytes(b"no checkpoint")
     (tmp_path / "sam" / "model.safetensors").write_bytes(b"\xff" * 20)
-    (tmp_path / "names.npz").unlink()
     words += ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={tmp_path}/small.ckpt"]
     status, told = examined(monkeypatch, capsys, *words)
     assert status == 1
-    for found, said in zip(
-        told["BAD"],
-        [
-            "small.ckpt: is damaged",
-            "sam",
-            "cannot be read (",
-        ],
-        strict=True,
-    ):
+    for found, said in zip(told["BAD"], ["small.ckpt: is damaged", "sam"], strict=True):
         assert said in found
 
 
