@@ -34,7 +34,9 @@ config = Path(sys.argv[1])
 rooms = tomllib.loads(config.read_text())
 for room in rooms["scenes"]:
     scene = datasets.load("nerfstudio", config.parent / room["path"])
-    sample = scene.sample(room["context"], room["targets"])
+    sample = scene.sample(
+        room["context"], room["targets"], near=rooms["near"], far=rooms["far"]
+    )
     build_field(sample, Method(replicas=rooms["replicas"]))
 """
 
