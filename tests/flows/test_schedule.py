@@ -94,7 +94,8 @@ def test_what_stops_a_run_fails_it(tmp_path, server):
     with pytest.raises(InputError, match="holds no chunk"):
         retrain(RetrainSettings(chunks=str(tmp_path), store=str(tmp_path / "store"), **paths))
     # The server holds the runs of other tests too.
-    (ended,) = (run for run in ended_runs(server, retrain.name) if str(tmp_path) in run["message"])
+    runs = ended_runs(server, retrain.name)
+    (ended,) = (run for run in runs if str(tmp_path) in (run["message"] or ""))
     assert ended["type"] == "FAILED" and "holds no chunk (.torch)" in ended["message"]
 
 
