@@ -7,15 +7,16 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from flows.cli import options
 from flows.settings import Settings, make_settings
@@ -25,8 +26,6 @@ from slgaussian.extras import PACKAGE, requirements
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are shown even if all is well."""
-MODULES = {"opencv-contrib-python-headless": "cv2", "scikit-image": "skimage", "pillow": "PIL"}
-"""Names under which packages are imported, where they differ from the package's."""
 ROOM = 2**30
 """Bytes that the disk of the store should have left, of which a scene takes some 30 MB."""
 
@@ -92,15 +91,21 @@ def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
 def _packages() -> str:
     """Compare the packages that are always needed with the bounds of pyproject.toml."""
     needed = requirements()
-    problems = {str(needs): problem for needs in needed if (problem := _problem(needs))}
+    installed = packages_distributions()
+    modules = {canonicalize_name(name): module for module in installed for name in installed[module]}
+    modules |= {module: module for module in installed}  # torch is not only torchgen
+    problems = {str(needs): problem for needs in needed if (problem := _problem(needs, modules))}
     if problems:
         install = " ".join(f"'{needs}'" for needs in problems)
         raise InputError(f"{'; '.join(problems.values())}; run `pip install {install}`")
     return f"{len(needed)} as they must be: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
 
 
-def _problem(needs: Requirement) -> str | None:
-    """Return the problem of a package, if any: not there, too old, or broken."""
+def _problem(needs: Requirement, modules: Mapping[str, str]) -> str | None:
+    """Return the problem of a package, if any: not there, too old, or broken.
+
+    ``modules`` holds the name under which each installed package is imported.
+    """
     try:
         installed = version(needs.name)
     except PackageNotFoundError:
@@ -108,7 +113,7 @@ def _problem(needs: Requirement) -> str | None:
     if not needs.specifier.contains(installed, prereleases=True):
         return f"{needs.name}: found {installed}, expected {needs.specifier}"
     try:
-        import_module(MODULES.get(needs.name, needs.name.replace("-", "_")))
+        import_module(modules.get(canonicalize_name(needs.name), needs.name.replace("-", "_")))
     except Exception as error:  # a broken package raises anything
         return f"{needs.name} {installed} cannot be imported ({one_line(str(error))})"
     return None

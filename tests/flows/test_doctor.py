@@ -57,7 +57,7 @@ def test_packages_out_of_bounds_are_named():
         ("numpy>=1", None),
         ("scikit-image", None),
     ]:
-        assert doctor._problem(Requirement(needs)) == said
+        assert doctor._problem(Requirement(needs), {"scikit-image": "skimage"}) == said
 
 
 def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
@@ -67,7 +67,7 @@ def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
     (tmp_path / "broken.py").write_text("import no_such_library\n")
     monkeypatch.syspath_prepend(tmp_path)
     said = "broken 1.0 cannot be imported (No module named 'no_such_library')"
-    assert doctor._problem(Requirement("broken")) == said
+    assert doctor._problem(Requirement("broken"), {}) == said
 
 
 def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, monkeypatch, capsys):
