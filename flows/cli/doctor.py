@@ -92,8 +92,10 @@ def _packages() -> str:
     """Compare the packages that are always needed with the bounds of pyproject.toml."""
     needed = requirements()
     installed = packages_distributions()
-    modules = {canonicalize_name(name): module for module in installed for name in installed[module]}
-    modules |= {module: module for module in installed}  # torch is not only torchgen
+    modules: dict[str, str] = {
+        canonicalize_name(name): module for module in installed for name in installed[module]
+    }
+    modules.update(zip(installed, installed, strict=True))  # torch is not only torchgen
     problems = {str(needs): problem for needs in needed if (problem := _problem(needs, modules))}
     if problems:
         install = " ".join(f"'{needs}'" for needs in problems)
