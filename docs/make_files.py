@@ -1,6 +1,6 @@
 """Write `reference/files.md`: every file that the program stores, from `data_specs/`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from slgaussian.storage.specs import UNITS, Entry, Spec, load_spec, spec_names
@@ -9,7 +9,8 @@ PAGE = Path(__file__).parent / "reference" / "files.md"
 
 INTRODUCTION = """\
 Made by `python docs/make_files.py` from `data_specs/`, which every file is checked against when it
-is written and when it is read.
+is written and when it is read. The TOML file of a spec has the type, unit, bounds and meaning of
+each field, and so have the metadata of every stored file.
 
 - **Tables** are Parquet. Arrow's metadata of the schema have `spec`, `meaning`, `made` and, where
   they are known, `source` and `licence`; those of each column `meaning`, `unit`, `low`, `high` and
@@ -34,53 +35,25 @@ KINDS = {
 
 
 def markdown() -> str:
-    """The page."""
+    """Return the page: the units, and a table of specs for each kind of file."""
+    units = "\n".join(f"- {unit}: {meaning}" for unit, meaning in UNITS.items())
+    text = ["# Every stored file", INTRODUCTION, f"Units:\n\n{units}"]
     specs = [load_spec(name) for name in spec_names()]
-    text = ["# Every stored file", INTRODUCTION, _units()]
-    for kind, holds in KINDS.items():
-        text.append(f"## {kind}")
-        for spec in specs:
-            if holds(spec):
-                text += _section(spec)
+    for kind, entries_of in KINDS.items():
+        rows = [_row(spec, entries_of(spec)) for spec in specs if entries_of(spec)]
+        text += [
+            f"## {kind}",
+            "\n".join(["| spec | holds | fields |", "| --- | --- | --- |", *rows]),
+        ]
     return "\n\n".join(text) + "\n"
 
 
-def _units() -> str:
-    rows = [f"| {unit} | {meaning} |" for unit, meaning in UNITS.items()]
-    return "\n".join(["| unit | |", "| --- | --- |", *rows])
-
-
-def _section(spec: Spec) -> Iterator[str]:
-    called = f", `{spec.file}`" if spec.file else ""
-    yield f"### {spec.name}@{spec.version}{called}"
-    yield spec.doc
-    entries: Mapping[str, Entry] = spec.fields or spec.columns or spec.keys
-    if entries:
-        rows = [_row(name, entry, bool(spec.fields)) for name, entry in entries.items()]
-        yield "\n".join(
-            ["| name | type | unit | values | |", "| --- | --- | --- | --- | --- |", *rows]
-        )
-    if spec.axes:
-        yield "Axes: " + "; ".join(f"{letter}: {said}" for letter, said in spec.axes.items()) + "."
-
-
-def _row(name: str, entry: Entry, has_shape: bool) -> str:
-    kind = entry.type
-    if has_shape:
-        kind += f" [{', '.join(map(str, entry.shape))}]"
-    notes = ["may be empty"] * entry.nullable + ["may be missing"] * entry.optional
-    kind = ", ".join([kind, *notes])
-    doc = entry.doc.replace("|", "\\|").replace("<", "&lt;")
-    return f"| `{name}` | {kind} | {entry.unit} | {_values(entry)} | {doc} |"
-
-
-def _values(entry: Entry) -> str:
-    if entry.values:
-        return ", ".join(map(str, entry.values))
-    low, high = ("" if end is None else f"{end:g}" for end in (entry.low, entry.high))
-    if low and high:
-        return f"{low} to {high}"
-    return f"at least {low}" if low else f"at most {high}" if high else ""
+def _row(spec: Spec, entries: Mapping[str, Entry] | bool) -> str:
+    file = f"<br>`{spec.file}`" if spec.file else ""
+    names = ", ".join(f"`{name}`" for name in entries) if isinstance(entries, Mapping) else "any"
+    doc = spec.doc.replace("|", "\\|").replace("<", "&lt;")
+    link = f"[{spec.name}@{spec.version}](../../data_specs/{spec.name}.toml)"
+    return f"| {link}{file} | {doc} | {names} |"
 
 
 if __name__ == "__main__":
