@@ -97,9 +97,7 @@ Texts = Annotated[
 ]
 Cameras = Annotated[
     Path | None,
-    typer.Option(
-        help="Their cameras: transforms.json, LLFF's, or a COLMAP folder. [default: found]"
-    ),
+    typer.Option(help="transforms.json, LLFF's, or a COLMAP folder. [default: found]"),
 ]
 Refine = Annotated[bool, typer.Option("--refine", help="Find given cameras anew, in their world.")]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]

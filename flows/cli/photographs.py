@@ -5,17 +5,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from flows.settings import Settings
+from flows.settings import SceneSettings, Settings
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets import unposed
 from slgaussian.datasets.keyframes import choose_keyframes
-from slgaussian.datasets.recognise import posed_scene
+from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Sample, Scene
+from slgaussian.things import COMMON_THINGS
+
+POSED = ("nerfstudio", "colmap", "llff")
+"""Formats of cameras that are read beside the photographs of a benchmark."""
 
 
 def load_photographs(
@@ -128,6 +133,47 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
         else:
             views.append((name or scene.find(photo), Path(photo)))
     return views
+
+
+def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings:
+    """Make a scene of photographs without labels, the middle one of which is held out.
+
+    The error of the view that is drawn in its place is all that can be measured then. Cameras are
+    estimated from all photographs together if they are left out.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three, or one cannot be found or has no camera.
+    """
+    if cameras is None:
+        files = unposed.named(photos)
+        names, place = list(files), unposed.folder_of(files)
+        format, options = "photographs", dict[str, Any](only=list(files))
+    else:
+        format, place = recognise(cameras)
+        if format not in POSED:
+            raise InputError(f"{cameras}: found {format}, expected cameras of {', '.join(POSED)}")
+        scene, folder = posed_scene(cameras, photos)
+        names = [name for name, _ in find_views(scene, photos, folder)]
+        options = {} if format == "nerfstudio" else {"images": str(folder.resolve())}
+    if len(names) < 3:
+        raise InputError(
+            f"benchmark: found {len(names)} photographs, expected three at least: the middle one "
+            "is held out, and a field is built from the others"
+        )
+    target = names.pop(len(names) // 2)
+    print(f"{target} is held out: it shows the error of a new view", file=sys.stderr)
+    return SceneSettings(
+        name=(place if place.is_dir() else place.parent).resolve().name or "photographs",
+        dataset="photographs",
+        format=format,
+        options=options,
+        path=place,
+        context=names,
+        targets=[target],
+        queries=list(COMMON_THINGS),
+    )
 
 
 def _keyframes(

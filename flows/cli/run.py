@@ -47,17 +47,23 @@ def run(
 )
 def benchmark(
     ctx: typer.Context,
+    photos: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="PHOTO", help="Photographs without labels, or a folder."),
+    ] = None,
+    cameras: options.Cameras = None,
     out: options.Out = Path("slg-benchmark"),
     verbose: options.Verbose = False,
 ) -> None:
-    """Score the method, and others, on a labelled set or made-up rooms.
+    """Score the method, and others, on a labelled set, made-up rooms or photographs.
 
     Builds a field from each scene's context views and asks it in its target views. Without --pairs,
-    two context views are chosen for each labelled frame, and written to OUT/pairs.json. Leaves a
-    report, tables, masks and fields.
+    two context views are chosen for each labelled frame (OUT/pairs.json). Of three photographs or
+    more the middle one is held out. Leaves a report, tables, masks and fields.
 
     \b
-    slgaussian benchmark --rooms 0-19 --against lerf-like --sweep views=2,3
+    slgaussian benchmark --rooms 0-19 --against lerf-like
+    slgaussian benchmark a.jpg b.jpg c.jpg --sweep planesweep.depth_candidates=32,64
     slgaussian benchmark --data 3dovs --format ovs3d --set max_baseline=0.6
     slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels
     """
@@ -87,6 +93,13 @@ def benchmark(
             f"benchmark: {min(fields)}: context views are chosen only of --data without --pairs; "
             "leave it out"
         )
+    if photos:
+        from flows.cli.photographs import held_out_scene
+
+        scenes = [*settings.scenes, held_out_scene(photos, cameras)]
+        settings = settings.model_copy(update={"scenes": scenes})
+    elif cameras is not None:
+        raise InputError("--cameras: is given without photographs; name them, or leave it out")
     run_scenes("benchmark", settings, verbose)
 
 

@@ -58,11 +58,13 @@ def room_sample() -> Sample:
     return room().sample(ROOM["context"], near=0.8, far=12.0)
 
 
-def save_photographs(folder: Path, height: int = 64, width: int = 64) -> Path:
-    """The context views as files, with their cameras in ``transforms.json``."""
+def save_photographs(
+    folder: Path, height: int = 64, width: int = 64, names=ROOM["context"]
+) -> Path:
+    """Views as files, with their cameras in ``transforms.json``."""
     scene = room(height, width)
     frames = []
-    for name in ROOM["context"]:
+    for name in names:
         camera = scene.cameras[name]
         Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
         (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()

@@ -1,10 +1,11 @@
 """`slgaussian benchmark --sweep`: settings and numbers of views as methods of the one report."""
 
 import json
+import re
 
 import pyarrow.parquet as pq
 import pytest
-from command import score
+from command import run, said, save_photographs, score
 
 from flows.settings import make_settings
 from flows.sweep import combinations
@@ -88,3 +89,20 @@ def test_what_is_the_run_itself_is_left_out():
     values = {"rooms": "0", "sweep": ["replicas=1,5", "keep=needed,all"]}
     names = [one.name for one in combinations(make_settings(values, "test"))]
     assert "slgaussian, replicas=5, keep=needed" not in names and len(names) == 3
+
+
+def test_of_photographs_without_labels_the_middle_one_is_held_out(monkeypatch, capsys, tmp_path):
+    folder = save_photographs(tmp_path, 64, 96, [f"view_{k:02d}" for k in range(3)])
+    cameras = ["--cameras", folder / "transforms.json"]
+    out = ["-o", tmp_path / "out", "--store", tmp_path / "store"]
+    words = ["--sweep", f"{DEPTHS}=16", "--set", "near=0.8", "--set", "far=12"]
+    assert run(monkeypatch, "benchmark", folder, *cameras, *words, *out) == 0
+    assert "view_01.png is held out" in capsys.readouterr().err
+    page = (tmp_path / "out" / "report.md").read_text("utf-8")
+    errors = re.findall(r"^\| (slgaussian[^|]*) \| – \| – \| ([\d.]+) \|", page, re.MULTILINE)
+    assert len(dict(errors)) == 2 and all(float(psnr) > 15 for _, psnr in errors)
+    two = [folder / "view_00.png", folder / "view_02.png"]
+    assert run(monkeypatch, "benchmark", *two, *out) == 2
+    assert "found 2 photographs, expected three at least" in said(capsys)
+    assert run(monkeypatch, "benchmark", *cameras, *out) == 2
+    assert "is given without photographs" in said(capsys)
