@@ -14,6 +14,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.component import Component
 from slgaussian.components.method import BANK, Method
+from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
@@ -85,6 +86,7 @@ def build_field(
         If a setting is out of bounds, a checkpoint does not fit, the views cannot be used, or
         their cameras are not theirs; the message says which and why.
     """
+    check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
     method.check()
     compiling.watch()

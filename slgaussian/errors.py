@@ -32,6 +32,15 @@ class SpecError(SLGaussianError):
     """A stored artifact that is missing, damaged or not what its spec says."""
 
 
+def check_type(value: object, expected: type, expectation: str) -> None:
+    """Raise InputError unless a value is of a type.
+
+    ``expectation`` names the argument and says what it takes: "render: expected a Camera".
+    """
+    if not isinstance(value, expected):
+        raise InputError(f"{expectation}; found a {type(value).__name__}")
+
+
 def did_you_mean(found: object, known: Iterable[str]) -> str:
     """The end of a sentence about a name that is none: the known name that is nearest to it.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from slgaussian import edits
 from slgaussian.components.component import Component
-from slgaussian.errors import InputError, SpecError
+from slgaussian.errors import InputError, SpecError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
 from slgaussian.labels import VISIBLE
@@ -112,6 +112,7 @@ class FieldView:
         ``rules``, such as ``threshold`` or ``protocol``, are those of
         :class:`slgaussian.language.query.Rules`.
         """
+        check_type(text, str, "query: expected one text; query_all takes a list of them")
         return self.query_all([text], **rules)[0]
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
@@ -211,14 +212,13 @@ class SemanticField:
         """Bank and encoder together: what turns texts into scores of objects."""
         return BankReader(self.bank, self.encoder, self.taught, self.names)
 
-    def query(
-        self, texts: Sequence[str], cameras: Sequence[Camera], **rules: Any
-    ) -> list[list[QueryResult]]:
-        """Where each text is in each view: a list a camera, of a result a text.
+    def query(self, text: str, camera: Camera | None = None, **rules: Any) -> QueryResult:
+        """Find ``text`` in the view of a camera, of the first context view if left out.
 
-        ``rules`` as in :meth:`FieldView.query`.
+        ``rules`` as in :meth:`FieldView.query`. To ask several texts, render once and use
+        :meth:`FieldView.query_all`.
         """
-        return [self.render(camera).query_all(texts, **rules) for camera in cameras]
+        return self.render(camera or next(iter(self.cameras.values()))).query(text, **rules)
 
     def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
         """What is in the scene: every object with the best of ``texts``, whatever the view."""
@@ -288,6 +288,7 @@ class SemanticField:
         """
         from slgaussian.semantic.decode import elected_ids
 
+        check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
         image = self._picture(camera, backend)
         drawn, alpha, depth = image.values, image.alpha, image.depth
         if self.bank.dimension:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from slgaussian.build import build_field
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
+from slgaussian.formats.ply import save_ply
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
@@ -110,16 +112,24 @@ def test_segment_gives_every_half_its_word(field):
     assert (named == np.where(labels == 5, 2, 1))[5:, 2:-2].mean() > 0.97
 
 
-def test_several_texts_and_views_in_one_call(field):
-    cameras = list(field.cameras.values())
-    hits = field.query(["red", "blue"], cameras, threshold=0.6)
-    assert [[hit.text for hit in row] for row in hits] == [["red", "blue"]] * 2
-    for camera, row in zip(cameras, hits, strict=True):
-        seen = field.render(camera)
-        for hit in row:
-            np.testing.assert_array_equal(hit.mask, seen.query(hit.text, threshold=0.6).mask)
+def test_a_field_is_queried_as_its_views_are(field):
+    first, second = field.cameras.values()
+    for hit, camera in [(field.query("red"), first), (field.query("red", second), second)]:
+        np.testing.assert_array_equal(hit.mask, field.render(camera).query("red").mask)
     with pytest.raises(InputError, match="threshold"):
-        field.query(["red"], cameras[:1], threshold=2)
+        field.query("red", threshold=2)
+
+
+def test_arguments_of_the_wrong_type_are_refused(field, tmp_path):
+    view = field.render(field.cameras["a"])
+    for call, message in [
+        (lambda: field.render("a.jpg"), "render: expected a Camera.*found a str"),
+        (lambda: view.query(["red", "blue"]), "query: expected one text.*found a list"),
+        (lambda: build_field(["a.jpg", "b.jpg"]), "build_field: expected a Sample.*found a list"),
+        (lambda: save_ply(str(tmp_path / "x.ply"), field.gaussians), "save_ply: expected Gauss"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            call()
 
 
 def test_what_is_in_the_field(field):
@@ -133,7 +143,7 @@ def test_a_stored_field_answers_as_it_did(field, tmp_path):
     field.save(tmp_path / "field")
     again = SemanticField.load(tmp_path / "field")
     texts = ["red", "blue wall", "grey"]
-    a, b = (f.query(texts, [field.cameras["a"]])[0] for f in (field, again))
+    a, b = (f.render(field.cameras["a"]).query_all(texts) for f in (field, again))
     for one, other in zip(a, b, strict=True):
         np.testing.assert_array_equal(one.scores, other.scores)
 

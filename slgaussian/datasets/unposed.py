@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,14 +33,15 @@ Place = str | Path
 
 
 def photographs(
-    *files: Place, size: Size = "auto", near: float | None = None, far: float | None = None
+    *images: Any, size: Size = "auto", near: float | None = None, far: float | None = None
 ) -> Sample:
     """Make a sample of photographs, or folders of them, whose cameras are found.
 
     Parameters
     ----------
-    *files : path
-        All become context views, in this order; those of a folder by name.
+    *images : path, uint8 [H, W, 3] or PIL image; or one list of them
+        All become context views, in this order; those of a folder by name. Images in memory are
+        called ``image_0``, ``image_1``, ....
     size : (height, width), "at most 312x432", "auto" or "original"
     near, far : float, optional
         Depth range, as :meth:`slgaussian.scene.Scene.sample` takes it and ``size``. The unit is the
@@ -50,8 +52,40 @@ def photographs(
     InputError
         If a file cannot be read, or cameras cannot be found; the message says why and what to do.
     """
-    scene = read(files)
+    if len(images) == 1 and isinstance(images[0], list | tuple):
+        images = tuple(images[0])
+    scene = read(images) if all(isinstance(i, Place) for i in images) else _in_memory(images)
     return scene.sample(list(scene.cameras), size=size, near=near, far=far)
+
+
+def _in_memory(images: Sequence[Any]) -> Scene:
+    """Find the cameras of images in memory; PIL images may carry EXIF."""
+    pictures = {}
+    for i, image in enumerate(images):
+        if isinstance(image, np.ndarray):
+            if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+                raise InputError(
+                    f"photographs: image {i} is {image.dtype} {image.shape}, expected uint8 "
+                    "(H, W, 3), RGB"
+                )
+            image = Image.fromarray(image)
+        if not isinstance(image, Image.Image):
+            raise InputError(
+                f"photographs: image {i} is a {type(image).__name__}; expected paths alone, or "
+                "images in memory alone: uint8 arrays [H, W, 3] or PIL images"
+            )
+        image.load()
+        pictures[f"image_{i}"] = image
+    if len(pictures) < 2:
+        raise InputError(f"photographs: found {len(pictures)} image, expected at least two")
+    found = find_cameras([_photograph(image, name) for name, image in pictures.items()])
+
+    def read_view(name: str) -> View:
+        image = pictures[name]
+        pixels = rgb(upright(image, orientation_of(image)))
+        return _straight(View(name, found.cameras[name], pixels), found)
+
+    return Scene("images", found.cameras, read_view, found=found.as_json())
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
@@ -166,17 +200,21 @@ def photograph(file: Path, name: str) -> Photograph:
         with opened(file) as image:
             if image.format == "TIFF":
                 image.load()  # which Pillow turns as it loads them
-            whole, stated = image.size, read_lens(image)
-            orientation = orientation_of(image)
-            small_size = _shrunk(*whole)
-            # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
-            image.draft("RGB", small_size)
-            part = max(1, round(whole[0] / image.size[0]))
-            covered = (0.0, 0.0, whole[0] / part, whole[1] / part)  # less than the last pixels
-            plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
-            small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
+            return _photograph(image, name)
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
+
+
+def _photograph(image: Image.Image, name: str) -> Photograph:
+    whole, stated = image.size, read_lens(image)
+    orientation = orientation_of(image)
+    small_size = _shrunk(*whole)
+    # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
+    image.draft("RGB", small_size)
+    part = max(1, round(whole[0] / image.size[0]))
+    covered = (0.0, 0.0, whole[0] / part, whole[1] / part)  # less than the last pixels
+    plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
+    small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
     width, height = whole[::-1] if orientation in SIDEWAYS else whole
     return Photograph(name, pixels, width, height, stated.lens, stated.focal, stated.up)
@@ -217,16 +255,19 @@ def refined(
     found = find_cameras(taken).in_frame_of(given)
 
     def read(name: str) -> View:
-        view = scene.read(name)
-        camera, k1 = found.cameras[name], found.k1[name]
-        if not k1:
-            return replace(view, camera=camera)
-        maps = _lens(camera, k1)
-        image, depth = straightened(view.image, view.depth, maps)
-        opaque = straight_mask(view.opaque, maps)
-        return View(view.name, camera, image, depth, opaque=opaque)
+        return _straight(scene.read(name), found)
 
     return Scene(scene.name, found.cameras, read, scene.phrases, found.as_json()), found
+
+
+def _straight(view: View, found: EstimatedCameras) -> View:
+    """Return a view with the camera that was found for it, its lens distortion undone."""
+    camera, k1 = found.cameras[view.name], found.k1[view.name]
+    if not k1:
+        return replace(view, camera=camera)
+    maps = _lens(camera, k1)
+    image, depth = straightened(view.image, view.depth, maps)
+    return View(view.name, camera, image, depth, opaque=straight_mask(view.opaque, maps))
 
 
 def _of_view(view: View, file: Path | None) -> Photograph:

@@ -22,7 +22,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
@@ -80,6 +80,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` do not fit,
         or the file cannot be written.
     """
+    check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     gaussians.check()
     arrays = gaussians.to_arrays()
     n = len(gaussians)

@@ -107,6 +107,30 @@ def test_photographs_in_python(folder, asked):
     assert [view.name for view in sample.context] == ["photos/a.png", "other/b.png"]
 
 
+def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
+    for name, pixels in zip("ab", pair, strict=True):
+        taken(tmp_path / f"{name}.jpg", pixels, 6)
+    files = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
+    stored = slg.photographs(files, size="original")
+    pictures = [Image.open(file) for file in files]
+    arrays = [view.image for view in stored.context]
+    for images in (pictures, arrays):
+        again = slg.photographs(*images, size="original").context
+        for view, known in zip(again, stored.context, strict=True):
+            np.testing.assert_array_equal(view.image, known.image)
+    opened = slg.photographs(pictures, size="original")
+    assert [view.name for view in opened.context] == ["image_0", "image_1"]
+    for view, known in zip(opened.context, stored.context, strict=True):
+        np.testing.assert_array_equal(view.camera.K, known.camera.K)  # by EXIF
+    for images, message in [
+        ((pair[0], "b.jpg"), "image 1 is a str; expected paths alone"),
+        ((pair[0] / 255, pair[1]), "image 0 is float64"),
+        ((pair[0],), "found 1 image, expected at least two"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            slg.photographs(*images)
+
+
 def test_sizes_and_shapes_may_be_mixed(tmp_path, pair, asked):
     landscape, portrait = pair[0], pair[1][:, 60:240].copy()  # 200x300 and 200x180
     large = np.asarray(Image.fromarray(portrait).resize((360, 400)))
