@@ -49,9 +49,9 @@ def score_scene(
     settings: EvaluationSettings,
 ) -> None:
     """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
-    refs = answer_scene(photographs, labels, method, trust_cameras, settings)
+    *refs, _, built = answer_scene(photographs, labels, method, trust_cameras, settings)
     # What is asked without truth can be no miss.
-    attribution(*refs, method, replace(settings, queries=()))
+    attribution(*refs, built, method, replace(settings, queries=()))
 
 
 def answer_scene(
@@ -151,7 +151,7 @@ def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
 def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
     """Return the baselines by these names, in the order of the table of methods.
 
-    ``all`` stands for all that are not slow. Without our own, which is scored anyway.
+    ``all`` stands for all. Without our own, which is scored anyway.
 
     Raises
     ------
@@ -164,11 +164,7 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
                 f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
                 f"{did_you_mean(name, ROWS)}"
             )
-    return {
-        name: row
-        for name, row in ROWS.items()
-        if name != OURS and (name in names or ("all" in names and not row.slow))
-    }
+    return {name: row for name, row in ROWS.items() if name != OURS and {name, "all"} & set(names)}
 
 
 def baseline_tasks(

@@ -80,8 +80,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
         masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
         results.append(replace(result, predictions={}))
     if not tally.used:
-        unknown = tally.unknown(given)
-        listed = "; ".join(f"{what} {', '.join(names[:3])}" for what, names in unknown.items())
+        listed = ", ".join(tally.unused(given)[:3])
         raise InputError(
             f"{given.place}: no mask is of what is asked (found {listed}); name scenes, frames and "
             "queries as the data and labels do"

@@ -359,7 +359,7 @@ class Settings(Engine, Method):
         None, description="Made-up rooms to score as well, by their seeds: FIRST-LAST."
     )
     against: list[str] = Field(
-        [], description="Other methods to score in the same run, by name, or all but slow ones."
+        [], description="Other methods to score in the same run, by name, or all."
     )
     sweep: list[str] = Field(
         [],

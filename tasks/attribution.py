@@ -5,43 +5,39 @@ from __future__ import annotations
 import pyarrow as pa
 
 from slgaussian.benchmark.attribution import attribute_errors
-from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
 from slgaussian.gaussians import Gaussians
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
-from tasks.artifacts import get_field, labels_from_arrays, sample_from_arrays, truth_from_arrays
+from tasks.artifacts import get_field, sample_from_arrays, truth_from_arrays
 from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("attribution", version=3)
+@stage("attribution", version=4)
 def attribution(
     run: RunContext,
     sample: ArtifactRef,
     truth: ArtifactRef,
     gaussians: ArtifactRef,
-    labels: ArtifactRef,
     field: ArtifactRef,
     method: Method,
     settings: EvaluationSettings,
 ) -> ArtifactRef:
-    """Which stage lost each miss: spec ``attribution``.
+    """Name the stage that lost each miss: spec ``attribution``.
 
-    ``gaussians`` are those that were predicted, and ``method`` is what made the field; what each
-    view showed before association is proposed once more.
+    ``gaussians`` are those that were predicted, and ``method`` is what made the field.
     """
     known = run.read(truth, truth_from_arrays)
     rows = []
     if any(mask.any() for masks in known.masks.values() for mask in masks.values()):
-        shown = run.read(sample, sample_from_arrays)
-        found = run.read(labels, labels_from_arrays)
         asked = get_field(run.store, field, method.encoder.places())
-        base, pieces = run.read(gaussians, Gaussians.from_arrays), found.labels
-        if not method.tracker.implementation.final:
-            pieces = Inputs(shown, asked, base, found, method.proposer.load()).own_labels.labels
-        rows = attribute_errors(asked, base, shown, pieces, known, settings)
+        base, shown = (
+            run.read(gaussians, Gaussians.from_arrays),
+            run.read(sample, sample_from_arrays),
+        )
+        rows = attribute_errors(asked, base, shown, known, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
     return run.store.put("attribution", table, {"misses": misses})

@@ -40,19 +40,16 @@ OURS, CUT = "slgaussian", "LangSplat's cut"
 OTHERS = ("query-2d, depth", "no-bank")
 PROTOCOLS = ("slgaussian", "langsplat", "threshold-free")
 SCORES = {"iou": ("IoU", 3), "hit_mask": ("point", 2), "miou": ("mIoU", 3)}
-STAGES = ("threshold", "language", "pieces", "parted", "mask")
+STAGES = ("threshold", "language", "masks")
 
 BEFORE: Mapping[str, Mapping[str, float]] = {
-    "office": {"iou": 0.474, "hit_mask": 0.69, "miou": 0.46, "cut": 0.15, "cut_up": 0.13},
-    "places": {"iou": 0.31, "cut": 0.12, "cut_up": 0.09},
+    "office": {"iou": 0.474, "hit_mask": 0.69, "miou": 0.46, "cut": 0.15},
+    "places": {"iou": 0.31, "cut": 0.12},
     "rooms": {},
 }
 """Figures of the start of this version's work, as they were written down then."""
 
-DISTANCES = {
-    "cut": ("answer to best threshold", "iou", "threshold_iou"),
-    "cut_up": ("whole things to union", "language_iou", "pieces_iou"),
-}
+DISTANCES = {"cut": ("answer to best threshold", "iou", "threshold_iou")}
 """What each is called, and the scores that it lies between."""
 
 
@@ -66,9 +63,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
     first: Inputs | None = None
     for inputs in built(sample, range(SEEDS)):
         first = first or inputs
-        pieces = first.own_labels.labels
-        found = inputs.field, inputs.gaussians, sample
-        lost = attribute_errors(*found, pieces, truth)
+        lost = attribute_errors(inputs.field, inputs.gaussians, sample, truth)
         stages = {
             f"{stage}_iou": float(np.mean([row[f"{stage}_iou"] for row in lost]))
             for stage in STAGES

@@ -46,11 +46,11 @@ def score(
     notes, tally = [*scores.said], scores.tally
     if tally.missing:
         notes.append(
-            f"missing: {tally.missing} of {tally.asked} samples have no mask and count as an empty "
-            f"one: {_few(list(dict.fromkeys(tally.missing_of)))}"
+            f"missing: {len(tally.missing)} of {tally.asked} samples have no mask and count as an "
+            f"empty one: {_few(list(dict.fromkeys(tally.missing)))}"
         )
-    for kind, names in tally.unknown(scores.predictions).items():
-        notes.append(f"not asked, left out: {kind} {_few(names)}")
+    if unused := tally.unused(scores.predictions):
+        notes.append(f"not asked, left out: {_few(unused)}")
     for note in notes:
         typer.echo(note, err=True)
     typer.echo(f"{methods_text(rows)}\n{out}")

@@ -20,14 +20,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field, PositiveInt
 
 from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.errors import InputError
-from slgaussian.formats import strict_json
 from slgaussian.formats.images import TooLargeError, check_size
 from slgaussian.formats.resampling import Window
 from slgaussian.io import short_repr
@@ -76,8 +77,6 @@ def read_labels(
         If the labels of the view are missing, damaged, were drawn on another frame or have another
         shape than its photograph.
     """
-    if class_masks.are_in(folder):
-        return class_masks.read(folder, view_name, width, height, shown)
     return _read_frame(Path(folder), view_name, width, height, shown)[0]
 
 
@@ -91,18 +90,15 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     """
     masks: dict[str, dict[str, np.ndarray]] = {}
     boxes: dict[str, dict[str, np.ndarray]] = {}
-    found_boxes: dict[str, np.ndarray] = {}
-    dense = class_masks.are_in(folder)
     for view in targets:
-        place = view.name, view.camera.width, view.camera.height, view.shown
-        if dense:
-            found = class_masks.read(folder, *place)
-        else:
-            found, found_boxes = _read_frame(Path(folder), *place)
+        size = view.camera.width, view.camera.height
+        drawn, corners = _read_frame(Path(folder), view.name, *size, view.shown)
         nothing = np.zeros(view.image.shape[:2], bool)
-        masks[view.name] = {name: found.get(name, nothing) for name in categories}
-        boxes[view.name] = {name: found_boxes.get(name, np.zeros((0, 4))) for name in categories}
-    return Truth(masks, {} if dense else boxes)
+        masks[view.name] = {name: drawn.get(name, nothing) for name in categories}
+        if corners is not None:
+            none = np.zeros((0, 4))
+            boxes[view.name] = {name: corners.get(name, none) for name in categories}
+    return Truth(masks, boxes)
 
 
 def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
@@ -130,7 +126,7 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     if class_masks.are_in(folder):
         names = class_masks.classes(folder)
         return dict.fromkeys(class_masks.frames(folder), names)
-    return {name: _categories(folder / f"{name}.json") for name in frame_names(folder)}
+    return {n: _read_record(folder / f"{n}.json").categories for n in frame_names(folder)}
 
 
 def frame_names(folder: str | Path) -> list[str]:
@@ -152,7 +148,7 @@ def categories_of(folder: str | Path, view_name: str) -> tuple[str, ...]:
     """
     if class_masks.are_in(folder):
         return class_masks.classes(folder)
-    return _categories(_label_file(Path(folder), view_name))
+    return _read_record(_label_file(Path(folder), view_name)).categories
 
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
@@ -170,95 +166,74 @@ def _label_file(folder: Path, view_name: str) -> Path:
 
 def _read_frame(
     folder: Path, view_name: str, width: int, height: int, shown: Window | None
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
+    """Read masks and boxes of a frame; class masks have no boxes."""
+    if class_masks.are_in(folder):
+        return class_masks.read(folder, view_name, width, height, shown), None
     path = _label_file(folder, view_name)
-    name, full_w, full_h, objects = _read_record(path)
+    record = _read_record(path)
+    name, full_w, full_h = record.info.name, record.info.width, record.info.height
     if Path(name).stem != Path(view_name).stem:
         # A labels folder shifted by one frame still scores, only wrongly.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
     part = shown or Window.covering(full_w, full_h, width, height)
     part.check_shape(path, full_w, full_h)
-    drawings: dict[str, list[list[np.ndarray]]] = {}
-    boxes: dict[str, list[np.ndarray]] = {}
-    for number, entry in enumerate(objects):
-        category, polygons, box = _read_object(entry, f"{path}: objects[{number}]")
-        drawings.setdefault(category, []).append([p.astype(np.int32) for p in polygons])
-        boxes.setdefault(category, []).append(box)
-    masks = {}
-    for category, outlines in drawings.items():  # one whole frame in memory at a time
+    masks, boxes = {}, {}
+    for category in record.categories:  # one whole frame in memory at a time
         drawn = np.zeros((full_h, full_w), np.uint8)
-        for polygons in outlines:
-            # Pixels within an even number of the polygons are left as they are.
-            cv2.fillPoly(drawn, polygons, 1)
+        corners = []
+        for one in record.objects:
+            if one.category == category:
+                polygons = [one.segmentation, *one.holes]
+                # Pixels within an even number of the polygons are left as they are.
+                cv2.fillPoly(drawn, [np.array(p, np.float64).astype(np.int32) for p in polygons], 1)
+                two = np.array(one.bbox, np.float64).reshape(2, 2)  # corners in any order
+                corners.append(np.concatenate([two.min(0), two.max(0)]))
         masks[category] = part.mask(drawn, height, width)
-    return masks, {
-        name: part.boxes(np.stack(rows), (full_h, full_w), (height, width))
-        for name, rows in boxes.items()
-    }
+        boxes[category] = part.boxes(np.stack(corners), (full_h, full_w), (height, width))
+    return masks, boxes
 
 
-def _categories(path: Path) -> tuple[str, ...]:
-    objects = _read_record(path)[3]
-    found = (_read_object(e, f"{path}: objects[{i}]")[0] for i, e in enumerate(objects))
-    return tuple(dict.fromkeys(found))
+def _flat(corners: Any) -> Any:
+    """Return two corners as one list."""
+    nested = isinstance(corners, list) and corners and isinstance(corners[0], list)
+    return [number for corner in corners for number in corner] if nested else corners
 
 
-def _read_record(path: Path) -> tuple[str, int, int, list[Any]]:
-    """Name, width and height of the labelled frame, and its objects, not looked at yet."""
-    record = _read_json(path)
+_Coordinate = Annotated[float, Field(gt=-1e6, lt=1e6)]
+"""NaN is neither above nor below, and beyond a million pixels there is no image."""
+
+_Polygon = Annotated[list[tuple[_Coordinate, _Coordinate]], Field(min_length=3)]
+
+
+class _Object(BaseModel):
+    category: Annotated[str, Field(pattern=r"\S")]
+    segmentation: _Polygon
+    holes: list[_Polygon] = []
+    bbox: Annotated[list[_Coordinate], BeforeValidator(_flat), Field(min_length=4, max_length=4)]
+
+
+class _Info(BaseModel):
+    name: str
+    width: PositiveInt
+    height: PositiveInt
+
+
+class _Record(BaseModel):
+    """A label file."""
+
+    info: _Info
+    objects: list[_Object]
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(one.category for one in self.objects))
+
+
+def _read_record(path: Path) -> _Record:
+    record = check_document(_Record, read_json(path, "label file"), str(path))
     try:
-        info, objects = record["info"], list(record["objects"])
-        name, full_w, full_h = str(info["name"]), int(info["width"]), int(info["height"])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{path}: expected info.name, info.width, info.height and objects, but {_reason(error)}"
-        ) from error
-    if full_w < 1 or full_h < 1:
-        raise InputError(f"{path}: info has size {full_w}x{full_h}, expected at least 1x1")
-    try:
-        check_size(full_w, full_h)
+        check_size(record.info.width, record.info.height)
     except TooLargeError as bad:
         raise InputError(f"{path}: info: {bad}, and draw the labels anew") from None
-    return name, full_w, full_h, objects
-
-
-def _read_object(entry: Any, where: str) -> tuple[str, list[np.ndarray], np.ndarray]:
-    """Category, polygon and its holes, box."""
-    try:
-        category = entry["category"]
-        polygons = [
-            np.array(p, np.float64) for p in (entry["segmentation"], *entry.get("holes", ()))
-        ]
-        box = np.array(entry["bbox"], np.float64).reshape(2, 2)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(
-            f"{where}: expected category, segmentation [[x, y], ...] and bbox [x0, y0, x1, y1], "
-            f"but {_reason(error)}"
-        ) from error
-    if not isinstance(category, str) or not category.strip():
-        raise InputError(f"{where}: category is {category!r}, expected a word or phrase")
-    for polygon in polygons:
-        if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3:
-            raise InputError(
-                f"{where}: segmentation or a hole has shape {polygon.shape}, expected one polygon "
-                "of three or more [x, y] points"
-            )
-        if not (np.abs(polygon) < 1e6).all() or not (np.abs(box) < 1e6).all():
-            raise InputError(
-                f"{where}: segmentation or bbox holds NaN or a coordinate that no image has"
-            )
-    # Two corners in any order.
-    return category, polygons, np.concatenate([box.min(0), box.max(0)])
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return strict_json.parse(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the label file ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: the label file is not valid JSON ({error})") from error
-
-
-def _reason(error: Exception) -> str:
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
+    return record

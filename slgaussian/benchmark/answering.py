@@ -35,12 +35,8 @@ class Result(Protocol):
         In [0, 1]; 0.5 is "as good as any phrase"; 0 where nothing is known.
     point : (int, int) or None
         Column and row (x, y) of the best guess of where it is; None if nothing at all is known.
-    peak : bool [H, W]
-        All pixels where the relevancy is greatest, by the rules.
     score : float
         The greatest relevancy; 0 if nothing at all is known.
-    objects : tuple of (int, float)
-        The selected objects as (id, relevancy), best first; empty where a method has none.
     unknown : tuple of str
         Words of the text that were left out.
     """
@@ -54,11 +50,7 @@ class Result(Protocol):
     @property
     def point(self) -> tuple[int, int] | None: ...  # noqa: D102
     @property
-    def peak(self) -> np.ndarray: ...  # noqa: D102
-    @property
     def score(self) -> float: ...  # noqa: D102
-    @property
-    def objects(self) -> tuple[tuple[int, float], ...]: ...  # noqa: D102
     @property
     def unknown(self) -> tuple[str, ...]: ...  # noqa: D102
 

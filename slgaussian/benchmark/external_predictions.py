@@ -20,20 +20,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.baselines import ROWS
+from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult
-from slgaussian.benchmark.outputs import file_name, mask_place
+from slgaussian.benchmark.outputs import file_name
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, How, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.errors import InputError
-from slgaussian.formats import rle, strict_json
+from slgaussian.formats import rle
 from slgaussian.formats.images import read_mask
 from slgaussian.io import short_repr
 from slgaussian.storage.specs import load_spec
@@ -41,12 +43,12 @@ from slgaussian.storage.specs import load_spec
 NOT_GIVEN = "no mask was given"
 """Note of a row that is scored as an empty mask, because there is none."""
 
-NO_RELEVANCY = np.zeros((0, 0), np.float32)
-
 SCORABLE = tuple(name for name, one in PROTOCOLS.items() if one.scores_masks)
 """The protocols by which masks can be scored."""
 
-Key = tuple[str, ...]
+Key = tuple[str, str, str, str, str]
+"""Method, protocol (empty where a mask is for any), scene, frame and query."""
+
 _Name = Annotated[str, Field(min_length=1)]
 
 
@@ -58,8 +60,6 @@ class Prediction:
     ----------
     where : str
         What it is called in messages.
-    scene, frame, query : str
-        As they stand in the file or in the folders' names.
     read : function (height, width) -> bool [height, width]
         Raises InputError if it cannot be read, or has another size.
     point : (x, y) or None
@@ -67,9 +67,6 @@ class Prediction:
     """
 
     where: str
-    scene: str
-    frame: str
-    query: str
     read: Callable[[int, int], np.ndarray]
     point: tuple[float, float] | None = None
     score: float | None = None
@@ -84,27 +81,45 @@ class Predictions:
     ----------
     place : Path
         Where they are.
-    methods : {method: tuple of str}
-        The protocols whose masks each has; none where its masks are for any.
     masks : {key: Prediction}
-    keys : function (row) -> tuple of keys
-        By which the mask of a row, of the columns of the data spec ``samples``, may be known.
+        Scene, frame and query as they stand in the file or in the folders' names.
     """
 
     place: Path
-    methods: Mapping[str, tuple[str, ...]]
     masks: Mapping[Key, Prediction]
-    keys: Callable[[Mapping[str, Any]], tuple[Key, ...]]
+
+    @property
+    def methods(self) -> dict[str, tuple[str, ...]]:
+        """The protocols whose masks each method has; none where its masks are for any."""
+        by_method: dict[str, dict[str, None]] = {}
+        for method, protocol, *_ in self.masks:
+            by_method.setdefault(method, {})[protocol] = None
+        order = [*(name for name in ROWS if name in by_method), *by_method]
+        return {name: tuple(filter(None, by_method[name])) for name in dict.fromkeys(order)}
 
     @property
     def protocols(self) -> tuple[str, ...]:
         """The protocols of the masks, in the order of all; the first where masks are for any."""
-        found = {name for has in self.methods.values() for name in has}
-        return tuple(name for name in SCORABLE if name in found) or SCORABLE[:1]
+        present = {protocol for _, protocol, *_ in self.masks}
+        return tuple(name for name in SCORABLE if name in present) or SCORABLE[:1]
 
     def key(self, row: Mapping[str, Any]) -> Key | None:
-        """Return the key of the mask of a row; None if there is none."""
-        return next((key for key in self.keys(row) if key in self.masks), None)
+        """Return the key of the mask of a row of the spec ``samples``; None if there is none.
+
+        A frame may go without its folder and its ending, and names may be those of files.
+        """
+        frame = Path(row["frame"])
+        names = [
+            (row["scene"], name, row["query"])
+            for name in (row["frame"], frame.with_suffix("").as_posix(), frame.stem)
+        ]
+        safe = (file_name(row["scene"]), file_name(frame.stem), file_name(row["query"]))
+        for protocol in (row["protocol"].partition("@")[0], ""):
+            for name in (*names, safe):
+                key = row["method"], protocol, *name
+                if key in self.masks:
+                    return key
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,33 +147,20 @@ class JudgedScene:
 class Tally:
     """Counts of the masks of some predictions.
 
-    ``asked`` samples have a truth, of which ``missing`` have no mask (those that
-    ``missing_of`` names first). ``used`` are the keys of masks that were asked for; ``scenes``,
-    ``frames`` and ``queries`` the names that are known. ``seconds`` by scene, frame, query and
-    method, where they were given.
+    ``asked`` samples have a truth, of which those named in ``missing`` have no mask. ``used`` are
+    the keys of masks that were asked for, and ``seconds`` by scene, frame, query and method, where
+    they were given.
     """
 
     asked: int = 0
-    missing: int = 0
-    missing_of: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
     used: set[Key] = field(default_factory=set)
-    scenes: set[str] = field(default_factory=set)
-    frames: set[tuple[str, str]] = field(default_factory=set)
     seconds: dict[tuple[str, str, str, str], float] = field(default_factory=dict)
 
-    def unknown(self, predictions: Predictions) -> dict[str, list[str]]:
-        """Name the masks that nothing asked for: ``scenes``, ``frames`` and ``queries`` by name."""
-        found: dict[str, dict[str, None]] = {"scenes": {}, "frames": {}, "queries": {}}
-        for key, one in predictions.masks.items():
-            if key in self.used:
-                continue
-            if one.scene not in self.scenes:
-                found["scenes"][one.scene] = None
-            elif (one.scene, one.frame) not in self.frames:
-                found["frames"][f"{one.frame} of {one.scene}"] = None
-            else:
-                found["queries"][f"{one.query} in {one.frame} of {one.scene}"] = None
-        return {what: list(names) for what, names in found.items() if names}
+    def unused(self, predictions: Predictions) -> list[str]:
+        """Name the masks that nothing asked for."""
+        keys = (key for key in predictions.masks if key not in self.used)
+        return list(dict.fromkeys(_called(*key[2:]) for key in keys))
 
 
 def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predictions:
@@ -173,12 +175,12 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
     """
     place = Path(place)
     if place.is_dir():
-        return _folder(place, protocols)
+        return _read_folder(place, protocols or SCORABLE)
     if not place.exists():
         raise InputError(
             f"{place}: no such file or folder; expected a folder of masks or a JSON file of them"
         )
-    return _file(place)
+    return _read_file(place)
 
 
 def score_predictions(
@@ -198,12 +200,8 @@ def score_predictions(
         protocol and their masks overlap, or masks say nothing by a protocol.
     """
     for judged in scenes:
-        tally.scenes |= {judged.scene, file_name(judged.scene)}
-        for frame in judged.truth.masks:
-            for scene in (judged.scene, file_name(judged.scene)):
-                tally.frames |= {(scene, name) for name in _names(frame)}
-        for method, has in predictions.methods.items():
-            own = [one for one in protocols if not has or one.name in has]
+        for method, present in predictions.methods.items():
+            own = [one for one in protocols if not present or one.name in present]
             if own:
                 yield _score_scene(predictions, judged, method, own, tally)
 
@@ -215,25 +213,26 @@ def _score_scene(
     protocols: Sequence[ScoringProtocol],
     tally: Tally,
 ) -> SceneResult:
-    common = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
+    how = How("given")
+    common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene}
+    common |= {"method": method, "place": judged.place, **asdict(how)}
+    columns = dict.fromkeys(load_spec("samples").columns)
     rows: list[dict[str, Any]] = []
     masks: dict[tuple[str, str, str], np.ndarray] = {}
     for frame, truths in judged.truth.masks.items():
         boxes = judged.truth.boxes.get(frame, {})
-        by_protocol = {
+        given = {
             protocol.name: _look_up(
                 predictions, {**common, "frame": frame, "protocol": protocol.label}, truths, tally
             )
             for protocol in protocols
         }
         # By both protocols the same texts compete, and theirs are the masks that say which wins.
-        competing = by_protocol.get("3d-ovs")
-        labels = None if competing is None else _winners(competing, list(truths), method)
+        labels = _winners(given["3d-ovs"], list(truths)) if "3d-ovs" in given else None
         for protocol in protocols:
-            known = by_protocol[protocol.name]
             answers = [
-                Answer(NO_RELEVANCY, mask, None if one is None else one.point)
-                for one, mask in known
+                Answer(np.zeros((0, 0), np.float32), mask, None if one is None else one.point)
+                for one, mask in given[protocol.name]
             ]
             asked = Frame(
                 answers,
@@ -242,28 +241,25 @@ def _score_scene(
                 labels,
                 external=True,
             )
-            scores = protocol.score(asked, How("given"))
-            for text, scored, (one, mask) in zip(truths, scores, known, strict=True):
-                absent = not truths[text].any()
+            for (text, truth), scored, (one, mask) in zip(
+                truths.items(), protocol.score(asked, how), given[protocol.name], strict=True
+            ):
+                absent = not truth.any()
                 if absent and protocol is not protocols[0]:
                     continue
                 x, y = scored.point or (None, None)
-                notes = [NOT_GIVEN] * (one is None and not absent) + [ABSENT] * absent
-                row = {
-                    **common,
-                    "place": judged.place,
+                own = {
                     "frame": frame,
                     "query": text,
                     "protocol": protocol.label,
-                    **dict(zip(("height", "width"), mask.shape, strict=True)),
-                    **asdict(How("given")),
-                    **scored.scores,
+                    "height": mask.shape[0],
+                    "width": mask.shape[1],
                     "score": None if one is None else one.score,
                     "point_x": x,
                     "point_y": y,
-                    "note": "; ".join(notes),
+                    "note": ABSENT if absent else NOT_GIVEN if one is None else "",
                 }
-                rows.append({name: row.get(name) for name in load_spec("samples").columns})
+                rows.append(columns | common | own | dict(scored.scores))
                 if one is not None:
                     masks[protocol.label, frame, text] = mask
     means = scene_means(of_first_protocol(rows))
@@ -272,159 +268,81 @@ def _score_scene(
 
 def _look_up(
     predictions: Predictions,
-    row: Mapping[str, str],
+    row: Mapping[str, Any],
     truths: Mapping[str, np.ndarray],
     tally: Tally,
 ) -> list[tuple[Prediction | None, np.ndarray]]:
     """Return the prediction for each text of a frame, and its mask, empty where there is none."""
-    known: list[tuple[Prediction | None, np.ndarray]] = []
+    given: list[tuple[Prediction | None, np.ndarray]] = []
     scene, frame = row["scene"], row["frame"]
     for text, truth in truths.items():
         key = predictions.key({**row, "query": text})
         tally.asked += bool(truth.any())
         if key is None:
-            known.append((None, np.zeros_like(truth)))
+            given.append((None, np.zeros_like(truth)))
             if truth.any():
-                tally.missing += 1
-                tally.missing_of.append(f"{text} in {frame} of {scene}")
+                tally.missing.append(_called(scene, frame, text))
             continue
         tally.used.add(key)
         one = predictions.masks[key]
-        known.append((one, one.read(*truth.shape)))
+        given.append((one, one.read(*truth.shape)))
         if one.seconds is not None:
             tally.seconds[scene, frame, text, row["method"]] = one.seconds
-    return known
+    return given
 
 
 def _winners(
-    known: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str], method: str
+    given: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str]
 ) -> np.ndarray:
     """Return which of the texts wins, int32 [H, W], k + 1; InputError if two do."""
-    labels = np.zeros(known[0][1].shape, np.int32)
-    for k, (one, mask) in enumerate(known):
+    labels = np.zeros(given[0][1].shape, np.int32)
+    for k, (one, mask) in enumerate(given):
         if one is not None and (taken := labels[mask]).any():
             other = texts[int(taken[taken > 0][0]) - 1]
             raise InputError(
-                f"{one.where}: overlaps the mask of {other!r} by {method}, but by the protocol "
-                "3d-ovs texts compete, and each pixel is of one at most; give masks that do not "
-                "overlap, or choose --protocol slgaussian"
+                f"{one.where}: overlaps the mask of {other!r}, but by the protocol 3d-ovs texts "
+                "compete, and each pixel is of one at most; give masks that do not overlap, or "
+                "choose --protocol slgaussian"
             )
         labels[mask] = k + 1
     return labels
 
 
-def _names(frame: str) -> set[str]:
-    """Return the names of a frame: with folder and ending, or without, or as a file."""
-    stem = Path(frame).stem
-    return {frame, stem, file_name(stem)}
-
-
-def _folder(place: Path, protocols: Sequence[str]) -> Predictions:
+def _read_folder(place: Path, protocols: Sequence[str]) -> Predictions:
     root = place / "predictions" if (place / "predictions").is_dir() else place
-    called = {file_name(name): name for name in ROWS}
+    methods = {file_name(name): name for name in ROWS}
     masks: dict[Key, Prediction] = {}
-    methods: dict[str, list[str]] = {}
-    others: set[str] = set()
+    others: dict[str, None] = {}
     for file in sorted(root.glob("*/*/*/*/*.png")):
-        key = file.relative_to(root).parts
-        folder, protocol, scene, frame, name = key
-        if protocol not in (protocols or SCORABLE):
-            others.add(protocol)
-            continue
-        masks[key] = Prediction(str(file), scene, frame, name.removesuffix(".png"), _png(file))
-        has = methods.setdefault(called.get(folder, folder), [])
-        if protocol not in has:
-            has.append(protocol)
+        folder, protocol, scene, frame, _ = file.relative_to(root).parts
+        if protocol in protocols:
+            key = methods.get(folder, folder), protocol, scene, frame, file.stem
+            masks[key] = Prediction(str(file), partial(_read_png, file))
+        else:
+            others[protocol] = None
     if not masks:
-        but = f", but of {', '.join(sorted(others)[:5])}" if others else ""
+        but = f", but of {', '.join(list(others)[:5])}" if others else ""
         raise InputError(
-            f"{root}: holds no mask of {' or '.join(protocols or SCORABLE)}{but}; expected "
+            f"{root}: holds no mask of {' or '.join(protocols)}{but}; expected "
             "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
         )
-    folders = {called.get(key[0], key[0]): key[0] for key in masks}
-    ordered = [*(name for name in ROWS if name in methods), *(n for n in methods if n not in ROWS)]
-
-    def keys(row: Mapping[str, Any]) -> tuple[Key, ...]:
-        folder = folders[row["method"]]
-        _, *safe = mask_place(row).parts
-        protocol = row["protocol"].partition("@")[0]
-        plain = protocol, row["scene"], Path(row["frame"]).stem, f"{row['query']}.png"
-        return (folder, *safe), (folder, *plain)
-
-    return Predictions(root, {name: tuple(methods[name]) for name in ordered}, masks, keys)
+    return Predictions(root, masks)
 
 
-def _check_size(where: str, found: Sequence[int], height: int, width: int) -> None:
-    if tuple(found) != (height, width):
-        h, w = found
+def _read_png(file: Path, height: int, width: int) -> np.ndarray:
+    mask = read_mask(file, kinds=("PNG",))
+    _check_size(str(file), mask.shape, height, width)
+    return mask
+
+
+def _check_size(where: str, size: Sequence[int], height: int, width: int) -> None:
+    if tuple(size) != (height, width):
+        h, w = size
         raise InputError(
             f"{where}: the mask has {h}x{w} pixels, height first, and its view is judged at "
             f"{height}x{width}; bring it to that size, or say the size of all masks with --size "
             f"{h}x{w}"
         )
-
-
-def _png(file: Path) -> Callable[[int, int], np.ndarray]:
-    def read(height: int, width: int) -> np.ndarray:
-        mask = read_mask(file, kinds=("PNG",))
-        _check_size(str(file), mask.shape, height, width)
-        return mask
-
-    return read
-
-
-def _file(place: Path) -> Predictions:
-    try:
-        content = strict_json.parse(place.read_bytes())
-    except OSError as error:
-        raise InputError(f"{place}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{place}: is not valid JSON ({error})") from error
-    if not isinstance(content, list) or not content:
-        raise InputError(
-            f"{place}: expected a list of masks, each with scene, frame, query, size and counts, "
-            f"found {'an empty one' if content == [] else type(content).__name__}"
-        )
-    masks: dict[Key, Prediction] = {}
-    for number, entry in enumerate(content):
-        where = f"{place}: [{number}]"
-        method, one = _entry(entry, where, place.stem)
-        key = method, one.scene, one.frame, one.query
-        if key in masks:
-            raise InputError(f"{where}: {one.query!r} in {one.frame} of {one.scene} is there twice")
-        masks[key] = one
-
-    def keys(row: Mapping[str, Any]) -> tuple[Key, ...]:
-        frame = row["frame"]
-        names = dict.fromkeys((frame, Path(frame).with_suffix("").as_posix(), Path(frame).stem))
-        return tuple((row["method"], row["scene"], name, row["query"]) for name in names)
-
-    return Predictions(place, dict.fromkeys((key[0] for key in masks), ()), masks, keys)
-
-
-def _entry(entry: Any, where: str, file: str) -> tuple[str, Prediction]:
-    """Return the method of a mask, and the mask."""
-    try:
-        one = _Entry.model_validate(entry)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "a mask"
-        value = "missing" if first["type"] == "missing" else f"{first['input']!r:.60}"
-        raise InputError(f"{where}: {place} is {value}; {first['msg']}") from None
-    height, width = one.size
-    called = f"{where}, {one.query!r} in {one.frame} of {one.scene}"
-
-    def read(rows: int, columns: int) -> np.ndarray:
-        _check_size(called, (height, width), rows, columns)  # before anything of that size is made
-        try:
-            return rle.decode(one.counts, rows, columns)
-        except ValueError as bad:
-            raise InputError(f"{called}: {bad}; write the mask again") from None
-
-    point = None if one.point is None else (float(one.point[0]), float(one.point[1]))
-    return one.method or file, Prediction(
-        called, one.scene, one.frame, one.query, read, point, one.score, one.seconds
-    )
 
 
 class _Entry(BaseModel):
@@ -441,3 +359,35 @@ class _Entry(BaseModel):
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
     score: Annotated[float, Field(ge=0, le=1)] | None = None
     seconds: Annotated[float, Field(ge=0)] | None = None
+
+    def read(self, where: str, height: int, width: int) -> np.ndarray:
+        _check_size(where, self.size, height, width)  # before anything of that size is made
+        try:
+            return rle.decode(self.counts, height, width)
+        except ValueError as bad:
+            raise InputError(f"{where}: {bad}; write the mask again") from None
+
+
+def _read_file(place: Path) -> Predictions:
+    content = read_json(place, "file of masks")
+    if not isinstance(content, list) or not content:
+        raise InputError(
+            f"{place}: expected a list of masks, each with scene, frame, query, size and counts, "
+            f"found {'an empty one' if content == [] else type(content).__name__}"
+        )
+    masks: dict[Key, Prediction] = {}
+    for number, entry in enumerate(content):
+        where = f"{place}: [{number}]"
+        one = check_document(_Entry, entry, where)
+        key = one.method or place.stem, "", one.scene, one.frame, one.query
+        where = f"{where}, {_called(*key[2:])}"
+        if key in masks:
+            raise InputError(f"{where} is there twice")
+        x, y = one.point or (None, None)
+        point = None if x is None or y is None else (x, y)
+        masks[key] = Prediction(where, partial(one.read, where), point, one.score, one.seconds)
+    return Predictions(place, masks)
+
+
+def _called(scene: str, frame: str, query: str) -> str:
+    return f"{query!r} in {frame} of {scene}"

@@ -28,11 +28,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import AfterValidator, BaseModel, Field, model_validator
+
+from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.datasets.re10k_text import read_evaluation
 from slgaussian.errors import InputError
-from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
 
 VERSION = 2
@@ -99,30 +101,27 @@ def read_index(path: str | Path) -> Index:
         or a list is too short or repeats an entry.
     """
     path = Path(path)
-    try:
-        content = strict_json.parse(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the pair index ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: the pair index is not valid JSON ({error})") from error
+    content = read_json(path, "pair index")
     if not isinstance(content, dict) or not content:
-        raise InputError(f"{path}: expected an object of scenes, found {_kind(content)}")
-    if _is_evaluation(content):
+        raise InputError(f"{path}: found {content!r:.60}, expected an object of scenes")
+    if all(
+        entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
+        for entry in content.values()
+    ):
         return _published(path)
     if not isinstance(content.get("version"), int):
+        for name, entry in content.items():
+            if isinstance(entry, dict) and entry.get("categories") is None:
+                raise InputError(f"{path}: scene {name!r}: categories is missing")
         return Index(tuple(_pair(path, name, entry) for name, entry in content.items()))
     if content["version"] != VERSION:
         raise InputError(
             f"{path}: is of version {content['version']}, this program reads up to {VERSION}; make "
             "it again with `slgaussian benchmark`, or install a newer slgaussian"
         )
-    for key, kind in {"format": str, "rule": dict, "scenes": dict, "left_out": dict}.items():
-        if not isinstance(content.get(key), kind):
-            raise InputError(
-                f"{path}: {key!r} is {_kind(content.get(key))}, expected a {kind.__name__}"
-            )
-    pairs = tuple(_pair(path, name, own, unasked=True) for name, own in content["scenes"].items())
-    return Index(pairs, content["format"], content["rule"], content["left_out"])
+    known = check_document(_Document, content, str(path))
+    pairs = tuple(_pair(path, name, entry) for name, entry in known.scenes.items())
+    return Index(pairs, known.format, known.rule, known.left_out)
 
 
 def write_index(path: str | Path, index: Index) -> None:
@@ -151,16 +150,8 @@ def write_index(path: str | Path, index: Index) -> None:
         raise InputError(f"{path}: cannot write the index ({error.strerror})") from error
 
 
-def _is_evaluation(content: dict[str, Any]) -> bool:
-    """Whether it is a published index: nulls, or frame numbers and nothing that is asked."""
-    return all(
-        entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
-        for entry in content.values()
-    )
-
-
 def _published(path: Path) -> Index:
-    """A published index; its targets that are context frames of the same clip are left out."""
+    """Read a published index; its targets that are context frames of the same clip are left out."""
     pairs, left_out = [], {}
     for key, (context, targets) in read_evaluation(path).items():
         for name in targets:
@@ -174,45 +165,59 @@ def _published(path: Path) -> Index:
     return Index(tuple(pairs), "re10k", left_out=left_out)
 
 
-def _pair(path: Path, scene: str, entry: Any, unasked: bool = False) -> ScenePair:
-    """An entry; ``unasked`` ones may leave out their categories."""
-    where = f"{path}: scene {scene!r}"
-    if not isinstance(entry, dict):
-        raise InputError(f"{where}: expected an object, found {_kind(entry)}")
-    context = _names(entry, "context", 2, where)
-    targets = _names(entry, "target", 1, where)
-    categories: tuple[str, ...] = ()
-    if not unasked or "categories" in entry:
-        categories = _names(entry, "categories", 1, where)
-    seen = sorted(set(context) & set(targets))
-    if seen:
-        raise InputError(
-            f"{where}: {seen[0]!r} is both context and target; a target must be held out"
-        )
-    labels, options = entry.get("labels", ""), entry.get("options", {})
-    measured = entry.get("measured", {})
-    if not (isinstance(labels, str) and _is_below(PurePosixPath(labels))):
-        raise InputError(f"{where}: 'labels' is {labels!r}, expected a folder below the labels")
-    for key, value in (("options", options), ("measured", measured)):
-        if not isinstance(value, dict):
-            raise InputError(f"{where}: {key!r} is {_kind(value)}, expected an object")
-    return ScenePair(scene, context, targets, categories, labels, options, measured)
+def _different(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) < len(names):
+        raise ValueError("expected different names")
+    return names
 
 
-def _is_below(folder: PurePosixPath) -> bool:
-    return not folder.is_absolute() and ".." not in folder.parts
+def _below(folder: str) -> str:
+    if PurePosixPath(folder).is_absolute() or ".." in PurePosixPath(folder).parts:
+        raise ValueError("expected a folder below the labels")
+    return folder
 
 
-def _names(entry: dict[str, Any], key: str, at_least: int, where: str) -> tuple[str, ...]:
-    names = entry.get(key)
-    if not isinstance(names, list) or not all(isinstance(n, str) and n.strip() for n in names):
-        raise InputError(f"{where}: {key!r} is {_kind(names)}, expected a list of names")
-    if len(names) < at_least or len(set(names)) < len(names):
-        raise InputError(
-            f"{where}: {key!r} holds {names}, expected at least {at_least} different name(s)"
-        )
-    return tuple(names)
+_Names = Annotated[
+    tuple[Annotated[str, Field(pattern=r"\S")], ...],
+    Field(min_length=1),
+    AfterValidator(_different),
+]
 
 
-def _kind(value: Any) -> str:
-    return "missing" if value is None else f"a {type(value).__name__}"
+class _Scene(BaseModel):
+    """A scene of an index file."""
+
+    context: Annotated[_Names, Field(min_length=2)]
+    target: _Names
+    categories: _Names | None = None
+    labels: Annotated[str, AfterValidator(_below)] = ""
+    options: dict[str, Any] = {}
+    measured: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _check_targets(self) -> _Scene:
+        if seen := sorted({*self.context} & {*self.target}):
+            raise ValueError(f"{seen[0]!r} is both context and target; a target must be held out")
+        return self
+
+
+class _Document(BaseModel):
+    """An index file of this version; its scenes are checked one by one."""
+
+    format: str
+    rule: dict[str, Any]
+    scenes: dict[str, Any]
+    left_out: dict[str, str]
+
+
+def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
+    one = check_document(_Scene, entry, f"{path}: scene {scene!r}")
+    return ScenePair(
+        scene,
+        one.context,
+        one.target,
+        one.categories or (),
+        one.labels,
+        one.options,
+        one.measured,
+    )

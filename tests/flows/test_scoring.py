@@ -204,7 +204,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     told = capsys.readouterr().err
     last = entries[-1]["query"]
     assert f"missing: 1 of {len(entries)} samples have no mask and count as an empty one: " in told
-    assert f"not asked, left out: frames x of {labelled.name}\n" in told
+    assert f" in x of {labelled.name}\n" in told
     of_run = samples(made)
     for key, row in samples(out).items():
         assert key[:3] == ("mine", "slgaussian@2", labelled.name)

@@ -60,15 +60,13 @@ class Row:
 
     ``about`` describes it in a line, and of what is not the original says that it is not. ``rules``
     are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
-    A ``slow`` one takes a minute a scene, and ``all`` leaves it out. A ``variant`` is the field
-    with one part changed: no other method, though it may be better.
+    A ``variant`` is the field with one part changed: no other method, though it may be better.
     """
 
     method: str
     about: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     rules: Mapping[str, Any] = field(default_factory=dict)
-    slow: bool = False
     variant: bool = False
 
     def load(self) -> Method:
@@ -83,24 +81,6 @@ class Row:
 
 ROWS = {
     "slgaussian": Row("slgaussian", "the field, as it was built"),
-    "slgaussian, grid codes": Row(
-        "slgaussian",
-        "the field with the paper's code strategy",
-        {"codes": "grid"},
-        variant=True,
-    ),
-    "slgaussian, exact": Row(
-        "slgaussian",
-        "the field without codes: Gaussians vote for objects",
-        {"codes": "exact"},
-        variant=True,
-    ),
-    "slgaussian, filled": Row(
-        "slgaussian",
-        "unlabelled Gaussians take the other view's object",
-        {"lifting": "filled"},
-        variant=True,
-    ),
     "query-2d": Row(
         "query-2d", "the paper's 2D query: render, propose, encode, score; the image alone"
     ),
@@ -118,13 +98,6 @@ ROWS = {
         "langsplat-like",
         "not LangSplat: the same, by masks that agree across views",
         {"association": True},
-    ),
-    "langsplat-like, optimised": Row(
-        "langsplat-like",
-        "not LangSplat: Gaussians, then their codes by each view's own masks, optimised for the "
-        "photographs in 200 steps each",
-        {"fit": 200},
-        slow=True,
     ),
     "lerf-like": Row(
         "lerf-like", "not LERF: a pyramid of crops of each view, lifted a pixel, no training"
@@ -159,13 +132,3 @@ def is_swept(name: str) -> bool:
 def is_variant(name: str) -> bool:
     """Tell whether a method is the field with a part or a setting changed: no other method."""
     return ROWS[name].variant if name in ROWS else is_swept(name)
-
-
-PAPER_ABLATION = {
-    (False, False, False): "langsplat-like, optimised",
-    (True, False, False): "langsplat-like",
-    (True, True, False): "langsplat-like, association",
-    (True, True, True): "slgaussian",
-}
-"""The paper's ablation table: for (feed-forward model, mask association, multi-view bank) the row
-of :data:`ROWS`. The first are Gaussians optimised for the scene."""

@@ -22,12 +22,14 @@ from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.errors import InputError
-from slgaussian.geometry.room import Surroundings
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.language import Encoder
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
+
+BATCH = 512
+"""Tiles encoded together: their masks are a byte a pixel of the photograph each, 120 MB at
+416 x 576. Some encoders look at the whole photograph once for all of them."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +39,9 @@ class LerfLike:
     Attributes
     ----------
     scales : sequence of float
-        Sides of the crops in heights of the photograph, in (0, 1]. LERF has seven, evenly from
-        0.05 to 0.5, with strides from a whole side at 0.05 to half of one from 0.15 on; strides
-        are the same here, scales are three, for time.
-
-    Raises
-    ------
-    InputError
-        If there is no scale, or one is out of range.
+        Sides of the crops in heights of the photograph, in (0, 1]; InputError otherwise. LERF has
+        seven, evenly from 0.05 to 0.5, with strides from a whole side at 0.05 to half of one from
+        0.15 on; strides are the same here, scales are three, for time.
     """
 
     scales: Sequence[float] = (0.1, 0.25, 0.5)
@@ -59,13 +56,10 @@ class LerfLike:
     def __call__(self, inputs: Inputs) -> LiftedVectors:
         """Encode the pyramid of a scene."""
         height = inputs.sample.context[0].camera.height
-        tilings = []
-        for scale in self.scales:
-            fraction = float(np.interp(scale, (0.05, 0.15), (1.0, 0.5)))
-            side = max(round(scale * height), 1)
-            tilings.append(Tiling(side, max(round(fraction * side), 1)))
-        levels = encode_pyramid(inputs, tilings)
-        return LiftedVectors(inputs, [level.at for level in levels], levels[0].width)
+        sides = [max(round(scale * height), 1) for scale in self.scales]
+        strides = [float(np.interp(scale, (0.05, 0.15), (1.0, 0.5))) for scale in self.scales]
+        levels = encode_pyramid(inputs, sides, strides)
+        return LiftedVectors(inputs, [level.at for level in levels], levels[0].values.shape[3])
 
 
 @dataclass(frozen=True)
@@ -75,15 +69,11 @@ class Ovs3dLike:
     Attributes
     ----------
     parts : sequence of int
-        Sides of the patches: the shorter side of the photograph over each of these. Those of
-        3D-OVS by default.
+        Sides of the patches: the shorter side of the photograph over each of these, at least 1;
+        InputError otherwise. Those of 3D-OVS by default.
     stride : float
-        Between patches, in sides. 3D-OVS has a quarter; three quarters is a tenth of the work.
-
-    Raises
-    ------
-    InputError
-        If there is no part, one is below 1, or the stride is not in (0, 1].
+        Between patches, in sides, in (0, 1]; InputError otherwise. 3D-OVS has a quarter; three
+        quarters is a tenth of the work.
     """
 
     parts: Sequence[int] = (5, 7, 10)
@@ -101,22 +91,21 @@ class Ovs3dLike:
 
     def __call__(self, inputs: Inputs) -> LiftedVectors:
         """Encode the patches of a scene, and choose the size that each pixel believes."""
-        size = inputs.sample.context[0].image.shape[:2]
-        sides = [max(min(size) // part, 1) for part in self.parts]
-        tilings = [Tiling(side, max(round(self.stride * side), 1)) for side in sides]
-        levels = encode_pyramid(inputs, tilings)
+        shorter = min(inputs.sample.context[0].image.shape[:2])
+        sides = [max(shorter // part, 1) for part in self.parts]
+        levels = encode_pyramid(inputs, sides, [self.stride] * len(sides))
         classes = tuple(text for text in inputs.classes if _is_usable(inputs, text))
         chosen = choose_scales(inputs, levels, classes)
 
         def at(pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
-            found = np.empty((len(pixels), stop - start), np.float32)
+            vectors = np.empty((len(pixels), stop - start), np.float32)
             believed = chosen[pixels]
             for number, level in enumerate(levels):
                 mine = believed == number
-                found[mine] = level.at(pixels[mine], start, stop)
-            return found
+                vectors[mine] = level.at(pixels[mine], start, stop)
+            return vectors
 
-        return LiftedVectors(inputs, [at], levels[0].width, classes)
+        return LiftedVectors(inputs, [at], levels[0].values.shape[3], classes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,14 +130,11 @@ class LiftedVectors:
 
     def render(self, camera: Camera) -> DenseView:
         """Draw colours and vectors as ``camera`` sees them."""
-        gaussians = self.inputs.gaussians
+        gaussians, reader = self.inputs.gaussians, self.inputs.reader
         picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.width * len(self.scales))
-        vectors = np.empty((len(self.scales), small.height, small.width, self.width), np.float32)
-        for at, image in zip(self.scales, vectors, strict=True):
-            draw_vectors(gaussians, small, at, image)
+        vectors = draw_vectors(gaussians, small, self.scales, self.width)
         seen = picture.alpha >= VISIBLE
-        reader = self.inputs.reader
         return DenseView(picture.rgb, picture.depth, reader, seen, vectors, self.classes)
 
 
@@ -163,7 +149,8 @@ def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str
     pixels = np.arange(inputs.label_maps.labels.size)
     leads = []
     for level in levels:
-        ranked = np.sort(level.against(texts).at(pixels, 0, len(texts)), axis=1)
+        cosines = replace(level, values=np.einsum("vrcd,td->vrct", level.values, texts))
+        ranked = np.sort(cosines.at(pixels, 0, len(texts)), axis=1)
         leads.append(ranked[:, -1] - (ranked[:, -2] if len(texts) > 1 else 0))
     return np.stack(leads).argmax(0).astype(np.int8)
 
@@ -176,32 +163,13 @@ def _is_usable(inputs: Inputs, text: str) -> bool:
     return True
 
 
-BATCH = 512
-"""Tiles encoded together: their masks are a byte a pixel of the photograph each, 120 MB at
-416 x 576. Some encoders look at the whole photograph once for all of them."""
-
-
-@dataclass(frozen=True)
-class Tiling:
-    """A scale: tiles of ``side`` pixels, a new one every ``stride`` pixels at most."""
-
-    side: int
-    stride: int
-
-    def starts(self, length: int) -> np.ndarray:
-        """Return first pixels of tiles along an axis of ``length`` pixels, evenly, to both ends."""
-        room = max(length - self.side, 0)
-        count = -(-room // self.stride) + 1
-        return np.rint(np.linspace(0, room, count)).astype(np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Level:
     """Values of the tiles of one scale.
 
     Attributes
     ----------
-    values : float32 [V, rows, columns, k]
+    values : float32 [V, rows, columns, C]
         Of the context views, which are of one size: the tiles' unit vectors, or something made of
         them.
     centres : tuple of float64 [rows], [columns]
@@ -214,33 +182,28 @@ class Level:
     centres: tuple[np.ndarray, np.ndarray]
     size: tuple[int, int]
 
-    @property
-    def width(self) -> int:
-        """Numbers a tile, k."""
-        return self.values.shape[3]
-
     def at(self, pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
         """Return numbers ``start`` to ``stop`` at context pixels, float32 [n, stop - start].
 
         ``pixels`` int64 [n] are flat indices of [V, H, W]. Bilinear between centres, and constant
         beyond the outermost.
         """
-        found = np.empty((len(pixels), stop - start), np.float32)
-        down, across = (
-            _between(centres, length)
-            for centres, length in zip(self.centres, self.size, strict=True)
-        )
+        axes: list[np.ndarray] = []
+        for centres, length in zip(self.centres, self.size, strict=True):
+            # Of each pixel of the axis the centre before it, and its share of the way onward.
+            place = np.interp(np.arange(length) + 0.5, centres, np.arange(len(centres)))
+            before = np.minimum(place.astype(np.int64), max(len(centres) - 2, 0))
+            axes += [before, (place - before).astype(np.float32)]
+        sampled = np.empty((len(pixels), stop - start), np.float32)
         values = np.ascontiguousarray(self.values[..., start:stop])
-        share(_sample, len(pixels), values, *down, *across, pixels, found)
-        return found
-
-    def against(self, texts: np.ndarray) -> Level:
-        """Return the cosines of the tiles with unit vectors float [Q, C] in place of their own."""
-        return replace(self, values=np.einsum("vrcd,td->vrct", self.values, texts))
+        share(_sample, len(pixels), values, *axes, pixels, sampled)
+        return sampled
 
 
-def encode_pyramid(inputs: Inputs, tilings: Sequence[Tiling]) -> list[Level]:
-    """Encode the tiles of every context view at every scale.
+def encode_pyramid(inputs: Inputs, sides: Sequence[int], strides: Sequence[float]) -> list[Level]:
+    """Encode square tiles of every context view at every scale.
+
+    Tiles have ``sides`` pixels, with a new one every ``strides`` sides at most.
 
     Raises
     ------
@@ -248,55 +211,56 @@ def encode_pyramid(inputs: Inputs, tilings: Sequence[Tiling]) -> list[Level]:
         If the encoder does not look at images.
     """
     size = inputs.label_maps.labels.shape[1:]
-    places = [[tiling.starts(length) for length in size] for tiling in tilings]
-    tiles = [
-        (y, x, tiling.side)
-        for tiling, (rows, columns) in zip(tilings, places, strict=True)
+    starts = [
+        [tile_starts(length, side, max(round(stride * side), 1)) for length in size]
+        for side, stride in zip(sides, strides, strict=True)
+    ]
+    squares = [
+        (y, x, side)
+        for side, (rows, columns) in zip(sides, starts, strict=True)
         for y in rows
         for x in columns
     ]
-    context = inputs.sample.context
+    batches = [squares[k : k + BATCH] for k in range(0, len(squares), BATCH)]
     vectors = np.stack(
         [
-            _encode(inputs.encoder, tiles, view.image, around)
-            for view, around in zip(context, inputs.geometry.surroundings, strict=True)
+            np.concatenate(
+                [
+                    inputs.encoder.encode_regions(view.image, _masks(batch, size), around)
+                    for batch in batches
+                ]
+            )
+            for view, around in zip(
+                inputs.sample.context, inputs.geometry.surroundings, strict=True
+            )
         ]
     )
-    counts = [len(rows) * len(columns) for rows, columns in places]
-    parts = np.split(vectors, np.cumsum(counts)[:-1], axis=1)
+    counts = [len(rows) * len(columns) for rows, columns in starts]
     levels = []
-    for tiling, starts, part in zip(tilings, places, parts, strict=True):
-        shape = len(part), *map(len, starts), part.shape[2]
+    for side, firsts, part in zip(
+        sides, starts, np.split(vectors, np.cumsum(counts)[:-1], axis=1), strict=True
+    ):
         centres = tuple(
-            (first + np.minimum(first + tiling.side, length)) / 2
-            for first, length in zip(starts, size, strict=True)
+            (first + np.minimum(first + side, length)) / 2
+            for first, length in zip(firsts, size, strict=True)
         )
+        shape = len(part), *map(len, firsts), part.shape[2]
         levels.append(Level(part.reshape(shape), centres, size))
     return levels
 
 
-def _encode(
-    encoder: Encoder,
-    tiles: Sequence[tuple[int, int, int]],
-    image: np.ndarray,
-    around: Surroundings,
-) -> np.ndarray:
-    """Return unit vectors [n, C] of tiles by first row, first column and side."""
-    found = []
-    for start in range(0, len(tiles), BATCH):
-        batch = tiles[start : start + BATCH]
-        masks = np.zeros((len(batch), *image.shape[:2]), bool)
-        for mask, (y, x, side) in zip(masks, batch, strict=True):
-            mask[y : y + side, x : x + side] = True
-        found.append(encoder.encode_regions(image, masks, around))
-    return np.concatenate(found)
+def tile_starts(length: int, side: int, stride: int) -> np.ndarray:
+    """Return first pixels of tiles along an axis of ``length`` pixels, evenly, to both ends."""
+    room = max(length - side, 0)
+    return np.rint(np.linspace(0, room, -(-room // stride) + 1)).astype(np.int64)
 
 
-def _between(centres: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each pixel of an axis the centre before it, and its share of the way onward."""
-    place = np.interp(np.arange(length) + 0.5, centres, np.arange(len(centres)))
-    low = np.minimum(place.astype(np.int64), max(len(centres) - 2, 0))
-    return low, (place - low).astype(np.float32)
+def _masks(squares: Sequence[tuple[int, int, int]], size: tuple[int, int]) -> np.ndarray:
+    """Return squares, by first row, first column and side, as masks bool [n, H, W]."""
+    masks = np.zeros((len(squares), *size), bool)
+    for mask, (y, x, side) in zip(masks, squares, strict=True):
+        mask[y : y + side, x : x + side] = True
+    return masks
 
 
 @kernel

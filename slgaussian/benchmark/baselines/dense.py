@@ -7,13 +7,13 @@ them. A pixel's gap is its cosine with the text less that with the best rival, a
   the greatest of all, which single pixels on borders would set, but what :data:`BEST_FRACTION`
   reach.
 - ``threshold``: pixels whose relevancy is above it.
-- ``langsplat``: by the smoothed relevancy image; see :mod:`slgaussian.language.langsplat`.
 
 The point is where the relevancy smoothed as LangSplat does is greatest, by a filter that covers as
 much of the picture as there: of a plateau the pixel farthest from its edge
-(:func:`slgaussian.language.locate.central_point`). By ``langsplat`` it is LangSplat's own. Of
-several scales a text takes the one that holds its greatest gap, for the whole image, as LERF does.
-What an absent view says plays no part: here views are mixed.
+(:func:`slgaussian.language.locate.central_point`). Of several scales a text takes the one that
+holds its greatest gap, for the whole image, as LERF does. What an absent view says plays no part:
+here views are mixed. LangSplat's own mask and point are those of its protocol
+(:mod:`slgaussian.benchmark.protocols`), which makes them of the relevancy of any method.
 """
 
 from __future__ import annotations
@@ -113,19 +113,16 @@ class DenseView:
     def _rival(self, text: str, rules: Rules) -> np.ndarray:
         """Return the cosine with the best rival of a text, float64 [S, h * w]."""
         others = [k for k, name in enumerate(self.classes) if name != text]
-        if others:
-            return self._cosines_of(self.classes)[others].max(0)
-        return self._cosines_of(self.reader.phrases(rules)).max(0)
+        rivals = self.classes if others else self.reader.phrases(rules)
+        known = self._cosines_of_rivals
+        if rivals not in known:
+            known[rivals] = self._cosines(rivals)
+        return known[rivals][others or slice(None)].max(0)
 
     @cached_property
-    def _rivals(self) -> dict[tuple[str, ...], np.ndarray]:
+    def _cosines_of_rivals(self) -> dict[tuple[str, ...], np.ndarray]:
+        """The cosines with texts that many others are compared with, computed once."""
         return {}
-
-    def _cosines_of(self, texts: tuple[str, ...]) -> np.ndarray:
-        """Return the cosines with texts that many others are compared with, computed once."""
-        if texts not in self._rivals:
-            self._rivals[texts] = self._cosines(texts)
-        return self._rivals[texts]
 
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:
         """Return the cosines with some texts, float64 [Q, S, h * w]."""
@@ -158,8 +155,6 @@ class DenseResult:
     rules: Rules
     closed: bool = False
 
-    objects = ()
-
     @cached_property
     def score(self) -> float:
         """The greatest relevancy; 0 if nothing is known."""
@@ -173,10 +168,7 @@ class DenseResult:
     @cached_property
     def mask(self) -> np.ndarray:
         """bool [H, W]: what the rules select."""
-        selection = self.rules.selection
-        if selection == "langsplat":
-            return langsplat.find_mask(self._filled) & self.seen.any()
-        if selection == "threshold":
+        if self.rules.selection == "threshold":
             return self.seen & (self.gap > logit(self.rules.threshold) / self.rules.temperature)
         fits = self.seen & (self.gap > 0)
         if self.closed or not fits.any():
@@ -184,26 +176,14 @@ class DenseResult:
         best = np.quantile(self.gap[self.seen], 1 - BEST_FRACTION)
         return fits & (self.gap >= self.rules.share * best)
 
-    @property
+    @cached_property
     def point(self) -> tuple[int, int] | None:
         """Column and row (x, y); see the module."""
-        return self._place[0]
-
-    @property
-    def peak(self) -> np.ndarray:
-        """bool [H, W]: where the relevancy is greatest, by ``langsplat`` the smoothed one."""
-        return self._place[1]
-
-    @cached_property
-    def _place(self) -> tuple[tuple[int, int] | None, np.ndarray]:
         if not self.seen.any():
-            return None, np.zeros(self.seen.shape, bool)
-        if self.rules.selection == "langsplat":
-            return langsplat.find_point(self._filled)
+            return None
         side = langsplat.rescaled_filter(self.seen.shape[1])
         smooth = np.where(self.seen, langsplat.smoothed(self._filled, side), -1)
-        peak = self.seen & (self.gap == self.gap[self.seen].max())
-        return central_point(smooth == smooth.max()), peak
+        return central_point(smooth == smooth.max())
 
     @cached_property
     def _filled(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,20 +41,23 @@ def draw_picture(gaussians: Gaussians, camera: Camera) -> Picture:
 def draw_vectors(
     gaussians: Gaussians,
     camera: Camera,
-    at: Callable[[np.ndarray, int, int], np.ndarray],
-    image: np.ndarray,
-) -> None:
+    scales: Sequence[Callable[[np.ndarray, int, int], np.ndarray]],
+    width: int,
+) -> np.ndarray:
     """Composite what the source pixels of the Gaussians carry, by their fractions of the light.
 
-    ``at(pixels, start, stop)`` gives these numbers of the vectors of context pixels int64 [n], flat
-    indices of [V, H, W], as float32 [n, stop - start]: in pieces, so that not all are in memory at
-    once. ``image`` float32 [H, W, C], of the camera's size, is written to.
+    ``at(pixels, start, stop)`` of each of the ``scales`` gives these of the ``width`` numbers of
+    context pixels int64 [n], flat indices of [V, H, W], as float32 [n, stop - start]: in pieces, so
+    that not all are in memory at once. Returns float32 [S, H, W, width].
     """
     source = gaussians.source.numpy()
-    for start in range(0, image.shape[2], TOGETHER):
-        stop = min(start + TOGETHER, image.shape[2])
-        values = torch.from_numpy(at(source, start, stop))
-        image[..., start:stop] = rasterize(gaussians, values, camera).values.float().numpy()
+    images = np.empty((len(scales), camera.height, camera.width, width), np.float32)
+    for at, image in zip(scales, images, strict=True):
+        for start in range(0, width, TOGETHER):
+            stop = min(start + TOGETHER, width)
+            values = torch.from_numpy(at(source, start, stop))
+            image[..., start:stop] = rasterize(gaussians, values, camera).values.float().numpy()
+    return images
 
 
 def reduced(camera: Camera, numbers: int) -> Camera:
@@ -63,6 +66,4 @@ def reduced(camera: Camera, numbers: int) -> Camera:
     factor = 1
     while camera.height * camera.width * numbers > MOST_NUMBERS * factor**2:
         factor *= 2
-    if factor == 1:
-        return camera
     return camera.resized(max(camera.width // factor, 1), max(camera.height // factor, 1))

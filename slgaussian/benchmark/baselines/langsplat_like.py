@@ -4,13 +4,12 @@ LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code a Ga
 three granularities of masks. Here the Gaussians are the predicted ones, each has the code of its
 source pixel, and there is one granularity: the masks that the other methods have too. In the
 paper's ablation that is the row with the feed-forward model alone; with masks that agree across
-views it is the row above the last; and with Gaussians and codes that are optimised for the
-photographs, by gradients through the rasteriser, the first.
+views it is the row above the last.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,9 +18,7 @@ from slgaussian.benchmark.baselines.autoencoder import Autoencoder, train_autoen
 from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.benchmark.baselines.optimised import fit_vectors, optimise, small
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import seed_for
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -37,25 +34,15 @@ class LangSplatLike:
         Whether masks are those that agree across views, or each view's own. Each view keeps its own
         vector of an object in either case.
     steps : int
-        Of the autoencoder's training.
-    fit : int
-        Steps in which Gaussians, and then codes, are optimised for the photographs; with 0 they are
-        the predicted ones, each with the code of its pixel.
-
-    Raises
-    ------
-    InputError
-        If ``steps`` is below 1, or ``fit`` below 0.
+        Of the autoencoder's training; InputError below 1.
     """
 
     association: bool = False
     steps: int = 1000
-    fit: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("steps", 1), ("fit", 0)):
-            if (value := getattr(self, name)) < least:
-                raise InputError(f"langsplat-like {name}: found {value}, expected at least {least}")
+        if self.steps < 1:
+            raise InputError(f"langsplat-like steps: found {self.steps}, expected at least 1")
 
     def __call__(self, inputs: Inputs) -> _Codes:
         """Train the autoencoder of a scene, and give each Gaussian its code."""
@@ -68,34 +55,23 @@ class LangSplatLike:
         table[1:, :, 3] = bank.present
         rows = np.searchsorted(bank.ids, labels.labels) + 1
         rows[labels.labels == 0] = 0
-        if not self.fit:
-            carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
-            return _Codes(inputs, inputs.gaussians, network, np.concatenate(carried))
-        context = inputs.sample.context
-        gaussians, _ = optimise(context, self.fit)
-        seen = [
-            small(replace(view, instances=own)) for view, own in zip(context, rows, strict=True)
-        ]
-        images = [table[view.instances, v] for v, view in enumerate(seen)]
-        fitted, _ = fit_vectors(gaussians, [view.camera for view in seen], images, self.fit)
-        return _Codes(inputs, gaussians, network, fitted)
+        carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
+        return _Codes(inputs, network, np.concatenate(carried))
 
 
 @dataclass(frozen=True, eq=False)
 class _Codes:
-    """``carried`` float32 [S, 4], by the sources of the Gaussians: a code and 1, or zeros."""
+    """``carried`` float32 [V * H * W, 4], by context pixel: a code and 1, or zeros."""
 
     inputs: Inputs
-    gaussians: Gaussians
     network: Autoencoder
     carried: np.ndarray
 
     def render(self, camera: Camera) -> DenseView:
-        gaussians = self.gaussians
+        gaussians = self.inputs.gaussians
         picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.inputs.bank.features.shape[2])
-        drawn = np.empty((small.height, small.width, 4), np.float32)
-        draw_vectors(gaussians, small, self._at, drawn)
+        drawn = draw_vectors(gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)
@@ -103,6 +79,3 @@ class _Codes:
         whole = camera.width, camera.height
         seen = cv2.resize(drawn[..., 3], whole, interpolation=cv2.INTER_LINEAR) >= VISIBLE
         return DenseView(picture.rgb, picture.depth, self.inputs.reader, seen, vectors)
-
-    def _at(self, pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
-        return self.carried[pixels, start:stop]

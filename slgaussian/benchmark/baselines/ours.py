@@ -1,4 +1,4 @@
-"""The field itself, and its ablations: other strategies, no mask association, no bank of views."""
+"""The field itself, and its ablations: no mask association, no bank of views."""
 
 from __future__ import annotations
 
@@ -7,49 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.errors import InputError, did_you_mean
 from slgaussian.field import SemanticField
 from slgaussian.kernels.seeding import rng_for
-from slgaussian.labels import LabelMaps
-from slgaussian.language import CODES, load_codes
+from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
-from slgaussian.semantic import LIFTINGS, load_lifting
+from slgaussian.semantic import load_lifting
 
 
 @dataclass(frozen=True)
 class Ours:
-    """The field, as it is or lifted anew with another strategy.
-
-    Attributes
-    ----------
-    lifting, codes : str, optional
-        By name, where not those of the field.
-
-    Raises
-    ------
-    InputError
-        If there is no lifting or strategy of that name.
-    """
-
-    lifting: str | None = None
-    codes: str | None = None
-
-    def __post_init__(self) -> None:
-        for name, table in (("lifting", LIFTINGS), ("codes", CODES)):
-            value = getattr(self, name)
-            if value is not None and value not in table:
-                raise InputError(
-                    f"slgaussian {name}: found {value!r}, expected one of {', '.join(table)}"
-                    f"{did_you_mean(value, table)}"
-                )
+    """The field, as it was built."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """Return the field, lifted anew where a strategy is another."""
-        lifting, codes = _strategies(inputs)
-        changed = self.lifting or lifting, self.codes or codes
-        if changed == (lifting, codes):
-            return inputs.field
-        return lift_again(inputs, inputs.label_maps, inputs.bank, *changed)
+        """Return the field."""
+        return inputs.field
 
 
 @dataclass(frozen=True)
@@ -57,10 +28,17 @@ class NoAssociation:
     """Ablation: the masks of each view are objects of their own, known from that view only."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """Lift the labels that each view was given on its own."""
+        """Lift the labels that each view was given on its own, as the field was lifted."""
         geometry, labels = inputs.geometry, inputs.own_labels
         bank = inputs.look_at(geometry.seen, labels, geometry.surroundings, grouped=True)
-        return lift_again(inputs, labels, bank, *_strategies(inputs))
+        used = {"lifting": "hard", "codes": "separated"} | dict(inputs.field.settings)
+        codes = load_codes(used["codes"], **inputs.settings.get(used["codes"], {}))
+        drawn = codes(labels, rng_for(inputs.seed, inputs.sample.content, "codes"))
+        bank = replace(bank, codes=drawn)
+        lift = load_lifting(used["lifting"], **inputs.settings.get(used["lifting"], {}))
+        return inputs.field.changed(
+            gaussians=lift(inputs.gaussians, labels, bank), bank=bank, settings=used
+        )
 
 
 @dataclass(frozen=True)
@@ -94,27 +72,3 @@ def _mean(features: np.ndarray, present: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(total, axis=1, keepdims=True)
     mean = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return mean.astype(np.float16).astype(np.float32)[:, None]
-
-
-def lift_again(
-    inputs: Inputs, label_maps: LabelMaps, bank: MemoryBank, lifting: str, codes: str
-) -> SemanticField:
-    """Make a field of the same Gaussians with other objects or strategies.
-
-    ``bank`` is of the objects of ``label_maps``; its codes are drawn anew.
-    """
-    strategy = load_codes(codes, **inputs.settings.get(codes, {}))
-    drawn = strategy(label_maps, rng_for(inputs.seed, inputs.sample.content, "codes"))
-    bank = replace(bank, codes=drawn)
-    lift = load_lifting(lifting, **inputs.settings.get(lifting, {}))
-    return inputs.field.changed(
-        gaussians=lift(inputs.gaussians, label_maps, bank),
-        bank=bank,
-        settings={**inputs.field.settings, "lifting": lifting, "codes": codes},
-    )
-
-
-def _strategies(inputs: Inputs) -> tuple[str, str]:
-    """Return lifting and code strategy of the field."""
-    settings = inputs.field.settings
-    return settings.get("lifting", "hard"), settings.get("codes", "separated")

@@ -72,19 +72,14 @@ class Answer:
     relevancy: np.ndarray
     within: float
     unknown: tuple
-    objects: tuple = ()
 
     @property
     def mask(self):
         return self.relevancy > self.within
 
     @property
-    def peak(self):
-        return self.relevancy == self.relevancy.max()
-
-    @property
     def point(self):
-        row, column = np.argwhere(self.peak)[0]
+        row, column = np.argwhere(self.relevancy == self.relevancy.max())[0]
         return int(column), int(row)
 
     @property
