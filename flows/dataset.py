@@ -31,7 +31,7 @@ from slgaussian.datasets.scene_grouping import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, write_atomic
-from slgaussian.semantic.split import held_out
+from slgaussian.kernels.seeding import held_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.all_masks import all_masks
 from tasks.choices import choices

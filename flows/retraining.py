@@ -278,7 +278,7 @@ def learn(
         if clips is not None:
             forgotten = forgotten_by(versions, incumbent, clips, failed)
     given = settings.codes, settings.seed, None if forgotten else start, store, verbose
-    trained = train_on(lessons, settings, *given, rival=start, readers=settings.readers)
+    trained = train_on(lessons, settings, *given, rival=start)
     trained.write(settings.out, store, before)
     judgements = trained.judgements
     found = gate(judgements, rivals)

@@ -25,10 +25,11 @@ from slgaussian import __version__
 from slgaussian.datasets.training_set import INDEX, SPLITS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import file_sha256, write_atomic
-from slgaussian.semantic.branch import Architecture, find_weights, load_branch, save_branch
-from slgaussian.semantic.split import held_out
+from slgaussian.kernels.seeding import held_out
+from slgaussian.semantic.branch import Architecture, load_branch, save_branch
 from slgaussian.semantic.training import found_device
 from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -134,9 +135,7 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
                 "leave out --architecture, or --from"
             )
     common = config.codes, config.seed, start, store, verbose
-    trained = train_on(
-        lessons, config, *common, architecture=chosen, readers=config.readers, card=card
-    )
+    trained = train_on(lessons, config, *common, architecture=chosen, card=card)
     trained.write(config.out, store)
     return trained
 
@@ -184,7 +183,7 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
 
 
 def parted(lessons: pa.Table, share: float) -> Parted:
-    """Lessons of clips to train on and of clips held out (:mod:`slgaussian.semantic.split`).
+    """Lessons of clips to train on, and of those that are :func:`held out <held_out>`.
 
     In an order that does not depend on which chunk they are in.
 
@@ -220,7 +219,6 @@ def train_on(
     verbose: bool,
     architecture: Architecture | None = None,
     rival: Path | None = None,
-    readers: int = 0,
     card: str = "",
 ) -> Trained:
     """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
@@ -256,7 +254,7 @@ def train_on(
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
-    asked = learnt, held_out, began, before, settings, manifest, checkpoints, readers
+    asked = learnt, held_out, began, before, settings, manifest, checkpoints
     task = SceneTask("branch", learn_and_judge, asked)
     with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
         made, failure = compute_scene(task, store, 1, progress.update)
@@ -306,11 +304,10 @@ def learn_and_judge(
     settings: TrainingSettings,
     manifest: Mapping[str, Any],
     checkpoints: Path,
-    readers: int,
 ) -> None:
     """Learn, be judged on what was held out, and report: the stages of a training."""
     asked = settings.codes, settings.seed
-    branch = train_stage(learnt, start, settings, checkpoints, readers)
+    branch = train_stage(learnt, start, settings, checkpoints)
     judgements = judge(held_out, branch, before, *asked)
     training_report(judgements, held_out, branch, *asked, manifest)
 

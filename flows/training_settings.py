@@ -61,20 +61,12 @@ class Training(BaseModel):
     )
 
 
-class Reading(BaseModel):
-    """How lessons are read, on which no result depends."""
-
-    model_config = ConfigDict(title="The training")
-
-    readers: int = Field(0, ge=0, description="Processes that read lessons ahead.")
-
-
 # Settings that are those of other commands, declared there.
 _METHOD: dict[str, Any] = dict(Method.model_fields)
 _CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
 
 
-class TrainSettings(Training, Reading):
+class TrainSettings(Training):
     """A training on lessons that are there already."""
 
     model_config = ConfigDict(title="The training")
@@ -109,7 +101,7 @@ class GrowingSet(SetSettings):
     out: Path = Field(description="Folder of the training set.")
 
 
-class RetrainSettings(Training, Reading, CorpusSettings):
+class RetrainSettings(Training, CorpusSettings):
     """A corpus that grows, and the weights that are kept of it."""
 
     model_config = ConfigDict(title="The training")

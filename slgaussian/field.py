@@ -34,7 +34,7 @@ from slgaussian.language.query import (
 )
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.scene import Camera
-from slgaussian.semantic.fringe import fringe
+from slgaussian.semantic.boundary_gaussians import boundary_gaussians
 from slgaussian.storage import field_folder
 from slgaussian.storage.encoding import Arrays, arrays_digest, packed
 from slgaussian.storage.field_folder import About
@@ -484,10 +484,7 @@ class SemanticField:
 
     @cached_property
     def gone(self) -> np.ndarray:
-        """bool [N]: the Gaussians of removed objects and of their fringes.
-
-        See :mod:`slgaussian.semantic.fringe`.
-        """
+        """bool [N]: the Gaussians of removed objects and along their boundaries."""
         ids = list(self.removed)
         gone = np.isin(self.labels(), ids)
         if not gone.any():
@@ -496,7 +493,7 @@ class SemanticField:
         held = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
         views = [view for view in np.flatnonzero(held).tolist() if view < len(cameras)]
         seen = [self._seen_whole(view) for view in views]
-        edge = fringe(
+        edge = boundary_gaussians(
             self.gaussians.to_arrays()["means"],
             gone,
             [cameras[view] for view in views],

@@ -12,9 +12,8 @@ from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting
 from slgaussian.semantic.corruption import corrupt
-from slgaussian.semantic.filled import Filled
-from slgaussian.semantic.hard import HardIndex
-from slgaussian.semantic.judge import label_iou
+from slgaussian.semantic.evaluation import label_iou
+from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore

@@ -14,19 +14,18 @@ from tasks.learning import StoredLessons, branch_from_arrays, branch_to_arrays
 from tasks.stage import stage
 
 
-@stage("train", version=2, unkeyed=("checkpoints", "readers"))
+@stage("train", version=2, unkeyed=("checkpoints",))
 def train(
     run: RunContext,
     lessons: ArtifactRef,
     start: ArtifactRef | None,
     settings: TrainingSettings,
     checkpoints: Path,
-    readers: int = 0,
 ) -> ArtifactRef:
     """Weights of the semantic branch: spec ``weights``.
 
     ``start`` are weights to begin from. ``checkpoints`` is a local folder in which an interrupted
-    training of this very key goes on. ``readers`` are processes that read lessons ahead.
+    training of this very key goes on.
     ``meta["metrics"]`` is the place of the metrics in the store.
     """
 
@@ -44,7 +43,6 @@ def train(
         folder,
         None if start is None else branch_from_arrays(store.get(start)),
         tell,
-        readers,
     )
     metrics = store.put("metrics", trained.metrics)
     meta = {"metrics": {"uri": metrics.uri, "digest": metrics.digest}, "parts": [metrics.uri]}

@@ -11,7 +11,7 @@ import pyarrow as pa
 from slgaussian.benchmark.reports import training
 from slgaussian.benchmark.reports.training import Example
 from slgaussian.semantic import Lifting
-from slgaussian.semantic.judge import novel_labels
+from slgaussian.semantic.evaluation import novel_labels
 from slgaussian.storage.store import ArtifactRef
 from tasks.context import RunContext
 from tasks.judge import labels_of, liftings

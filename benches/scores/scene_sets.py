@@ -27,7 +27,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Sample
-from slgaussian.semantic.code_images import code_images
+from slgaussian.semantic.hard import code_images
 
 PLACES = ("dining", "castle", "kitchen", "bonsai", "street", "lounge")
 UNSEEN = range(40, 60)

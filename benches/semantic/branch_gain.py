@@ -34,11 +34,10 @@ from slgaussian.semantic.branch import (
     save_branch,
 )
 from slgaussian.semantic.corruption import KINDS, corrupt
-from slgaussian.semantic.filled import Filled
-from slgaussian.semantic.hard import HardIndex
-from slgaussian.semantic.judge import label_iou
+from slgaussian.semantic.cross_view_labels import match_across_views
+from slgaussian.semantic.evaluation import label_iou
+from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.others import find_others
 from slgaussian.semantic.training import train
 from slgaussian.semantic.training_settings import TrainingSettings
 
@@ -113,7 +112,7 @@ def parts(lesson: Lesson) -> list[dict]:
     for widths in SPEED_WIDTHS:
         branch = Branch(Architecture(widths))
         optimiser = torch.optim.AdamW(branch.parameters(), foreach=False)
-        near, others = spent(lambda: find_others(lesson.gaussians, lesson.labels.shape))
+        near, others = spent(lambda: match_across_views(lesson.gaussians, lesson.labels.shape))
 
         def look(others=others) -> torch.Tensor:
             codes = load_codes("separated")(maps, rng_for(0, "", ""))

@@ -48,14 +48,17 @@ def doctor(
     slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
     slgaussian doctor --components
     """
-    from slgaussian.components.catalogue import as_text
+    from slgaussian.components.catalogue import list_components
     from slgaussian.components.intact import check_component
     from slgaussian.kernels import threads
 
     if components and schema:
         raise InputError("doctor: --components and --schema are two outputs; choose one")
     if components or schema:
-        typer.echo(as_text() if components else json.dumps(Settings.model_json_schema(), indent=1))
+        text = (
+            list_components() if components else json.dumps(Settings.model_json_schema(), indent=1)
+        )
+        typer.echo(text)
         return
     settings = make_settings(options.settings_from(ctx), "doctor")
     opened, tables = list[Any](), settings.component_values()

@@ -72,13 +72,13 @@ class Component:
         identity : mapping
             Of a whole method, as :meth:`slgaussian.components.method.Method.identity` gives it, or
             of some of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
-        places : {setting: place}, optional
+        places : {field: place}, optional
             Where its files are. One of which no digest is known may be any.
 
         Raises
         ------
         InputError
-            If there is no such part, or it has no such setting.
+            If there is no such component, or it has no such field.
         """
         name, places = identity[kind], places or {}
         config = find_config(kind, name)
@@ -101,18 +101,18 @@ class Component:
         return find_config(self.kind, self.name).implementation()
 
     def identity(self) -> dict[str, Any]:
-        """The settings as artifacts and cache keys hold them: plain, files by content."""
+        """Return the settings as artifacts and cache keys hold them: plain, files by content."""
         return {
             key: value.digest if isinstance(value, KnownFile) else value
             for key, value in self.settings.items()
         }
 
     def places(self) -> dict[str, str]:
-        """Where its files are, by the name of the setting."""
+        """Return where its files are, by field."""
         return {key: known.place for key, known in self.files.items() if known.place}
 
     def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
-        """The settings, files by place; InputError as :meth:`load`."""
+        """Return the settings, files by place; InputError as :meth:`load`."""
         marks = find_config(self.kind, self.name).files()
         places = {
             key: known.checked(key, marks[key].digest, otherwise)

@@ -75,8 +75,7 @@ class ComponentConfig(BaseModel):
 
     def load(self) -> Any:
         """Return the component, ready to work; raises as its implementation does."""
-        made = self.implementation()
-        return self if isinstance(self, made) else made(**dict(self))
+        return self if self.target is None else self.implementation()(**dict(self))
 
 
 def expected(config: type[ComponentConfig], name: str) -> str:

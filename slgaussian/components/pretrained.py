@@ -17,6 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from slgaussian.components.hub_cache import hub_download, is_hub_name
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats import strict_json
@@ -99,7 +100,12 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
         )
     found = find_model(model)
     if found.checkpoint is None:
-        _check_type(found.folder, family)
+        kind = read_json(found.folder / CONFIG).get("model_type")
+        if kind not in family.types:
+            raise InputError(
+                f"model {found.folder}: is of type {kind!r}, but {part} needs "
+                f"{' or '.join(map(repr, family.types))}, such as {family.example}"
+            )
     elif family.convert is None:
         raise InputError(
             f"model {model}: is a file, or of open_clip; {part} expected a folder with {CONFIG} "
@@ -244,18 +250,12 @@ def _from_hub(
 ) -> Path:
     """The hub's cached folder of a name; the first of the ``wanted`` files that pass the check."""
     name = str(name)
-    if name.count("/") != 1 or name.startswith((".", "~", "/")):
+    if not is_hub_name(name):
         raise InputError(
             f"{kind} {name}: there is no such folder; expected {expected}, or a name on the hub, "
             "such as OWNER/NAME"
         )
-    try:
-        from huggingface_hub import snapshot_download
-    except ImportError as problem:
-        raise InputError(
-            f"{kind} {name}: is no folder, and the hub needs the package huggingface_hub "
-            f"({problem}); install it with {install_line('models')}"
-        ) from None
+    snapshot_download = hub_download(f"{kind} {name}")
     with contextlib.suppress(OSError, ValueError, InputError):
         cached = Path(snapshot_download(name, local_files_only=True))
         check(cached)
@@ -345,15 +345,6 @@ def _found(folder: Path) -> ModelFiles:
                 f"transformers writes it, with {CONFIG} and {WEIGHTS}"
             )
     return ModelFiles(folder, tuple(files))
-
-
-def _check_type(folder: Path, family: Family) -> None:
-    found = read_json(folder / CONFIG).get("model_type")
-    if found not in family.types:
-        raise InputError(
-            f"model {folder}: is of type {found!r}, but {family.part} needs "
-            f"{' or '.join(map(repr, family.types))}, such as {family.example}"
-        )
 
 
 def read_json(file: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Find the implementation that a name stands for, importing it only then.
 
-Parts of this package stand in tables, those of others are their entry points.
+Those of this package stand in tables, those of others are their entry points.
 """
 
 from __future__ import annotations
@@ -21,95 +21,80 @@ from slgaussian.errors import InputError, did_you_mean
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of part.
+    """A kind of component.
 
     Attributes
     ----------
-    table : str
-        ``"package.module:NAME"`` of the table of its built-in parts.
-    group : str
-        The group of entry points by which other packages bring such parts.
-    called : str
-        In sentences.
+    package : str
+        The package of ``slgaussian`` whose table has the built-in ones.
+    plural : str
+        What the table (in capitals) and the entry points of other packages are called.
     default : str
-        The part that is taken if none is named.
+        The component that is taken if none is named.
     help : str
-        What such a part does, for users.
+        What such a component does, for users.
     """
 
-    table: str
-    group: str
-    called: str
+    package: str
+    plural: str
     default: str
     help: str
+
+    @property
+    def table(self) -> Mapping[str, str]:
+        """The built-in components: ``"package.module:attribute"`` by name."""
+        return getattr(import_module(f"slgaussian.{self.package}"), self.plural.upper())
+
+    @property
+    def group(self) -> str:
+        """The group of entry points by which other packages bring such components."""
+        return f"slgaussian.{self.plural}"
 
 
 KINDS = {
     "predictor": Kind(
-        "slgaussian.predict:PREDICTORS",
-        "slgaussian.predictors",
-        "predictor",
-        "planesweep",
-        "What makes Gaussians of photographs.",
+        "predict", "predictors", "planesweep", "What makes Gaussians of photographs."
     ),
-    "proposer": Kind(
-        "slgaussian.masks:PROPOSERS",
-        "slgaussian.proposers",
-        "mask proposer",
-        "regions",
-        "What finds object masks in a photograph.",
-    ),
-    "tracker": Kind(
-        "slgaussian.masks:TRACKERS",
-        "slgaussian.trackers",
-        "mask tracker",
-        "geometric",
-        "What carries masks from view to view.",
-    ),
+    "proposer": Kind("masks", "proposers", "regions", "What finds object masks in a photograph."),
+    "tracker": Kind("masks", "trackers", "geometric", "What carries masks from view to view."),
     "encoder": Kind(
-        "slgaussian.language:ENCODERS",
-        "slgaussian.encoders",
-        "encoder",
-        "lexicon",
-        "What turns regions and words into vectors.",
+        "language", "encoders", "lexicon", "What turns regions and words into vectors."
     ),
     "codes": Kind(
-        "slgaussian.language:CODES",
-        "slgaussian.codes",
-        "code strategy",
+        "language",
+        "codes",
         "separated",
         "How objects get ID codes (grid as in the paper, exact without any).",
     ),
-    "lifting": Kind(
-        "slgaussian.semantic:LIFTINGS",
-        "slgaussian.liftings",
-        "lifting",
-        "hard",
-        "What gives Gaussians their ID codes.",
-    ),
+    "lifting": Kind("semantic", "liftings", "hard", "What gives Gaussians their ID codes."),
 }
-"""The kinds of parts of the method, in the order in which they work."""
+"""The kinds of components of the method, in the order in which they work."""
 
 
 def names_of(kind: str) -> tuple[str, ...]:
-    """The parts that there are of one of :data:`KINDS`; none of them is imported."""
-    return tuple({**_table(kind), **brought(KINDS[kind].group)})
+    """Return the names of the components of one of :data:`KINDS`; none of them is imported."""
+    return tuple({**KINDS[kind].table, **brought(KINDS[kind].group)})
 
 
 def find_config(kind: str, name: str) -> type[ComponentConfig]:
-    """Return the config class of the part of a kind and name.
+    """Return the config class of the component of a kind and name.
 
     What is registered and is none, a class or function, becomes the target of one without fields.
 
     Raises
     ------
     InputError
-        As :func:`resolve`, or if a part of another package has the name of one that is built in.
+        As :func:`resolve`, or if a component of another package has the name of a built-in one.
     """
-    known = KINDS[kind]
-    if name in brought(known.group):
-        _refuse_clash(known, name)
-    found = resolve(known.called, _table(kind), name, known.group)
+    group = KINDS[kind].group
+    for built_in in KINDS if name in brought(group) else ():
+        if name in KINDS[built_in].table:
+            raise InputError(
+                f"{kind} {name!r}: the package {_owner(brought(group)[name])} brings one, but a "
+                f"{built_in} of this name is built in; remove that package, or have its entry "
+                "point renamed"
+            )
+    found = resolve(kind, KINDS[kind].table, name, group)
     if isinstance(found, type) and issubclass(found, ComponentConfig):
         return found
 
@@ -121,7 +106,7 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
 
 
 def load_component(kind: str, name: str, values: Mapping[str, Any]) -> Any:
-    """Return the part of a kind and name with these values; raises as it and :func:`find_config`.
+    """Return the component of a kind and name with these values; raises as it and `find_config`.
 
     Values are fields of its config, or what its implementation takes besides, such as a device.
     """
@@ -160,22 +145,20 @@ def resolve(called: str, table: Mapping[str, str], name: str, group: str | None 
 
 @cache
 def brought(group: str) -> Mapping[str, EntryPoint]:
-    """The entry points of a group by name, in alphabetical order; nothing is imported."""
+    """Return the entry points of a group by name, in alphabetical order; nothing is imported."""
     return {found.name: found for found in sorted(_installed().select(group=group))}
 
 
-@cache
-def _installed() -> Any:  # what it is called depends on the version of Python
-    return entry_points()  # which reads a file of every package
+_installed = cache(entry_points)  # it reads a file of every package
 
 
 @cache
 def known_by(group: str, name: str) -> str:
-    """What a part that another package brings is known by, "" for any other: package, version and
-    the SHA-256 of its Python files, since code changes more often than versions do.
+    """Return what identifies an object that another package brings, "" for any other.
 
-    The files are those of the package or module that the entry point begins with; nothing of it is
-    imported.
+    Package, version and the SHA-256 of its Python files, since code changes more often than
+    versions do. The files are those of the package or module that the entry point begins with;
+    nothing of it is imported.
     """
     if name not in brought(group):
         return ""
@@ -192,28 +175,9 @@ def known_by(group: str, name: str) -> str:
     for place, file in sorted((str(place), file) for place, file in files):
         for part in (place.encode("utf-8", "surrogateescape"), file.read_bytes()):
             content.update(len(part).to_bytes(8, "little") + part)
-    return f"{_owner(found)} {_version(found)} {content.hexdigest()}"
-
-
-def _refuse_clash(known: Kind, name: str) -> None:
-    """InputError if what another package brings has the name of a built-in part of any kind."""
-    for kind in KINDS:
-        if name in _table(kind):
-            raise InputError(
-                f"{known.called} {name!r}: the package {_owner(brought(known.group)[name])} brings "
-                f"one, but a {KINDS[kind].called} of this name is built in; remove that package, "
-                "or have its entry point renamed"
-            )
+    version = found.dist.version if found.dist is not None else "?"
+    return f"{_owner(found)} {version} {content.hexdigest()}"
 
 
 def _owner(found: EntryPoint) -> str:
     return found.dist.name if found.dist is not None else found.module
-
-
-def _version(found: EntryPoint) -> str:
-    return found.dist.version if found.dist is not None else "?"
-
-
-def _table(kind: str) -> Mapping[str, str]:
-    module, table = KINDS[kind].table.split(":")
-    return getattr(import_module(module), table)

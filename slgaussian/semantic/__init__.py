@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the names of the liftings are asked for where nobody waits 
 
 LIFTINGS = {
     "hard": "slgaussian.semantic.hard:HardIndex",
-    "filled": "slgaussian.semantic.filled:Filled",
+    "filled": "slgaussian.semantic.hard:Filled",
     "branch": "slgaussian.semantic.configs:BranchConfig",
 }
 

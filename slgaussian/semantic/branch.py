@@ -5,10 +5,10 @@ all added to the input, then an MLP for each pixel, whose output is the feature 
 that come from it. The last layers start at zero, so that an untrained branch is the control
 without a network, :class:`slgaussian.semantic.hard.HardIndex`.
 
-One that also sees the other views (:mod:`slgaussian.semantic.others`) is given label images in
-which pixels without an object took that of their other, and what the others say beside them, which
-it may take a part of. Untrained, it is :class:`slgaussian.semantic.filled.Filled`. That is beyond
-the paper.
+One that also sees the other views (:mod:`slgaussian.semantic.cross_view_labels`) is given label
+images in which pixels without an object took that of their match in another view, and beside them
+what that view says, of which it may take a part. Untrained, it is
+:class:`slgaussian.semantic.hard.Filled`. That is beyond the paper.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
-from slgaussian.semantic.code_images import code_images
-from slgaussian.semantic.others import Others, find_others
-from slgaussian.semantic.versions import weights_in
+from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
+from slgaussian.semantic.hard import code_images
+from slgaussian.semantic.versions import find_weights
 
 DIMENSION = 3
 """Numbers an ID code, as in the paper."""
@@ -158,34 +158,32 @@ class BranchLifting:
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; InputError for codes not of three numbers."""
         wanted = self.branch.architecture.others
-        others = find_others(gaussians, label_maps.labels.shape) if wanted else None
+        others = match_across_views(gaussians, label_maps.labels.shape) if wanted else None
         images = input_images(label_maps.labels, bank.ids, bank.codes, others)
         with torch.no_grad(), inside(self.branch):
             features = features_of(self.branch, images, gaussians.source)
         return replace(gaussians, features=features)
 
 
-def find_weights(place: str | Path) -> Path:
-    """The file of weights that a place stands for.
-
-    Parameters
-    ----------
-    place : str or path
-        A file that :func:`save_branch` wrote, or a folder of versions, of which it is the one in
-        use (:mod:`slgaussian.semantic.versions`).
+def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
+    """Return the lifting by the network of a file or folder of weights.
 
     Raises
     ------
     InputError
-        If no version is in use.
-    SpecError
-        If the version in use is damaged.
+        If none are given, there are none, or they are damaged.
     """
-    return weights_in(place) if Path(place).is_dir() else Path(place)
+    if weights is None:
+        raise InputError(
+            "lifting 'branch': no weights are given; train some with `slgaussian train` and "
+            "give the file, as --set branch.weights=trained/branch.safetensors, or choose the "
+            "lifting 'hard'"
+        )
+    return BranchLifting(load_branch(find_weights(weights)))
 
 
 def input_images(
-    labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: Others | None
+    labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: CrossViewLabels | None
 ) -> torch.Tensor:
     """What a branch looks at.
 
@@ -195,7 +193,7 @@ def input_images(
         Of the context views.
     ids, codes : int32 [N], float32 [N, 3]
         The ID code of each object.
-    others : Others, optional
+    others : CrossViewLabels, optional
         If the architecture wants them.
 
     Returns
@@ -231,40 +229,28 @@ def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> t
 def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> bytes:
     """The weights and the architecture as a safetensors file; the same branch, the same bytes.
 
-    ``trained`` is plain data that says where the weights come from; :func:`provenance` reads it.
+    ``trained`` is plain data that says where the weights come from.
     """
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
     told = {} if trained is None else {"trained": dict(trained)}
     return encode_tensors(tensors, {"architecture": asdict(branch.architecture), **told})
 
 
-def provenance(path: str | Path) -> dict[str, Any]:
-    """What a file of weights says of its training: data, settings, metrics, software.
-
-    Empty if it says nothing; InputError if it cannot be read.
-    """
-    return dict(read_tensors(path)[1].get("trained", {}))
-
-
-def load_branch(path: str | Path, expected: Architecture | None = None) -> Branch:
+def load_branch(path: str | Path) -> Branch:
     """Read what :func:`save_branch` wrote, ready to infer.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no branch, or is not of the ``expected`` architecture.
+        If the file cannot be read, or is no branch.
     """
-    tensors, about = read_tensors(path)
-    return branch_of(tensors, about, path, expected)
+    return branch_of(*read_tensors(path), path)
 
 
 def branch_of(
-    tensors: Mapping[str, torch.Tensor],
-    about: Mapping[str, Any],
-    path: str | Path,
-    expected: Architecture | None = None,
+    tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any], path: str | Path
 ) -> Branch:
-    """The branch of named tensors; see :func:`load_branch`."""
+    """Return the branch of named tensors; see :func:`load_branch`."""
     try:
         given = about["architecture"]
         architecture = Architecture(**{**given, "widths": tuple(given["widths"])})
@@ -273,11 +259,6 @@ def branch_of(
             f"weights {path}: does not say which branch it is of, expected a file that "
             "`slgaussian train` wrote"
         ) from None
-    if expected is not None and architecture != expected:
-        raise InputError(
-            f"weights {path}: is of another architecture ({_differences(architecture, expected)}); "
-            "train with that one, or begin without these weights"
-        )
     try:
         with torch.device("meta"):
             branch = Branch(architecture)
@@ -317,12 +298,3 @@ def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, A
             f"weights {path}: cannot be read ({error}); expected a safetensors file that "
             "`slgaussian train` wrote"
         ) from None
-
-
-def _differences(found: Architecture, expected: Architecture) -> str:
-    mine, theirs = asdict(found), asdict(expected)
-    return ", ".join(
-        f"{name} {mine[name]} instead of {theirs[name]}"
-        for name in mine
-        if mine[name] != theirs[name]
-    )

@@ -105,7 +105,7 @@ def load_checkpoint(
             f"checkpoint {file}: is damaged ({str(error)[:200]}); begin in an empty folder"
         ) from None
     architecture = {"architecture": run["architecture"]}
-    loaded = branch_of(parts["branch"], architecture, file, branch.architecture)
+    loaded = branch_of(parts["branch"], architecture, file)
     branch.load_state_dict(loaded.state_dict())
     groups = optimiser.state_dict()["param_groups"]
     optimiser.load_state_dict({"state": state, "param_groups": groups})

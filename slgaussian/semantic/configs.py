@@ -13,7 +13,7 @@ from slgaussian.io import file_digest
 
 def weights_digest(place: str | Path) -> str:
     """Compute the SHA-256 of the file of weights that is meant by a place; raises as its search."""
-    from slgaussian.semantic.branch import find_weights
+    from slgaussian.semantic.versions import find_weights
 
     return file_digest(find_weights(place))
 
@@ -21,7 +21,7 @@ def weights_digest(place: str | Path) -> str:
 class BranchConfig(ComponentConfig, title="branch"):
     """The lifting by the network of a file of weights; the package has none."""
 
-    target = "slgaussian.semantic.trained:TrainedBranch"
+    target = "slgaussian.semantic.branch:load_branch_lifting"
 
     weights: Annotated[Path | None, File(weights_digest)] = Field(
         None,

@@ -17,8 +17,7 @@ such matrices, which is a tenth of a step, and longer than now on others.
 Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
 a training stands is its number of steps. PyTorch computes on a given number of threads here, one
 unless said. Its sums of weight gradients depend on how many share the work; the splat's do not. So
-the bytes depend on neither the machine's cores nor interruptions, nor on how many processes read
-lessons ahead, on one kind of processor.
+the bytes depend on neither the machine's cores nor interruptions, on one kind of processor.
 
 On another device than the processor the network is there, and the splat is not. None has been
 tried.
@@ -44,6 +43,7 @@ from slgaussian.kernels.threads import fixed
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.rasterize.planned import plan
+from slgaussian.semantic.batch_sampler import Draw, draw_batch
 from slgaussian.semantic.branch import (
     Architecture,
     Branch,
@@ -52,10 +52,9 @@ from slgaussian.semantic.branch import (
     save_branch,
 )
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
-from slgaussian.semantic.code_images import code_images
-from slgaussian.semantic.draws import Draw, read_ahead
+from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
+from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.others import Others, find_others
 from slgaussian.semantic.training_settings import TrainingSettings
 
 WARM_UP = 0.05
@@ -91,7 +90,6 @@ def train(
     folder: Path,
     start: Branch | None = None,
     progress: Callable[[Progress], None] | None = None,
-    readers: int = 0,
 ) -> Trained:
     """Train a branch, or go on where a training in ``folder`` was interrupted.
 
@@ -107,9 +105,6 @@ def train(
         Trained weights to begin from, otherwise seeded ones.
     progress : callable, optional
         Told of every step.
-    readers : int
-        Processes that read lessons ahead and look for what other views say; without any it is done
-        in between. ``lessons`` then goes to them, and so must be picklable.
 
     Raises
     ------
@@ -147,9 +142,9 @@ def train(
     )
     place = load_checkpoint(folder, branch, optimiser, run)
     rows, begun = place.rows, time.perf_counter()
-    draws = read_ahead(lessons, settings, place.step, readers)
     with fixed(settings.threads):
-        for step, drawn in enumerate(draws, place.step):
+        for step in range(place.step, settings.steps):
+            drawn = draw_batch(lessons, settings, step)
             rows.append(_step(branch.train(), optimiser, drawn, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
                 save_checkpoint(folder, branch, optimiser, run, rows)
@@ -180,7 +175,7 @@ def loss_of(
     views: Sequence[int],
     codes: str,
     rng: Any,
-    others: Others | None = None,
+    others: CrossViewLabels | None = None,
 ) -> torch.Tensor:
     """Mean squared error of some of the target views of a lesson.
 
@@ -196,7 +191,7 @@ def loss_of(
         Code strategy by name.
     rng : numpy Generator
         Decides the codes.
-    others : Others, optional
+    others : CrossViewLabels, optional
         Of this lesson, if they were looked for already.
 
     Returns
@@ -209,7 +204,7 @@ def loss_of(
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
     if others is None and branch.architecture.others:
-        others = find_others(lesson.gaussians, labels.shape)
+        others = match_across_views(lesson.gaussians, labels.shape)
     images = input_images(labels, maps.ids, drawn, others)
     features = features_of(branch, images, lesson.gaussians.source)
     total, counted = torch.zeros(()), 0

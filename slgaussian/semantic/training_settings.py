@@ -60,19 +60,15 @@ class TrainingSettings:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "targets", "every", "threads"):
-            if getattr(self, name) < 1:
+        bounds = {
+            **dict.fromkeys(("steps", "batch", "targets", "every", "threads"), (1, math.inf)),
+            **dict.fromkeys(("rate", "clip"), (1e-300, math.inf)),
+            "decay": (0, math.inf),
+            "corrupted": (0, 1),
+        }
+        for name, (least, most) in bounds.items():
+            value = getattr(self, name)
+            if not least <= value <= most or value == math.inf:
                 raise InputError(
-                    f"training {name}: found {getattr(self, name)}, expected 1 or more"
+                    f"training {name}: found {value}, expected a number from {least} to {most}"
                 )
-        for name in ("rate", "clip"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(
-                    f"training {name}: found {getattr(self, name)}, expected a positive number"
-                )
-        if not 0 <= self.decay < math.inf:
-            raise InputError(f"training decay: found {self.decay}, expected 0 or more")
-        if not 0 <= self.corrupted <= 1:
-            raise InputError(
-                f"training corrupted: found {self.corrupted}, expected a share from 0 to 1"
-            )

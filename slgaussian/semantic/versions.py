@@ -330,21 +330,23 @@ def somebody() -> str:
     return f"{user}@{socket.gethostname()}"
 
 
-def weights_in(folder: str | os.PathLike[str]) -> Path:
-    """The weights file of the version in use in a folder.
+def find_weights(place: str | Path) -> Path:
+    """Find the file of weights: the place itself, or in a folder that of the version in use.
 
     Raises
     ------
     InputError
-        If nothing is in use.
+        If no version is in use.
     SpecError
         If what is in use is damaged.
     """
-    versions = Versions(folder)
+    if not Path(place).is_dir():
+        return Path(place)
+    versions = Versions(place)
     current = versions.current()
     if current is None:
         raise InputError(
-            f"{folder}: no version is in use; expected a file of weights, or a folder in which "
+            f"{place}: no version is in use; expected a file of weights, or a folder in which "
             "`slgaussian retrain` has put a version to use"
         )
     return versions.weights(current)

@@ -15,8 +15,7 @@ from slgaussian.components.method import Method
 from slgaussian.components.registry import KINDS, find_config, names_of
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, file_digest
-from slgaussian.semantic.branch import Architecture, Branch, save_branch
-from slgaussian.semantic.trained import TrainedBranch
+from slgaussian.semantic.branch import Architecture, Branch, BranchLifting, save_branch
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
 
@@ -57,7 +56,7 @@ def test_a_part_comes_back_from_its_identity_and_its_places(weights):
     identity = {"lifting": "branch", "branch": made.identity()}
     again = Component.stored("lifting", json.loads(json.dumps(identity)), made.places())
     assert again == made == pickle.loads(pickle.dumps(made))
-    assert isinstance(again.load(), TrainedBranch)
+    assert isinstance(again.load(), BranchLifting)
     with pytest.raises(InputError, match="no version is in use"):
         Component.stored("lifting", identity).load()
 

@@ -55,8 +55,8 @@ def test_the_page_about_the_architecture_shows_it_whole():
 
 def test_it_is_listed_with_the_others(asked):
     listed = " ".join(asked(command("doctor", "--components")).split())
-    assert "regions: " in listed and "ink.colours <" in listed
-    assert "[40.0] Greatest distance from a colour." in listed
+    assert "### regions (default)" in listed and "### ink" in listed
+    assert "| `40.0` | Greatest distance from a colour. |" in listed
     schema = json.loads(asked(command("doctor", "--schema")))
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
@@ -129,16 +129,15 @@ def test_a_name_that_is_taken_is_refused(asked, tmp_path):
         "try: Method()\nexcept InputError as error: print(error)",
         own,
     )
-    assert said.startswith("mask proposer 'regions': the package mine brings one, but a mask ")
-    assert "sam.model" in asked(command("doctor", "--components"), own)
+    assert said.startswith("proposer 'regions': the package mine brings one, but a proposer ")
+    assert "### sam" in asked(command("doctor", "--components"), own)
 
 
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
     listed = asked(command("doctor", "--components"), own).splitlines()
-    (line,) = [line for line in listed if line.startswith("  broken: ")]
-    problem = line.removeprefix("  broken: ")
+    problem = listed[listed.index("### broken") + 2]
     assert problem.startswith("encoder 'broken': broken:Encoder of the package broken cannot be ")
     said = asked(
         "from slgaussian.language import load_encoder\n"

@@ -13,7 +13,7 @@ from flows.retraining import LOCK, STATUS
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
-from slgaussian.semantic.split import held_out
+from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.locks import held
 

@@ -21,11 +21,11 @@ from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.seeding import held_out
 from slgaussian.scene import Camera
 from slgaussian.semantic import load_lifting
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.split import held_out
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slgaussian.scene import Camera
-from slgaussian.semantic.fringe import fringe
+from slgaussian.semantic.boundary_gaussians import boundary_gaussians
 
 H, W, NEAR, FAR = 120, 160, 2.0, 4.0
 CAMERA = Camera(np.array([[70.0, 0, W / 2], [0, 70, H / 2], [0, 0, 1]]), np.eye(4), W, H)
@@ -31,14 +31,14 @@ def test_a_line_of_the_thing_along_its_outline_is_found_and_nothing_else():
     means, depth, mask = scene()
     line = edge(mask, 2)
     left = CAMERA.unproject(np.where(line, NEAR, depth)).reshape(-1, 3)
-    found = fringe(left, mask.ravel(), [CAMERA], [depth], [mask])
+    found = boundary_gaussians(left, mask.ravel(), [CAMERA], [depth], [mask])
     np.testing.assert_array_equal(found.reshape(H, W), line)
-    assert not fringe(means, mask.ravel(), [CAMERA], [depth], [mask]).any()
+    assert not boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [mask]).any()
 
 
 def test_what_a_thing_stands_on_stays():
     means, depth, mask = scene(floor=True)
-    found = fringe(means, mask.ravel(), [CAMERA], [depth], [mask]).reshape(H, W)
+    found = boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [mask]).reshape(H, W)
     # At the corners wall and floor are both around.
     assert not found[83:].any() and not found[80:, 66:94].any()
     assert found.sum() < 80 < edge(mask, 3).sum() / 5
@@ -47,11 +47,11 @@ def test_what_a_thing_stands_on_stays():
 def test_a_view_that_does_not_show_the_thing_says_nothing():
     means, depth, mask = scene()
     nowhere = np.zeros_like(mask)
-    assert not fringe(means, mask.ravel(), [CAMERA], [depth], [nowhere]).any()
+    assert not boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [nowhere]).any()
 
 
 def test_what_is_far_from_the_outline_stays_however_near_it_is():
     _, depth, mask = scene()
     far = ~mask & ~edge(mask, 3)
     points = CAMERA.unproject(np.where(far, NEAR, depth)).reshape(-1, 3)
-    assert not fringe(points, mask.ravel(), [CAMERA], [depth], [mask]).any()
+    assert not boundary_gaussians(points, mask.ravel(), [CAMERA], [depth], [mask]).any()

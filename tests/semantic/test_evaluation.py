@@ -8,8 +8,8 @@ from drawn_lessons import lesson
 
 from slgaussian.semantic.branch import Architecture, Branch, BranchLifting
 from slgaussian.semantic.corruption import KINDS
+from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import HardIndex
-from slgaussian.semantic.judge import label_iou
 
 HARD = {"hard": HardIndex()}
 

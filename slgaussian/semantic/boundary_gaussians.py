@@ -1,9 +1,9 @@
-"""The fringe of a thing: Gaussians along its outline that have its depth, and another label.
+"""Gaussians along the boundary of an object that have its depth, and another label.
 
-Label maps, depth and colour do not change at the very same pixel. So when a thing is taken away, a
+Label maps, depth and colour do not change at the very same pixel. So when an object is removed, a
 thin line of it stays where its outline was, in front of what lies behind. Such Gaussians are told
-by their place: beside the outline in a view, as deep as the thing, with a background around them
-that is farther away on the whole. Where a thing stands on something there is no such step, and
+by their place: beside the outline in a view, as deep as the object, with a background around them
+that is farther away on the whole. Where an object stands on something there is no such step, and
 nothing is taken.
 """
 
@@ -17,45 +17,45 @@ import numpy as np
 from slgaussian.scene import Camera
 
 BESIDE = 3
-"""Pixels from the outline within which a fringe lies, in views of some hundred pixels."""
+"""Pixels from the outline within which they lie, in views of some hundred pixels."""
 
 AROUND = 10
 """Pixels from the outline up to which the background is looked at."""
 
 ALIKE = 0.03
-"""A fringe is nearer or farther than the thing there by at most this share."""
+"""They are nearer or farther than the object there by at most this share."""
 
 STEP = 1.1
-"""The background is so many times as far as the thing, at least."""
+"""The background is so many times as far as the object, at least."""
 
 
-def fringe(
+def boundary_gaussians(
     means: np.ndarray,
     gone: np.ndarray,
     cameras: Sequence[Camera],
     depths: Sequence[np.ndarray],
     masks: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """Which Gaussians are the fringe of a thing, bool [N].
+    """Find the Gaussians along the boundary of an object, bool [N].
 
     Parameters
     ----------
     means : float [N, 3]
         Centres in the world.
     gone : bool [N]
-        Those of the thing itself.
+        Those of the object itself.
     cameras : V Camera
     depths : V of float32 [H, W]
-        z-depth of what the views show, the thing among it; 0 where nothing is.
+        z-depth of what the views show, the object among it; 0 where nothing is.
     masks : V of bool [H, W]
-        Where they show the thing.
+        Where they show the object.
     """
     found = np.zeros(len(means), bool)
     others = np.flatnonzero(~gone)
     for camera, depth, mask in zip(cameras, depths, masks, strict=True):
         if not mask.any():
             continue
-        near, far = _range(depth, mask)
+        near, far = _depth_range(depth, mask)
         pixels, z = camera.project(means[others])
         u, v = np.floor(pixels).astype(np.int64).T
         inside = (z > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
@@ -64,8 +64,11 @@ def fringe(
     return found
 
 
-def _range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The depths of a fringe at each pixel, from and to: float32 [H, W]; from > to elsewhere."""
+def _depth_range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the depths of boundary Gaussians at each pixel, from and to.
+
+    Both float32 [H, W]; from > to elsewhere.
+    """
     own = np.where(mask, depth, 0).astype(np.float32)
     window = _square(BESIDE + 1)
     far = cv2.dilate(own, window)

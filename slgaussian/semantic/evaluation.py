@@ -1,4 +1,4 @@
-"""How good a lifting is, on lessons it has not seen: do novel views show the right objects?"""
+"""Score liftings by the objects that novel views show, on lessons they have not seen."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def label_iou(
     codes: str = "separated",
     seed: int = 0,
 ) -> dict[str, float]:
-    """Mean IoU of the objects in the target views, as :func:`novel_labels` shows them.
+    """Compute the mean IoU of the objects in the target views, as :func:`novel_labels` shows them.
 
     Pixels that the target labels leave open do not count. Worse ``labels`` are judged by the same
     objects, those in ``lesson.labels``: one that is lost counts 0.
@@ -51,7 +51,7 @@ def novel_labels(
     codes: str = "separated",
     seed: int = 0,
 ) -> dict[str, np.ndarray]:
-    """The objects in the target views, as a field of these Gaussians shows them.
+    """Render and decode the objects of the target views, as a field of these Gaussians shows them.
 
     Rendered with the planned splat and decoded as a field decodes
     (:mod:`slgaussian.semantic.decode`).

@@ -1,4 +1,4 @@
-"""What the other views say about each pixel of a view, found in space. Beyond the paper.
+"""Labels of each pixel in the other views, found in space. Beyond the paper.
 
 The paper's branch looks at one label image at a time. What is wrong in one view is mostly right in
 another, and the Gaussians say where: those of other views that lie next to one's own.
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.threads import allotted
 
 REACH = 6.0
 """How far they may be, in standard deviations of one's own Gaussian along its longest axis: two
@@ -19,7 +20,7 @@ predictions of one surface are rarely nearer than one, and the next object is mo
 
 
 @dataclass(frozen=True, eq=False)
-class Others:
+class CrossViewLabels:
     """For each pixel of the context views, the pixel of another view at the same place.
 
     Attributes
@@ -51,10 +52,10 @@ class Others:
         )
 
 
-def find_others(gaussians: Gaussians, shape: tuple[int, int, int]) -> Others:
-    """Look for them; ``shape`` is (V, H, W). It depends on the geometry alone.
+def match_across_views(gaussians: Gaussians, shape: tuple[int, int, int]) -> CrossViewLabels:
+    """Find for each pixel of V views of H x W, ``shape``, its place in another, by geometry alone.
 
-    A pixel stands where the first of its Gaussians is; without one it has no others.
+    A pixel stands where the first of its Gaussians is; without one it has no match.
     """
     pixels, near = np.zeros(shape, np.int64), np.zeros(shape, np.float32)
     means = gaussians.to_arrays()["means"].astype(np.float64)
@@ -67,8 +68,9 @@ def find_others(gaussians: Gaussians, shape: tuple[int, int, int]) -> Others:
             continue
         reach = np.maximum(REACH * widths[firsts[mine]], 1e-12)
         tree = cKDTree(means[firsts[theirs]])
-        far, which = tree.query(means[firsts[mine]], distance_upper_bound=reach.max())
+        asked = means[firsts[mine]]
+        far, which = tree.query(asked, distance_upper_bound=reach.max(), workers=allotted())
         known = which < len(theirs)
         pixels.ravel()[owners[mine]] = owners[theirs[np.where(known, which, 0)]]
         near.ravel()[owners[mine]] = np.where(known, np.maximum(1 - far / reach, 0), 0)
-    return Others(pixels, near)
+    return CrossViewLabels(pixels, near)
