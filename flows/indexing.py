@@ -12,19 +12,13 @@ from flows.corpus_settings import IndexSettings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
-from slgaussian.datasets import lerf_ovs, ovs3d
+from slgaussian.datasets.labelled_sets import LABELS
 from slgaussian.datasets.pair_selection import Bounds, Pair, Rule, Surrounding, Views, surround
 from slgaussian.datasets.published import SETS
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
 from slgaussian.scene import Scene
-
-PLACES = {
-    "lerf_ovs": f"{lerf_ovs.LABELS}/{{scene}}",
-    "ovs3d": f"{{scene}}/{ovs3d.LABELS}",
-}
-"""Where a format keeps the labels of a scene in its own folder."""
 
 
 def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: Path) -> Index:
@@ -70,13 +64,13 @@ def label_places(
         If the format reads no folder, or has no labels of its own and none are given.
     """
     datasets.check_format(format)
-    if labels is None and format not in PLACES:
+    if labels is None and format not in LABELS:
         raise InputError(
             f"data format {format!r} has no labels of its own; give their folder with --labels"
         )
     for name, options in datasets.scenes(format, data).items():
         if labels is None:
-            place = PLACES[format].format(scene=name)
+            place = LABELS[format].format(scene=name)
         else:
             place = name if format in datasets.SETS else ""
         if ((labels or data) / place).is_dir():

@@ -28,7 +28,7 @@ from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.predict.view_graph import usable
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
-from slgaussian.storage.account import Account
+from slgaussian.storage.statistics import FieldStatistics
 
 
 class Predicted(NamedTuple):
@@ -76,9 +76,9 @@ def build_field(
     SemanticField
         Its own ``settings`` say all this, see
         :meth:`slgaussian.components.method.Method.identity`, and under ``quality`` how good the
-        views were, see :class:`slgaussian.cameras.quality.Quality`; under ``account`` what it is
-        made of, see :class:`slgaussian.storage.account.Account`; and where nobody gave cameras,
-        under ``cameras`` how they were found.
+        views were, see :class:`slgaussian.cameras.quality.Quality`; under ``account`` its
+        :class:`slgaussian.storage.statistics.FieldStatistics`; and where nobody gave cameras, under
+        ``cameras`` how they were found.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def lift_field(
     if method.keep == "needed":
         merged = merge(lifted, list(cameras.values()))
         lifted, change = merged.gaussians, merged.change
-    account = Account(
+    statistics = FieldStatistics(
         gaussians_made=len(gaussians),
         gaussians_kept=len(lifted),
         change_mean=change.mean,
@@ -202,7 +202,7 @@ def lift_field(
         depths_possible=None if depths is None else depths.possible,
     )
     said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
-    said["account"] = account.as_json()
+    said["account"] = statistics.as_json()
     if sample.found:
         said["cameras"] = dict(sample.found)
     return SemanticField(lifted, bank, cameras, said, method.encoder.places())

@@ -10,7 +10,7 @@ import numpy as np
 
 from slgaussian.benchmark.reports.run_report import run_report
 from slgaussian.benchmark.reports.scenes import Scene
-from slgaussian.storage.account import Account
+from slgaussian.storage.statistics import FieldStatistics
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,
@@ -65,7 +65,7 @@ def _scene(store: ArtifactStore, scored: Scored) -> Scene:
         dataset=own.dataset,
         rows=[row for each in (own, *others) for row in each.rows],
         metrics=own.scene_metrics,
-        account=Account(**scored.account),
+        account=FieldStatistics(**scored.account),
         pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
         masks=lambda: Decoded(predictions_of(store.get(scored.answer))),

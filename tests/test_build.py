@@ -17,7 +17,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.geometry import SceneGeometry
 from slgaussian.scene import Sample
-from slgaussian.storage.account import Account
+from slgaussian.storage.statistics import FieldStatistics
 from slgaussian.viewer.page.scene_page import scene_page
 
 NAMES = {
@@ -69,7 +69,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         field = build_field(sample, Method(replicas=1, settings=given))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
-        quality, account = settings.pop("quality"), Account(**settings.pop("account"))
+        quality, account = settings.pop("quality"), FieldStatistics(**settings.pop("account"))
         assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
         held = sum(array.nbytes for array in field.gaussians.to_arrays().values())

@@ -1,7 +1,7 @@
 """What it takes to look after a store of many artifacts, and to read one with its digest.
 
 ``python -m benches.pipeline.store_upkeep [--count 100000]``: makes a store of tiny artifacts in a
-temporary folder, each named by a record, times `du`, `gc` and `verify` on it and says how much
+temporary folder, each named by a record, times `gc` and `verify` on it and says how much
 memory they took; then the parts of a read, for artifacts of the usual sizes.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from benches.common.machine import measured
 from slgaussian.storage.encoding import arrays_digest, decode_arrays, encode_arrays
-from slgaussian.storage.housekeeping import collect, usage, verify
+from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import FOLDER
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
@@ -47,7 +47,6 @@ def walks(count: int) -> None:
         fill(Path(folder), count)
         store = ArtifactStore(folder)
         works = {
-            "du": lambda: usage(store),
             "gc": lambda: collect(store, age=-60),
             "verify": lambda: verify(store),
         }
@@ -59,8 +58,7 @@ def walks(count: int) -> None:
             found = work()
             peak = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
-            told = found if name != "du" else {"/".join(k): v for k, v in found.items()}
-            print(f"{name:<7} {took:6.1f} s, {cpu:6.1f} s of CPU, {peak / 1e6:6.1f} MB  {told}")
+            print(f"{name:<7} {took:6.1f} s, {cpu:6.1f} s of CPU, {peak / 1e6:6.1f} MB  {found}")
 
 
 def reads() -> None:

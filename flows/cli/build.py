@@ -79,9 +79,9 @@ def field(
     from slgaussian import ahead
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import Quality
-    from slgaussian.storage.account import Account
     from slgaussian.storage.field_folder import check_target
     from slgaussian.storage.inputs import describe_photographs
+    from slgaussian.storage.statistics import FieldStatistics
 
     settings = make_settings(options.settings_from(ctx), "field")
     check_target(out)  # before the work
@@ -95,11 +95,11 @@ def field(
     typer.echo(f"building a field from {views} with {names}", err=True)
     built = build_field(sample, settings.built_by, settings.trust_cameras, seconds.__setitem__)
     built.save(out, describe_photographs(places))
-    quality, account = Quality(**built.settings["quality"]), Account.of(built.settings)
+    quality = Quality(**built.settings["quality"])
     size_text = f"{len(built.gaussians)} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
     lines += [f"warning: {warning}" for warning in quality.warnings()]
-    lines += [quality.summary(), *([] if account is None else account.lines())]
+    lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
     lines.append(f"seconds: {', '.join(f'{step} {taken:.2f}' for step, taken in seconds.items())}")
     if (word := choose_word(built)) is not None:
         command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]

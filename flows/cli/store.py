@@ -1,4 +1,4 @@
-"""The commands `slgaussian inspect` and `slgaussian store gc | verify | du`."""
+"""The commands `slgaussian inspect` and `slgaussian store gc | verify`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = typer.Typer(
-    name="store", cls=Group, help="Look after a store: clean it, check it, measure it."
-)
+store_app = typer.Typer(name="store", cls=Group, help="Look after a store: clean it, check it.")
 
 
 def inspect(
@@ -126,27 +124,6 @@ def verify(
     if state.damaged and not remove:
         typer.echo("give --remove to delete them: the next run makes them again")
         raise typer.Exit(1)
-
-
-@store_app.command()
-def du(store: options.Store = None) -> None:
-    """Count the files and bytes in a store, by spec and stage.
-
-    \b
-    slgaussian store du --store s3://bucket/slg
-    """
-    from rich.filesize import decimal
-
-    from flows.cli.tables import table_text
-    from slgaussian.storage.housekeeping import usage
-
-    with _opened(store) as opened:
-        rows = usage(opened)
-    total = [sum(column) for column in zip(*rows.values(), strict=True)] or [0, 0]
-    lines = [["folder", "made by", "files", "size"]]
-    for (folder, maker), (files, size) in [*rows.items(), (("all", ""), total)]:
-        lines.append([folder or ".", maker or "-", f"{files}", decimal(size)])
-    typer.echo(table_text(lines, "<<"))
 
 
 @contextmanager

@@ -20,8 +20,8 @@ READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
     "colmap": "slgaussian.datasets.colmap:read",
     "llff": "slgaussian.datasets.llff:read",
-    "lerf_ovs": "slgaussian.datasets.lerf_ovs:read",
-    "ovs3d": "slgaussian.datasets.ovs3d:read",
+    "lerf_ovs": "slgaussian.datasets.labelled_sets:read_lerf_ovs",
+    "ovs3d": "slgaussian.datasets.labelled_sets:read_ovs3d",
     "re10k": "slgaussian.datasets.re10k:read",
     "re10k_text": "slgaussian.datasets.re10k_text:read",
     "photographs": "slgaussian.datasets.unposed:read",
@@ -29,10 +29,17 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
-FILES = {name: READERS[name].replace(":read", ":files") for name in ("re10k", "photographs")}
+FILES = {
+    "re10k": "slgaussian.datasets.re10k:files",
+    "photographs": "slgaussian.datasets.unposed:files",
+}
 """What lists the files of a scene that takes long to read, by format."""
 
-SETS = {name: READERS[name].replace(":read", ":scenes") for name in ("lerf_ovs", "ovs3d", "re10k")}
+SETS = {
+    "lerf_ovs": "slgaussian.datasets.labelled_sets:lerf_ovs_scenes",
+    "ovs3d": "slgaussian.datasets.labelled_sets:ovs3d_scenes",
+    "re10k": "slgaussian.datasets.re10k:scenes",
+}
 """What lists the scenes of a folder that holds several, by format."""
 
 

@@ -6,10 +6,13 @@ OpenCV's count from pixel centres, that each pixel of the straight one shows.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from slgaussian.formats.resampling import sample_depth
+from slgaussian.scene import View
 
 OUTSIDE = -1e4
 """Column and row of what the lens did not see, which makes it black."""
@@ -27,27 +30,21 @@ def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> 
     return cv2.initUndistortRectifyMap(centred, lens, None, centred, size, cv2.CV_32FC1)
 
 
-def straightened(
-    image: np.ndarray, depth: np.ndarray | None, maps: Maps
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Straighten a photograph uint8 [H, W, 3] and its depth float32 [H, W] or None.
+def straightened(view: View, maps: Maps) -> View:
+    """Straighten a view as it is stored.
 
-    Colours are interpolated, depths as :func:`slgaussian.formats.resampling.sample_depth` has it;
-    what the lens did not see is black, with depth 0.
+    Colours are interpolated, depths as :func:`slgaussian.formats.resampling.sample_depth` has it,
+    and a pixel is opaque where more than half of it is. What the lens did not see is black, with
+    depth 0. Object ids are left out.
     """
     columns, rows = unfolded(*maps)
-    image = cv2.remap(image, columns, rows, cv2.INTER_LINEAR)
-    return image, None if depth is None else sample_depth(depth, columns + 0.5, rows + 0.5)
-
-
-def straight_mask(mask: np.ndarray | None, maps: Maps) -> np.ndarray | None:
-    """Straighten a mask bool [H, W] of a photograph: where it covers more than half of a pixel.
-
-    None stays None.
-    """
-    if mask is None:
-        return None
-    return cv2.remap(mask.astype(np.float32), *unfolded(*maps), cv2.INTER_LINEAR) > 0.5
+    depth, opaque = view.depth, view.opaque
+    if depth is not None:
+        depth = sample_depth(depth, columns + 0.5, rows + 0.5)
+    if opaque is not None:
+        opaque = cv2.remap(opaque.astype(np.float32), columns, rows, cv2.INTER_LINEAR) > 0.5
+    image = cv2.remap(view.image, columns, rows, cv2.INTER_LINEAR)
+    return replace(view, image=image, depth=depth, opaque=opaque, instances=None)
 
 
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.lens import straight_mask, straightened
+from slgaussian.datasets.lens import straightened
 from slgaussian.datasets.nerfstudio_frame import OPENGL, OWN, Frame
 from slgaussian.datasets.photographs import absent, name_in
 from slgaussian.errors import InputError
@@ -94,12 +94,9 @@ def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name:
         photographs = {n: f.image_path or f.file.parent / n for n, f in frames.items()}
         raise absent(photographs[name], frame.file.name, photographs)
     image, opaque = frame.image(frame.image_path, camera)
-    depth = frame.depth(camera)
+    view = View(name, camera, image, frame.depth(camera), opaque=opaque)
     maps = frame.undistortion(camera)
-    if maps is not None:
-        opaque = straight_mask(opaque, maps)
-        image, depth = straightened(image, depth, maps)
-    return View(name, camera, image, depth, opaque=opaque)
+    return view if maps is None else straightened(view, maps)
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of
 from slgaussian.datasets.exif import upright as turned_upright
-from slgaussian.datasets.lens import Maps, straight_mask, straightened
+from slgaussian.datasets.lens import Maps, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.images import mask_levels, opened, unreadable
 from slgaussian.scene import Camera, Scene, View
@@ -240,11 +240,9 @@ def _read_view(
             f"{file}: is {width}x{height}, but by its pose file {camera.width}x{camera.height}; "
             "bring it to that size and orientation"
         )
+    view = View(name, camera, pixels, opaque=opaque)
     maps = lenses[name]() if name in lenses else None
-    if maps is not None:
-        opaque = straight_mask(opaque, maps)
-        pixels, _ = straightened(pixels, None, maps)
-    return View(name, camera, pixels, opaque=opaque)
+    return view if maps is None else straightened(view, maps)
 
 
 def absent(path: Path, named_by: str | Path, photographs: Mapping[str, Path]) -> InputError:

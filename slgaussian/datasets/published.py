@@ -1,17 +1,15 @@
 """The published scenes of LERF-OVS and 3D-OVS, known by their content and not by their folders.
 
-Known by the numbers of their labelled frames, the size of those photographs and the texts that are
-labelled there, as far as public sources say. Of LERF-OVS, frames and texts are as OpenGaussian's
-evaluation lists them (https://github.com/yanmin-wu/OpenGaussian), sizes as the label files have
-them. Of 3D-OVS, the scenes of the paper's table: views with masks as evaluations of others list
-them, classes as papers and programs print them (LangSplat's figure 8, SegSplat's figure 5); those
-of covered_desk were not found in print.
+Known by their labelled frames, the size of those photographs and the texts that are labelled there,
+as far as public sources say (``published.toml``).
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 
 
 @dataclass(frozen=True)
@@ -33,77 +31,15 @@ class LabelledScene:
     size: tuple[int, int] | None = None
 
 
-_LERF_OVS = {
-    scene: LabelledScene(tuple(f"frame_{n:05d}" for n in numbers), texts, size)
-    for scene, (numbers, size, texts) in {
-        "figurines": (
-            (41, 105, 152, 195),
-            (986, 728),
-            (
-                "jake", "pirate hat", "pikachu", "rubber duck with hat", "porcelain hand",
-                "red apple", "tesla door handle", "waldo", "bag", "toy cat statue", "miffy",
-                "green apple", "pumpkin", "rubics cube", "old camera", "rubber duck with buoy",
-                "red toy chair", "pink ice cream", "spatula", "green toy chair", "toy elephant",
-            ),
-        ),
-        "ramen": (
-            (6, 24, 60, 65, 81, 119, 128),
-            (988, 731),
-            (
-                "nori", "sake cup", "kamaboko", "corn", "spoon", "egg", "onion segments", "plate",
-                "napkin", "bowl", "glass of water", "hand", "chopsticks", "wavy noodles",
-            ),
-        ),
-        "teatime": (
-            (2, 25, 43, 107, 129, 140),
-            (988, 730),
-            (
-                "sheep", "yellow pouf", "stuffed bear", "coffee mug", "tea in a glass", "apple",
-                "coffee", "hooves", "bear nose", "dall-e brand", "plate", "paper napkin",
-                "three cookies", "bag of cookies",
-            ),
-        ),
-        "waldo_kitchen": (
-            (53, 66, 89, 140, 154),
-            (985, 725),
-            (
-                "Stainless steel pots", "dark cup", "refrigerator", "frog cup", "pot", "spatula",
-                "plate", "spoon", "toaster", "ottolenghi", "plastic ladle", "sink", "ketchup",
-                "cabinet", "red cup", "pour-over vessel", "knife", "yellow desk",
-            ),
-        ),
-    }.items()
-}  # fmt: skip
-_OVS3D = {
-    "bed": LabelledScene(
-        ("00", "04", "10", "23", "30"),
-        ("banana", "black leather shoe", "camera", "hand", "red bag", "white sheet"),
-    ),
-    "bench": LabelledScene(
-        ("02", "05", "25", "27", "32"),
-        (
-            "dressing doll", "green grape", "mini offroad car", "orange cat",
-            "pebbled concrete wall", "Portuguese egg tart", "wood",
-        ),
-    ),
-    "blue_sofa": LabelledScene(
-        ("03", "05", "13", "24", "27"),
-        (
-            "a JBL Bluetooth speaker", "a bottle of perfume", "a squirrel pig doll",
-            "an aircon controller", "blue-grey sofa", "sunglasses",
-        ),
-    ),
-    "covered_desk": LabelledScene(("00", "01", "11", "26", "29")),
-    "lawn": LabelledScene(
-        ("01", "03", "09", "13", "29"),
-        (
-            "black headphone", "green lawn", "hand soap", "New York Yankees cap", "red apple",
-            "stapler",
-        ),
-    ),
-}  # fmt: skip
-
-SETS: dict[str, dict[str, LabelledScene]] = {"lerf_ovs": _LERF_OVS, "ovs3d": _OVS3D}
+SETS: dict[str, dict[str, LabelledScene]] = {
+    format: {
+        name: LabelledScene(**{key: tuple(values) for key, values in scene.items()})
+        for name, scene in scenes.items()
+    }
+    for format, scenes in tomllib.loads(
+        (files("slgaussian.datasets") / "published.toml").read_text("utf-8")
+    ).items()
+}
 """The published scenes by the format of their data and by name."""
 
 SHARE = 0.75

@@ -96,7 +96,7 @@ def count_images(folder: Path) -> int:
     file = model_files(folder)[1]
     try:
         if file.suffix == ".txt":
-            return len(_text_images(file))
+            return len(_images(file))
         with file.open("rb") as stream:
             return struct.unpack("<Q", stream.read(8))[0]
     except (OSError, struct.error, _Wrong):
@@ -116,19 +116,15 @@ def read_model(folder: Path) -> SparseModel:
         raise InputError(
             f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
         )
-    binary = files[0].suffix == ".bin"
-    content = dict(zip(KINDS, files, strict=False))
-    cameras = _checked(content["cameras"], _binary_cameras if binary else _text_cameras)
-    images = _checked(content["images"], _binary_images if binary else _text_images)
+    cameras, images = _checked(files[0], _cameras), _checked(files[1], _images)
     points, seen = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
-    if "points3D" in content:
-        read = _binary_points if binary else _text_points
-        points, seen = _checked(content["points3D"], read)
+    if len(files) > 2:
+        points, seen = _checked(files[2], _points)
     for image in images.values():
         if image.camera not in cameras:
             raise InputError(
-                f"{content['images']}: {image.name!r} was taken with camera {image.camera}, which "
-                f"{content['cameras'].name} does not have; the two files are not of one model"
+                f"{files[1]}: {image.name!r} was taken with camera {image.camera}, which "
+                f"{files[0].name} does not have; the two files are not of one model"
             )
     return SparseModel(cameras, images, points, seen)
 
@@ -207,65 +203,78 @@ class _Bytes:
             raise _Wrong(f"goes on for {len(self.data) - self.at} bytes after its last entry")
 
 
-def _binary_cameras(file: Path) -> dict[int, SparseCamera]:
-    data = _Bytes(file)
+def _cameras(file: Path) -> dict[int, SparseCamera]:
     cameras: dict[int, SparseCamera] = {}
-    for _ in data.entries(24):
-        number, kind, width, height = data.take("iiQQ")
-        model, count = MODELS.get(kind, (str(kind), 0))
-        _add_camera(cameras, number, model, width, height, data.take(f"{count}d"))
+    counts = dict(MODELS.values())
+    for number, model, width, height, params in _stored_cameras(file):
+        if number in cameras:
+            raise _Wrong(f"has two cameras {number}")
+        if model not in counts:
+            raise _Wrong(f"camera {number} is of model {model}, which is not known")
+        if len(params) != counts[model]:
+            raise _Wrong(
+                f"camera {number}: {model} has {counts[model]} parameters, found {len(params)}"
+            )
+        if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
+            raise _Wrong(f"camera {number} is {width}x{height} pixels with parameters {params}")
+        cameras[number] = SparseCamera(model, width, height, params)
     return cameras
 
 
-def _text_cameras(file: Path) -> dict[int, SparseCamera]:
-    cameras: dict[int, SparseCamera] = {}
+def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[float, ...]]]:
+    """Yield id, model, width, height and parameters of each camera in a file."""
+    if file.suffix == ".bin":
+        data = _Bytes(file)
+        for _ in data.entries(24):
+            number, kind, width, height = data.take("iiQQ")
+            model, count = MODELS.get(kind, (str(kind), 0))
+            yield number, model, width, height, data.take(f"{count}d")
+        return
     for line, text in _lines(file):
         words = text.split()
         if not words:
             continue
         try:
-            number, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            number, width, height = int(words[0]), int(words[2]), int(words[3])
             params = tuple(map(float, words[4:]))
         except (ValueError, IndexError):
             raise _Wrong(f"line {line} is no camera") from None
-        _add_camera(cameras, number, model, width, height, params)
-    return cameras
+        yield number, words[1], width, height, params
 
 
-def _add_camera(
-    cameras: dict[int, SparseCamera],
-    number: int,
-    model: str,
-    width: int,
-    height: int,
-    params: tuple[float, ...],
-) -> None:
-    count = dict(MODELS.values()).get(model)
-    if number in cameras:
-        raise _Wrong(f"has two cameras {number}")
-    if count is None:
-        raise _Wrong(f"camera {number} is of model {model}, which is not known")
-    if len(params) != count:
-        raise _Wrong(f"camera {number}: {model} has {count} parameters, found {len(params)}")
-    if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
-        raise _Wrong(f"camera {number} is {width}x{height} pixels with parameters {params}")
-    cameras[number] = SparseCamera(model, width, height, params)
-
-
-def _binary_images(file: Path) -> dict[int, SparseImage]:
-    data = _Bytes(file)
+def _images(file: Path) -> dict[int, SparseImage]:
     images: dict[int, SparseImage] = {}
-    for _ in data.entries(73):
-        number, *pose, camera = data.take("i7di")
-        name = data.text()
-        (count,) = data.take("Q")
-        data.skip(24 * count)
-        _add_image(images, number, name, camera, pose)
+    for number, name, camera, pose in _stored_images(file):
+        if number in images:
+            raise _Wrong(f"has two images {number}")
+        if not name.strip():
+            raise _Wrong(f"image {number} has no name")
+        length = float(np.linalg.norm(pose[:4]))
+        if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
+            raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
+        w, (x, y, z) = pose[0] / length, np.array(pose[1:4]) / length
+        w2c = np.eye(4)
+        w2c[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        w2c[:3, 3] = pose[4:]
+        images[number] = SparseImage(name, camera, w2c)
     return images
 
 
-def _text_images(file: Path) -> dict[int, SparseImage]:
-    images: dict[int, SparseImage] = {}
+def _stored_images(file: Path) -> Iterator[tuple[int, str, int, list[float]]]:
+    """Yield id, name, camera, and quaternion (w first) with translation, of each image."""
+    if file.suffix == ".bin":
+        data = _Bytes(file)
+        for _ in data.entries(73):
+            number, *pose, camera = data.take("i7di")
+            name = data.text()
+            (count,) = data.take("Q")
+            data.skip(24 * count)
+            yield number, name, camera, pose
+        return
     points_may_follow = False
     for line, text in _lines(file):
         # COLMAP writes a line of points below each image, blank where there is none. Files that
@@ -279,9 +288,8 @@ def _text_images(file: Path) -> dict[int, SparseImage]:
             number, pose, camera = int(words[0]), list(map(float, words[1:8])), int(words[8])
         except ValueError:
             raise _Wrong(f"line {line} is no image, nor the points of one") from None
-        _add_image(images, number, name, camera, pose)
+        yield number, name, camera, pose
         points_may_follow = True
-    return images
 
 
 def _are_points(text: str) -> bool:
@@ -296,28 +304,9 @@ def _are_points(text: str) -> bool:
     return True
 
 
-def _add_image(
-    images: dict[int, SparseImage], number: int, name: str, camera: int, pose: list[float]
-) -> None:
-    if number in images:
-        raise _Wrong(f"has two images {number}")
-    if not name.strip():
-        raise _Wrong(f"image {number} has no name")
-    length = float(np.linalg.norm(pose[:4]))
-    if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
-        raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
-    w, (x, y, z) = pose[0] / length, np.array(pose[1:4]) / length
-    w2c = np.eye(4)
-    w2c[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    w2c[:3, 3] = pose[4:]
-    images[number] = SparseImage(name, camera, w2c)
-
-
-def _binary_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
+def _points(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    if file.suffix == ".txt":
+        return _text_points(file)
     data = _Bytes(file)
     # Id, position, colour, error, and how many images show it; then those. There may be millions,
     # so that only the counts are looked at one by one.

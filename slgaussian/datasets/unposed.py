@@ -22,7 +22,7 @@ from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.photograph import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
-from slgaussian.datasets.lens import Maps, perspective_maps, straight_mask, straightened
+from slgaussian.datasets.lens import Maps, perspective_maps, straightened
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
@@ -263,11 +263,8 @@ def refined(
 def _straight(view: View, found: EstimatedCameras) -> View:
     """Return a view with the camera that was found for it, its lens distortion undone."""
     camera, k1 = found.cameras[view.name], found.k1[view.name]
-    if not k1:
-        return replace(view, camera=camera)
-    maps = _lens(camera, k1)
-    image, depth = straightened(view.image, view.depth, maps)
-    return View(view.name, camera, image, depth, opaque=straight_mask(view.opaque, maps))
+    view = replace(view, camera=camera)
+    return straightened(view, _lens(camera, k1)) if k1 else view
 
 
 def _of_view(view: View, file: Path | None) -> Photograph:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any
 
+from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
-from slgaussian.storage.specs import Entry, Spec, check_bounds, mismatch
+from slgaussian.storage.specs import Spec, mismatch
 
-TYPES: Mapping[str, Any] = {
-    "text": str,
-    "integer": int,
-    "number": (int, float),
-    "bool": bool,
-    "object": dict,
-    "list": list,
-    "any": object,
-}
+TYPES: Mapping[str, str | None] = {
+    "text": "string", "integer": "integer", "number": "number", "bool": "boolean",
+    "object": "object", "list": "array", "any": None,
+}  # fmt: skip
+"""What JSON Schema calls the types of keys."""
 
 
 def read_document(data: bytes, spec: Spec, file: str) -> Any:
@@ -30,6 +27,7 @@ def read_document(data: bytes, spec: Spec, file: str) -> Any:
             content = strict_json.parse(data)
         else:
             content = [strict_json.parse(line) for line in data.split(b"\n")[:-1]]
+        json.dumps(content, allow_nan=False)
     except ValueError as error:
         expected = f"a {spec.name} of {spec.label}"
         raise mismatch(file, "file", f"no JSON ({error})", expected) from None
@@ -39,60 +37,40 @@ def read_document(data: bytes, spec: Spec, file: str) -> Any:
 
 def check_document(content: Any, spec: Spec, file: str) -> None:
     """Raise :class:`SpecError` at the first value that is not what ``spec`` says."""
+    from jsonschema import Draft202012Validator
+    from jsonschema.exceptions import best_match
+
+    validator = Draft202012Validator(json_schema(spec))
     for number, entry in enumerate(content if spec.lines else [content], 1):
-        place = f"{file}: line {number}" if spec.lines else file
-        if not isinstance(entry, dict):
-            raise mismatch(place, "file", type(entry).__name__, "an object")
-        _Checker(spec, place).check_object(entry, "", "")
+        error = best_match(validator.iter_errors(entry))
+        if error is not None:
+            line = f"line {number}: " if spec.lines else ""
+            place = error.json_path.removeprefix("$").removeprefix(".") or "file"
+            raise SpecError(f"{file}: {line}{place}: {error.message:.200}")
 
 
-class _Checker:
-    """A check of values by the places of their keys.
+def json_schema(spec: Spec) -> dict[str, Any]:
+    """Translate the keys of a spec into JSON Schema, 2020-12.
 
-    ``shown`` is a place with the names and numbers that stand for ``*`` and ``[]``.
+    In the place of a key, ``*`` stands for any name of an object and ``[]`` for each of a list.
     """
-
-    def __init__(self, spec: Spec, file: str) -> None:
-        self.keys, self.file = spec.keys, file
-        self.below: dict[str, dict[str, str]] = {}
-        for place in spec.keys:
-            is_entry = place.endswith("[]")
-            above, name = (place[:-2], "[]") if is_entry else place.rpartition(".")[::2]
-            self.below.setdefault(above, {})[name] = place
-
-    def check_object(self, content: Mapping[str, Any], place: str, shown: str) -> None:
-        places = self.below[place]
-        for name, own in places.items():
-            if name != "*" and name not in content and not self.keys[own].optional:
-                self.refuse(f"{shown}{name}", "nothing", _type_text(self.keys[own]))
-        for name, value in content.items():
-            matching = places.get(name, places.get("*"))
-            if matching is None:
-                self.refuse(f"{shown}{name}", "an unknown key", f"only {', '.join(places)}")
-            self.check_value(value, matching, f"{shown}{name}")
-
-    def check_value(self, value: Any, place: str, shown: str) -> None:
-        key = self.keys[place]
-        if value is None and key.nullable:
-            return
-        fits = isinstance(value, TYPES[key.type])
-        fits &= not isinstance(value, bool) or key.type in ("bool", "any")
-        if not fits or (isinstance(value, float) and not math.isfinite(value)):
-            self.refuse(shown, f"{value!r:.80}", _type_text(key))
-        if key.values and value not in key.values:
-            self.refuse(shown, f"{value!r:.80}", f"one of {list(key.values)}")
-        if isinstance(value, (int, float)):
-            check_bounds(value, value, key, shown, self.file)
-        if isinstance(value, dict) and place in self.below:
-            self.check_object(value, place, f"{shown}.")
-        if isinstance(value, list) and place in self.below:
-            for number, entry in enumerate(value):
-                self.check_value(entry, self.below[place]["[]"], f"{shown}[{number}]")
-
-    def refuse(self, place: str, found: str, expected: str) -> NoReturn:
-        raise mismatch(self.file, place, found, expected)
-
-
-def _type_text(key: Entry) -> str:
-    article = "an" if key.type[0] in "aio" else "a"
-    return f"{article} {key.type}" if key.type != "any" else "a value"
+    schemas: dict[str, dict[str, Any]] = {"": {"type": "object"}}
+    for place, key in sorted(spec.keys.items()):  # whatever holds a key comes before it
+        own = schemas[place] = {}
+        if key.type != "any":
+            own["type"] = [TYPES[key.type], *["null"] * key.nullable]
+        values = [*key.values, None] if key.values else None
+        bounds = {"minimum": key.low, "maximum": key.high, "enum": values}
+        own |= {name: bound for name, bound in bounds.items() if bound is not None}
+        if place.endswith("[]"):
+            schemas[place[:-2]]["items"] = own
+            continue
+        above, _, name = place.rpartition(".")
+        if name == "*":
+            schemas[above]["additionalProperties"] = own
+            continue
+        schemas[above].setdefault("properties", {})[name] = own
+        schemas[above].setdefault("additionalProperties", False)
+        if not key.optional:
+            schemas[above].setdefault("required", []).append(name)
+    return schemas[""]

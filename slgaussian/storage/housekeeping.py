@@ -1,4 +1,4 @@
-"""Clean, check and measure a store: ``slgaussian store gc``, ``verify`` and ``du``.
+"""Clean and check a store: ``slgaussian store gc`` and ``verify``.
 
 Files are gone through folder by folder, so memory does not go with their number, except for some
 hundred bytes for each artifact that a record names.
@@ -7,8 +7,9 @@ hundred bytes for each artifact that a record names.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,9 +19,6 @@ from slgaussian.storage.records import FOLDER, Record, Records
 from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, File, ref_of
 from slgaussian.storage.tables import read_table
-
-Tell = Callable[[str, int, int], None]
-"""Called with what is being gone through, how many files of it were, and their bytes."""
 
 SIDE_BY_SIDE = 4
 """Artifacts of a store elsewhere that are read at the same time: each may take 100 MB of memory."""
@@ -58,7 +56,6 @@ def collect(
     versions: Mapping[str, int] | None = None,
     keep: Collection[Path] = (),
     delete: bool = False,
-    tell: Tell = lambda *_: None,
 ) -> Garbage:
     """Find, and with ``delete`` remove, what nothing in a store refers to.
 
@@ -85,8 +82,15 @@ def collect(
     """
     bound = store.clock() - age
     garbage = Garbage()
-    referred = {_name(uri) for table in keep for uri in _uris_of(table)}
-    for record in _records(store, tell):
+    referred = set[bytes]()
+    for table in keep:
+        try:
+            referred.update(map(_name, read_table(table, ["uri"])["uri"].to_pylist()))
+        except (OSError, ValueError, pa.ArrowException, KeyError) as error:
+            raise InputError(
+                f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
+            ) from error
+    for record in chain.from_iterable(Records(store).all()):
         if record.file.written < bound and not _is_current(record, versions):
             garbage.records += 1
             garbage.bytes += record.file.size
@@ -98,7 +102,10 @@ def collect(
         gone = []
         for file in files:
             old = file.written < bound
-            if _UNFINISHED.fullmatch(file.uri) and _top(file) in _OURS:
+            if (
+                _UNFINISHED.fullmatch(file.uri)
+                and file.uri.rpartition("/")[0].split("/")[0] in _OURS
+            ):
                 garbage.unfinished += old
                 gone += [file] * old
             elif ref_of(file.uri) is None:
@@ -112,7 +119,6 @@ def collect(
         garbage.bytes += sum(file.size for file in gone)
         if delete:
             store.remove([file.uri for file in gone])
-        tell("artifacts", len(files), sum(file.size for file in files))
     return garbage
 
 
@@ -140,10 +146,7 @@ class Damage:
 
 
 def verify(
-    store: ArtifactStore,
-    remove: bool = False,
-    versions: Mapping[str, int] | None = None,
-    tell: Tell = lambda *_: None,
+    store: ArtifactStore, remove: bool = False, versions: Mapping[str, int] | None = None
 ) -> Damage:
     """Read every artifact and record of a store, and compare them with their specs and digests.
 
@@ -166,16 +169,15 @@ def verify(
         return ""
 
     for files in store.walk():
-        for start in range(0, len(files), SIDE_BY_SIDE):
-            some = files[start : start + SIDE_BY_SIDE]
-            for file, problem in zip(some, store.at_once(problem_of, some), strict=True):
-                if problem:
-                    damage.damaged[file.uri] = problem
-                elif problem is not None:
-                    damage.sound += 1
-                    there.add(_name(file.uri))
-            tell("artifacts", len(some), sum(file.size for file in some))
-    for record in _records(store, tell):
+        for file, problem in zip(
+            files, store.at_once(problem_of, files, SIDE_BY_SIDE), strict=True
+        ):
+            if problem:
+                damage.damaged[file.uri] = problem
+            elif problem is not None:
+                damage.sound += 1
+                there.add(_name(file.uri))
+    for record in chain.from_iterable(Records(store).all()):
         if record.ref is None:
             place = f"{store.root}/{record.file.uri}"
             damage.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
@@ -193,51 +195,12 @@ def verify(
     return damage
 
 
-def usage(store: ArtifactStore, tell: Tell = lambda *_: None) -> dict[tuple[str, str], list[int]]:
-    """Count files and their bytes, by top folder of a store and by stage.
-
-    A top folder is a spec, or ``keys`` and the like. Of artifacts that several stages made, the
-    last by name and version counts; ``""`` stands for none. InputError if the store cannot be read.
-    """
-    rows: dict[tuple[str, str], list[int]] = {}
-    makers: dict[bytes, str] = {}
-    for record in _records(store, tell):
-        makers |= {_name(uri): f"{record.stage} v{record.version}" for uri in record.named}
-    for files in store.walk():
-        for file in files:
-            maker = "" if ref_of(file.uri) is None else makers.get(_name(file.uri), "")
-            row = rows.setdefault((_top(file), maker), [0, 0])
-            row[0] += 1
-            row[1] += file.size
-        tell("files", len(files), sum(file.size for file in files))
-    return dict(sorted(rows.items()))
-
-
-def _records(store: ArtifactStore, tell: Tell) -> Iterator[Record]:
-    for records in Records(store).all():
-        yield from records
-        tell("records", len(records), sum(record.file.size for record in records))
-
-
 def _is_current(record: Record, versions: Mapping[str, int] | None) -> bool:
     """Tell whether it can be read, and is of the version of its stage, where that is known."""
     version = (versions or {}).get(record.stage, record.version)
     return record.ref is not None and record.version == version
 
 
-def _top(file: File) -> str:
-    return file.uri.partition("/")[0] if "/" in file.uri else ""
-
-
 def _name(uri: str) -> bytes:
     """Return what tells artifacts apart, in few bytes: there may be millions."""
     return uri.rpartition("/")[2].partition(".")[0].encode()
-
-
-def _uris_of(table: Path) -> list[str]:
-    try:
-        return read_table(table, ["uri"])["uri"].to_pylist()
-    except (OSError, ValueError, pa.ArrowException, KeyError) as error:
-        raise InputError(
-            f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
-        ) from error

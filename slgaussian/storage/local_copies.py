@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import os
-import re
 import time
 import zipfile
 from collections.abc import Callable, Mapping
@@ -17,12 +16,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from pydantic import ByteSize, TypeAdapter, ValidationError
 
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 
 DEFAULT_BOUND = "10 GB"
-_UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
 ABANDONED = 3600.0
 """Seconds after which an unfinished copy is taken for that of a process that was killed."""
@@ -56,7 +55,13 @@ class LocalCache:
         By default the folder ``slgaussian/objects`` of the user's cache, and
         :data:`DEFAULT_BOUND`.
         """
-        bound = parse_size(os.environ.get("SLGAUSSIAN_CACHE_SIZE") or DEFAULT_BOUND)
+        text = os.environ.get("SLGAUSSIAN_CACHE_SIZE") or DEFAULT_BOUND
+        try:
+            bound = TypeAdapter(ByteSize).validate_python(text.strip())
+        except ValidationError:
+            raise InputError(
+                f"SLGAUSSIAN_CACHE_SIZE: found {text!r}, expected a size such as '10 GB'"
+            ) from None
         folder = os.environ.get("SLGAUSSIAN_CACHE") or user_cache() / "objects"
         return cls(Path(folder), bound) if bound else None
 
@@ -130,11 +135,3 @@ def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mappi
 def user_cache() -> Path:
     """Return the folder of this program in the user's cache: ``$XDG_CACHE_HOME``, ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slgaussian"
-
-
-def parse_size(text: str) -> int:
-    """Return the bytes of ``10 GB``, ``500M``, ``0`` and the like; InputError of anything else."""
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)B?\s*", text, re.IGNORECASE)
-    if not match:
-        raise InputError(f"SLGAUSSIAN_CACHE_SIZE: found {text!r}, expected a size such as '10 GB'")
-    return int(float(match[1]) * _UNITS[match[2].upper()])

@@ -1,35 +1,21 @@
-"""Places given as URLs: which are refused, when they are asked again, and what their errors mean.
+"""Places given as URLs: which are refused, how they are opened, and what their errors mean.
 
-What a network does to a request passes, mostly. So a request that failed in such a way is made
-again, after a while that grows (:func:`patiently`). That is done here and nowhere else: the
-libraries below are told to try once, as tries within tries would multiply.
+What a network does to a request passes, mostly: the library of each file system asks again, after a
+while that grows (of S3, s3fs and botocore five times each, or ``AWS_MAX_ATTEMPTS``).
 """
 
 from __future__ import annotations
 
-import errno
 import os
-import random
 import re
 import sys
-import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
-
-Result = TypeVar("Result")
-
-TRIES = 8
-"""So often a request is made before its error is told. Of 5 % that fail, one in 10^10 fails so."""
-
-FIRST, LONGEST = 0.1, 10.0
-"""Seconds before the second try, about; each further wait is twice as long, up to the longest. All
-tries together take 13 seconds if they fail at once."""
 
 CONNECT, ANSWER = 10, 30
 """Seconds that a server of S3 may take to be reached, and then to send the next bytes."""
@@ -40,17 +26,6 @@ _QUERY = re.compile(
     re.IGNORECASE,
 )
 
-_DAMAGED_ON_THE_WAY = {"BadDigest", "IncompleteBody", "RequestTimeout", "XAmzContentSHA256Mismatch"}
-_PASSING = {errno.EIO, errno.EREMOTEIO, errno.EBUSY, errno.EPIPE}
-"""Of errors of the system; the first three are also what S3's errors of a server become."""
-_PASSING_KINDS = {
-    "HTTPClientError",
-    "IncompleteReadError",
-    "ResponseParserError",
-    "FlexibleChecksumError",
-    "ClientError",
-}
-"""Names of the errors of botocore and, the last, of aiohttp that come of the network."""
 _NO_CREDENTIALS = {
     "NoCredentialsError",
     "PartialCredentialsError",
@@ -100,13 +75,13 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
 
     check_url(url, name)
     text = os.fspath(url)
+    is_s3 = text.startswith(("s3://", "s3a://"))
     options: dict[str, Any] = {"use_listings_cache": False}
-    if text.startswith(("s3://", "s3a://")):
+    if is_s3:
         options["config_kwargs"] = {
             "connect_timeout": CONNECT,
             "read_timeout": ANSWER,
             **fsspec.config.conf.get("s3", {}).get("config_kwargs", {}),
-            "retries": {"total_max_attempts": 1},
         }
     try:
         fs, path = fsspec.core.url_to_fs(text, **options)
@@ -116,48 +91,17 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
         raise InputError(f"{name} {text}: needs {needed}; or choose a folder") from error
     except ValueError as error:
         raise InputError(f"{name} {text}: {error}; or choose a folder") from error
-    if "config_kwargs" in options:
-        fs.retries = 1
+    if is_s3:
+        from botocore.exceptions import FlexibleChecksumError
+        from s3fs import core
+
+        if FlexibleChecksumError not in core.S3_RETRYABLE_ERRORS:  # what was cut on the way
+            core.add_retryable_error(FlexibleChecksumError)
     if not path:
         raise InputError(
             f"{name} {text}: found no bucket in it, expected as in {text}bucket/folder"
         )
     return fs, path
-
-
-def patiently(ask: Callable[[], Result]) -> Result:
-    """Return what ``ask`` returns, asked again while it fails as networks do.
-
-    It may have been done though it failed, so it must be the same to do it twice.
-
-    Raises
-    ------
-    One of :func:`troubles`
-        Of the last try, or the first that waiting does not help.
-    """
-    for tried in range(1, TRIES + 1):
-        try:
-            return ask()
-        except troubles() as error:
-            if tried == TRIES or not _passes(error):
-                raise
-            # Not all of many that failed at once come back at once.
-            wait = min(LONGEST, FIRST * 2 ** (tried - 1))
-            time.sleep(wait * random.uniform(0.5, 1.0))
-    raise AssertionError  # the last try has raised
-
-
-def _passes(error: Exception) -> bool:
-    """Tell whether an error may be gone in a while."""
-    answer = getattr(error.__cause__, "response", None) or {}
-    status = answer.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
-    code = answer.get("Error", {}).get("Code", "")
-    if status >= 500 or status == 429 or code in _DAMAGED_ON_THE_WAY:
-        return status != 501
-    kinds = {kind.__name__ for kind in type(error).__mro__}
-    if kinds & _PASSING_KINDS or isinstance(error, TimeoutError | ConnectionError):
-        return True
-    return isinstance(error, OSError) and error.errno in _PASSING
 
 
 def troubles() -> tuple[type[Exception], ...]:

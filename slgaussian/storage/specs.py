@@ -56,15 +56,12 @@ ROUNDING = 1e-9
 """By how much a number of a table may be out of its bounds: a sum of shares may end above 1."""
 
 
-@cache
-def column_types() -> Mapping[str, pa.DataType]:
-    """Return Arrow's types by their names in specs."""
+def arrow_type(name: str) -> pa.DataType:
+    """Return Arrow's type by its name in specs, as ``float64`` or ``string list``."""
     import pyarrow as pa
 
-    numbers = ("int64", "int32", "uint8", "float64", "float32")
-    plain = {name: getattr(pa, name)() for name in (*numbers, "string", "binary")}
-    plain["bool"] = pa.bool_()
-    return plain | {f"{name} list": pa.list_(kind) for name, kind in plain.items()}
+    kind = pa.type_for_alias(name.removesuffix(" list"))
+    return pa.list_(kind) if name.endswith(" list") else kind
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ class Entry:
     ----------
     type : str
         Of an array a NumPy name, or ``str`` for text of any length; of a column one of
-        :func:`column_types`; of a value one of :data:`slgaussian.storage.documents.TYPES`.
+        :func:`arrow_type`; of a value one of :data:`slgaussian.storage.documents.TYPES`.
     doc : str
     shape : tuple of int and str
         Of an array: numbers, and letters of ``Spec.axes``.
@@ -98,6 +95,11 @@ class Entry:
     low: float | None = None
     high: float | None = None
     values: tuple[str | int, ...] = ()
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether not every value of the type may be."""
+        return bool(self.values) or self.low is not None or self.high is not None
 
     def describe(self, plain: bool = False) -> dict[str, Any]:
         """Return meaning, unit, bounds and values: plain data, or text as Arrow's metadata are."""
@@ -159,14 +161,11 @@ class Spec:
         """Arrow schema of a table spec, with its metadata."""
         import pyarrow as pa
 
-        types = column_types()
-        return pa.schema(
-            [
-                pa.field(name, types[column.type], column.nullable, column.describe())
-                for name, column in self.columns.items()
-            ],
-            {"spec": self.label, "meaning": self.doc},
-        )
+        columns = [
+            pa.field(name, arrow_type(column.type), column.nullable, column.describe())
+            for name, column in self.columns.items()
+        ]
+        return pa.schema(columns, {"spec": self.label, "meaning": self.doc})
 
     def about(self, names: Iterable[str]) -> dict[str, Any]:
         """Return what an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
@@ -212,10 +211,21 @@ class Spec:
 
     def check_table(self, table: pa.Table, file: str) -> None:
         """Raise :class:`SpecError` at the first column that is not what this spec says."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
         for name, column in self.columns.items():
             if name not in table.column_names:
                 raise mismatch(file, name, "no such column", f"a {column.type} column")
-            _check_column(table.column(name), column, name, file)
+            data, expected = table.column(name), arrow_type(column.type)
+            if data.type != expected:
+                raise mismatch(file, name, f"{data.type}", f"{expected}")
+            if data.null_count and not column.nullable:
+                raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
+            if pa.types.is_list(data.type):
+                data = pc.list_flatten(data)
+            if pa.types.is_floating(data.type) or column.is_bounded:
+                _check_values(data.drop_null().to_numpy(), column, name, file, ROUNDING)
         unknown = [name for name in table.column_names if name not in self.columns]
         if unknown:
             raise mismatch(file, unknown[0], "an unknown column", f"only {list(self.columns)}")
@@ -233,18 +243,12 @@ def load_spec(name: str) -> Spec:
     if name not in spec_names():
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")
     raw = tomllib.loads((files("data_specs") / f"{name}.toml").read_text("utf-8"))
-    raw |= {part: _entries(raw.get(part, {})) for part in ("fields", "columns", "keys")}
+    for part in ("fields", "columns", "keys"):
+        raw[part] = {
+            entry: Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()})
+            for entry, table in raw.get(part, {}).items()
+        }
     return Spec(name=name, **raw)
-
-
-def _entries(tables: Mapping[str, dict[str, Any]]) -> dict[str, Entry]:
-    entries = {}
-    for name, table in tables.items():
-        own: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
-        if "dtype" in own:
-            own["type"] = own.pop("dtype")
-        entries[name] = Entry(**own)
-    return entries
 
 
 @cache
@@ -265,34 +269,20 @@ def mismatch(file: str, field: str, found: str, expected: str) -> SpecError:
     return SpecError(f"{file}: {field}: found {found}, expected {expected}")
 
 
-def _check_column(data: pa.ChunkedArray, column: Entry, name: str, file: str) -> None:
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    if data.type != column_types()[column.type]:
-        raise mismatch(file, name, f"{data.type}", f"{column_types()[column.type]}")
-    if data.null_count and not column.nullable:
-        raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
-    if pa.types.is_list(data.type):
-        data = pc.list_flatten(data)
-    if pa.types.is_floating(data.type) and not pc.all(pc.is_finite(data), min_count=0).as_py():
-        raise mismatch(file, name, "NaN or infinity", "finite numbers")
-    if column.values:
-        strange = pc.filter(data, pc.invert(pc.is_in(data, pa.array(column.values, data.type))))
-        for value in strange.drop_null()[:1].to_pylist():
-            raise mismatch(file, name, f"{value!r:.80}", f"one of {list(column.values)}")
-    if column.low is not None or column.high is not None:
-        ends = pc.min_max(data).as_py()
-        check_bounds(ends["min"], ends["max"], column, name, file, ROUNDING)
-
-
-def check_bounds(
-    least: Any, most: Any, entry: Entry, name: str, file: str, slack: float = 0.0
+def _check_values(
+    values: np.ndarray, entry: Entry, name: str, file: str, slack: float = 0.0
 ) -> None:
-    """Raise :class:`SpecError` for values out of bounds; both ends are None of no values."""
-    if entry.low is not None and least is not None and least < entry.low - slack:
+    """Raise :class:`SpecError` if values are not finite, or not among those of an entry."""
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise mismatch(file, name, "NaN or infinity", "finite numbers")
+    if entry.values:
+        strange = sorted(set(np.unique(values).tolist()) - set(entry.values))
+        if strange:
+            raise mismatch(file, name, f"{strange[0]!r:.80}", f"one of {list(entry.values)}")
+    # One pass for each bound that there is: arrays may be large.
+    if entry.low is not None and values.size and (least := values.min()) < entry.low - slack:
         raise mismatch(file, name, f"{least:g}", f"values of at least {entry.low:g}")
-    if entry.high is not None and most is not None and most > entry.high + slack:
+    if entry.high is not None and values.size and (most := values.max()) > entry.high + slack:
         raise mismatch(file, name, f"{most:g}", f"values of at most {entry.high:g}")
 
 
@@ -314,17 +304,7 @@ def _check_array(
             raise mismatch(file, name, found, f"{expected} with {reason}")
     for axis, size in zip(field.shape, array.shape, strict=True):
         sizes.setdefault(str(axis), (size, name))
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        raise mismatch(file, name, "NaN or infinity", "finite numbers")
-    if field.values and array.size:
-        strange = np.setdiff1d(array, np.array(field.values))
-        if strange.size:
-            raise mismatch(file, name, f"{strange[0].item()!r:.80}", f"one of {list(field.values)}")
-    if array.size and array.dtype.kind in "iuf":
-        # One pass for each bound that there is: arrays may be large.
-        least = array.min() if field.low is not None else None
-        most = array.max() if field.high is not None else None
-        check_bounds(least, most, field, name, file)
+    _check_values(array, field, name, file)
 
 
 def _shape_text(field: Entry) -> str:

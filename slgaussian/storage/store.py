@@ -33,7 +33,7 @@ from slgaussian.storage.encoding import (
     table_digest,
 )
 from slgaussian.storage.local_copies import LocalCache
-from slgaussian.storage.remote import explained, open_place, patiently, troubles
+from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.specs import load_spec, mismatch, spec_names
 
 if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
@@ -218,13 +218,12 @@ class ArtifactStore:
 
     def read(self, uri: str, what: str = "a file") -> bytes:
         """Read a file; DamagedError if it is not there, ``what`` says what was expected."""
+        told = OSError if self.local else FileNotFoundError
         try:
-            return self._ask(lambda: self.fs.cat_file(f"{self.path}/{uri}"))
+            return self._ask("read", lambda: self.fs.cat_file(f"{self.path}/{uri}"), told)
         except FileNotFoundError as error:
             raise self._damaged(uri, "nothing", what) from error
-        except troubles() as error:
-            if not self.local:
-                raise self._failed("read", error) from error
+        except OSError as error:
             raise self._damaged(uri, explained(error), "a readable file") from error
 
     def fetch(
@@ -304,11 +303,7 @@ class ArtifactStore:
 
     def check_there(self, uri: str) -> None:
         """Raise :class:`DamagedError` if there is no file at a path relative to the root."""
-        try:
-            there = self._ask(lambda: self.fs.exists(f"{self.path}/{uri}"))
-        except troubles() as error:
-            raise self._failed("read", error) from error
-        if not there:
+        if not self._ask("read", lambda: self.fs.exists(f"{self.path}/{uri}")):
             raise self._damaged(uri, "nothing", "an artifact")
 
     def check_writable(self) -> None:
@@ -320,9 +315,7 @@ class ArtifactStore:
         probe = f".probe-{uuid.uuid4().hex}"
         self.write(probe, b"")
         try:
-            return _written(self._ask(lambda: self.fs.info(f"{self.path}/{probe}")))
-        except troubles() as error:
-            raise self._failed("read", error) from error
+            return _written(self._ask("read", lambda: self.fs.info(f"{self.path}/{probe}")))
         finally:
             self.remove([probe])
 
@@ -332,19 +325,16 @@ class ArtifactStore:
         FileExistsError if it is to be ``new`` and is there, where the file system can tell.
         """
         path = f"{self.path}/{uri}"
-        try:
+
+        def write_file() -> None:
             if self.local:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 write_atomic(path, data, sync=True, new=new)
-            elif self.near:
-                self.fs.pipe_file(path, data)
             else:
                 # One put, or parts that are shown when the last has arrived: whole or not at all.
-                self._ask(lambda: self.fs.pipe_file(path, data, chunksize=PART))
-        except troubles() as error:
-            if new and isinstance(error, FileExistsError):
-                raise
-            raise self._failed("write", error) from error
+                self.fs.pipe_file(path, data, **({} if self.near else {"chunksize": PART}))
+
+        self._ask("write", write_file, FileExistsError if new else ())
 
     def remove(self, uris: Iterable[str]) -> None:
         """Delete files, whether they are there or not; InputError if that fails."""
@@ -353,12 +343,10 @@ class ArtifactStore:
             if self.cache is not None:
                 self.cache.drop(uri)
             with suppress(FileNotFoundError):
-                self._ask(lambda: self.fs.rm_file(f"{self.path}/{uri}"))
+                path = f"{self.path}/{uri}"
+                self._ask("delete", lambda: self.fs.rm_file(path), FileNotFoundError)
 
-        try:
-            self.at_once(remove_file, list(uris))
-        except troubles() as error:
-            raise self._failed("delete", error) from error
+        self.at_once(remove_file, list(uris))
 
     def walk(self, folders: Sequence[str] = ("",)) -> Iterator[list[File]]:
         """Yield the files in folders and all below, a folder at a time; nothing where none is.
@@ -380,9 +368,24 @@ class ArtifactStore:
         with ThreadPoolExecutor(most) as pool:
             return list(pool.map(function, items))
 
-    def _ask(self, request: Callable[[], Result]) -> Result:
-        """Make a request, one of a store elsewhere patiently."""
-        return request() if self.near else patiently(request)
+    def _ask(
+        self,
+        verb: str,
+        request: Callable[[], Result],
+        passed: type[Exception] | tuple[type[Exception], ...] = (),
+    ) -> Result:
+        """Make a request; InputError that one cannot ``verb`` there, of errors not ``passed``."""
+        try:
+            return request()
+        except troubles() as error:
+            if isinstance(error, passed):
+                raise
+            do = "; choose a writable folder with --store" if self.local and verb == "write" else ""
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                do = "; make room there (`slgaussian store gc`), and run again"
+            reason = explained(error, self.path)
+            message = f"store {self.root}: cannot {verb} there ({reason}){do}"
+            raise InputError(message) from error
 
     def _fetch_artifact(self, ref: ArtifactRef) -> tuple[bytes, Any]:
         what = f"a {ref.spec} artifact"
@@ -393,11 +396,10 @@ class ArtifactStore:
         files, folders = [], []
         try:
             folder = f"{self.path}/{uri}".rstrip("/")
-            entries = self._ask(lambda: self.fs.ls(folder, detail=True))
+            none = FileNotFoundError, NotADirectoryError
+            entries = self._ask("read", lambda: self.fs.ls(folder, detail=True), none)
         except (FileNotFoundError, NotADirectoryError):
             return [], []
-        except troubles() as error:
-            raise self._failed("read", error) from error
         for entry in entries:
             own = entry["name"].rstrip("/").removeprefix(f"{self.path}/")
             if own == uri:
@@ -417,13 +419,6 @@ class ArtifactStore:
 
     def _damaged(self, uri: str, found: str, expected: str, field: str = "file") -> DamagedError:
         return DamagedError(str(mismatch(f"{self.root}/{uri}", field, found, expected)), uri)
-
-    def _failed(self, verb: str, error: Exception) -> InputError:
-        do = "; choose a writable folder with --store" if self.local and verb == "write" else ""
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            do = "; make room there (`slgaussian store gc`), and run again"
-        reason = explained(error, self.path)
-        return InputError(f"store {self.root}: cannot {verb} there ({reason}){do}")
 
 
 def address(spec: str, digest: str) -> str:

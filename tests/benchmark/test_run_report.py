@@ -18,10 +18,10 @@ from slgaussian.benchmark.scores import score_table
 from slgaussian.benchmark.statistics import LEAST
 from slgaussian.datasets.published import RECOGNISED
 from slgaussian.language.query import NEAR_BEST
-from slgaussian.storage.account import Account
 from slgaussian.storage.specs import load_spec
+from slgaussian.storage.statistics import FieldStatistics
 
-ACCOUNT = Account(12345, 6789, 0.25, 0.5, 9.5, 3, 5, 1_200_000, 300_000, 7, 40, 144)
+ACCOUNT = FieldStatistics(12345, 6789, 0.25, 0.5, 9.5, 3, 5, 1_200_000, 300_000, 7, 40, 144)
 MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 
 

@@ -4,7 +4,7 @@ import pytest
 from posed_folders import HEIGHT, WIDTH, Shot, write_model, write_pictures
 
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
-from slgaussian.datasets import lerf_ovs, load, scenes
+from slgaussian.datasets import load, scenes
 from slgaussian.errors import InputError
 
 NAMES = [f"frame_{i:05d}.jpg" for i in (1, 2, 3)]
@@ -37,7 +37,7 @@ def test_scenes_and_their_labels_are_read(folder):
     assert scene.name == "teatime"
     assert list(scene.cameras) == NAMES
     assert scene.read(NAMES[2]).image.shape == (HEIGHT, WIDTH, 3)
-    labels = folder / lerf_ovs.LABELS / "teatime"
+    labels = folder / "label" / "teatime"
     assert labelled_frames(labels) == {"frame_00002": ("sheep",)}
     assert read_labels(labels, NAMES[1], WIDTH, HEIGHT)["sheep"].any()
 

@@ -128,7 +128,7 @@ def test_choices_that_are_listed_are_those_that_are_taken():
     ("line", "expected"),
     [
         ("slgaussian fie", {"field"}),
-        ("slgaussian store ", {"gc", "verify", "du"}),
+        ("slgaussian store ", {"gc", "verify"}),
         ("slgaussian field --predictor ", {"planesweep", "mvsplat"}),
         ("slgaussian field --predictor mv", {"mvsplat"}),
         ("slgaussian demo --preset ", set(settings.PRESETS)),

@@ -136,11 +136,6 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "store", "verify", "--store", store.root, "--remove") == 0
     assert kept(store) == whole
 
-    assert run(monkeypatch, "store", "du", "--store", store.root) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert ["keys", "-", "3"] in [line[:3] for line in lines]
-    assert ["labels", "make", "v1", "1"] in [line[:4] for line in lines]
-    assert ["all", "-", "6"] in [line[:3] for line in lines]
     assert ran(store, tmp_path / "log") == []
 
 
@@ -169,7 +164,7 @@ def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypa
 
 
 def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch, capsys):
-    for command in ("gc", "verify", "du"):
+    for command in ("gc", "verify"):
         assert run(monkeypatch, "store", command, "--store", tmp_path / "typo") == 2
         assert "typo: found no folder, expected a store" in said(capsys)
     assert not (tmp_path / "typo").exists()

@@ -1,13 +1,14 @@
 """Photographs, masks, ids and depths at another size, against sums in float64."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
 
-from slgaussian.datasets.lens import perspective_maps, straight_mask, straightened
+from slgaussian.datasets.lens import perspective_maps, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.resampling import Window
 from slgaussian.scene import Camera, View
@@ -129,13 +130,14 @@ class TestDepth:
         ).reshape(60, 90, 2)
         bent = 3 / (rays @ [0.3, 0.1] + 1)
         mask = rays[..., 0] < 0.1
-        _, depth = straightened(full.image, bent.astype(np.float32), maps)
+        view = straightened(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
+        depth = view.depth
         truth = self.plane(full.camera, (0.3, 0.1, 1))
         known = depth > 0
         assert known.mean() > 0.8
         assert abs((depth[known] / truth[known] - 1).mean()) < 1e-5
         straight = full.camera.rays()[..., 0] < 0.1
-        assert (straight_mask(mask, maps) != straight)[known].mean() < 0.005
+        assert (view.opaque != straight)[known].mean() < 0.005
 
 
 def test_a_view_of_a_view_shows_the_part_that_its_camera_sees():

@@ -12,7 +12,7 @@ import pytest
 from contents import failures, labels
 
 from slgaussian.errors import InputError
-from slgaussian.storage.housekeeping import collect, usage, verify
+from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
@@ -177,20 +177,6 @@ def test_a_bad_record_is_no_result_and_is_named(local, data):
     assert names(local) == set()
 
 
-def test_usage_counts_by_spec_and_maker(store):
-    uris = filled(store)
-    store.write("digests/abc.json", b"{}")
-    size = len(store.read(uris["a"]))
-    rows = usage(store)
-    assert rows["labels", "a v1"] == [1, size]
-    assert rows["labels", "b v2"] == [2, len(store.read(uris["b"])) + len(store.read(uris["part"]))]
-    assert rows["labels", ""][0] == 1
-    assert rows["failures", "b v2"][0] == 1
-    assert rows["digests", ""] == [1, 2]
-    assert rows["keys", ""][0] == 2
-
-
 def test_an_empty_store_has_nothing(store):
     assert collect(store, 0, delete=True).kept == 0
     assert verify(store).sound == 0
-    assert usage(store) == {}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.storage.local_copies import ABANDONED, LocalCache, kept_arrays, parse_size
+from slgaussian.storage.local_copies import ABANDONED, LocalCache, kept_arrays
 
 ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
@@ -92,18 +92,14 @@ def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
     monkeypatch.delenv("SLGAUSSIAN_CACHE_SIZE", raising=False)
     found = LocalCache.from_environment()
     assert (found.folder, found.bound) == (tmp_path / "slgaussian" / "objects", 10**10)
+    for text, size in (("500M", 5 * 10**8), ("1.5 GB", 15 * 10**8), ("2 tb", 2 * 10**12)):
+        monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", text)
+        assert LocalCache.from_environment().bound == size
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
     assert LocalCache.from_environment() is None
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "much")
     with pytest.raises(InputError, match="SLGAUSSIAN_CACHE_SIZE: found 'much'"):
         LocalCache.from_environment()
-
-
-@pytest.mark.parametrize(
-    ("text", "size"), [("0", 0), ("500M", 5 * 10**8), ("1.5 GB", 15 * 10**8), ("2 tb", 2 * 10**12)]
-)
-def test_sizes_are_read_as_people_write_them(text, size):
-    assert parse_size(text) == size
 
 
 def test_arrays_are_made_once_and_anew_where_the_file_is_damaged(tmp_path, monkeypatch):

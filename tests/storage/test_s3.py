@@ -12,7 +12,6 @@ from contents import labels, weights
 from forwarder import Forwarder
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage import remote
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import PART, ArtifactStore
 
@@ -138,7 +137,8 @@ def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3
 def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
     """It must not be taken for a lost result, or everything would be computed again."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://someone:hidden@127.0.0.1:9")
-    monkeypatch.setattr(remote, "TRIES", 2)
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
     with pytest.raises(InputError, match=r"no answer: .*AWS_ENDPOINT_URL") as error:
         Records(ArtifactStore(bucket)).find(f"masks/v1/{'0' * 64}")
     assert "hidden" not in str(error.value)

@@ -10,7 +10,7 @@ import numpy as np
 
 from slgaussian.benchmark.reports.model import Cell, Column, Line, Table, line_of, number
 from slgaussian.benchmark.reports.score_tables import score_cell
-from slgaussian.storage.account import Account
+from slgaussian.storage.statistics import FieldStatistics
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -27,8 +27,8 @@ class Scene:
         Of the spec ``samples``: of our method, then of each of the others.
     metrics : {name: float}
         The ``scene_metrics`` of our result.
-    account : Account
-        The account of our field.
+    account : FieldStatistics
+        Counts and sizes of our field.
     pictures : function giving {name: uint8 [H, W, 3]}
         The pictures of our result.
     truth : function giving {frame: {query: bool [H, W]}}
@@ -40,7 +40,7 @@ class Scene:
     dataset: str
     rows: Sequence[Row]
     metrics: Mapping[str, float]
-    account: Account
+    account: FieldStatistics
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]
     masks: Callable[[], Mapping[tuple[str, str, str], np.ndarray]]
@@ -114,7 +114,7 @@ def metrics_table(
     return Table(tuple(columns), (*lines, Line(tuple(means), style="mean")), title)
 
 
-def accounts_table(accounts: Mapping[str, Account]) -> Table:
+def accounts_table(accounts: Mapping[str, FieldStatistics]) -> Table:
     """Return what the field of each scene is made of."""
     rows = []
     for scene, account in accounts.items():

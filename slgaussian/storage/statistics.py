@@ -1,18 +1,17 @@
-"""Account of a field: its Gaussians, codes and bytes, as the field says it of itself.
+"""Statistics of a field: its Gaussians, codes and bytes, as the field says it of itself.
 
 The same of the same input: how many seconds a field took is no part of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 
 @dataclass(frozen=True)
-class Account:
-    """The account of a field, under ``account`` in the settings of its ``field.json``.
+class FieldStatistics:
+    """Counts and sizes of a field, under ``account`` in the settings of its ``field.json``.
 
     Attributes
     ----------
@@ -51,14 +50,8 @@ class Account:
         """Plain numbers, four decimals."""
         return {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
 
-    @staticmethod
-    def of(settings: Mapping[str, Any]) -> Account | None:
-        """Read the account in the settings of a field; None if it was made before there was one."""
-        account = settings.get("account")
-        return None if account is None else Account(**account)
-
     def lines(self) -> list[str]:
-        """Describe the account for people, a line each."""
+        """Describe them for people, a line each."""
         share = self.gaussians_kept / max(self.gaussians_made, 1)
         lines = [
             f"Gaussians: {self.gaussians_kept:,} of {self.gaussians_made:,} made ({share:.0%}); "
@@ -67,12 +60,11 @@ class Account:
         ]
         if self.depths_tried is not None:
             lines.append(f"depth candidates: {self.depths_tried:,} of {self.depths_possible:,}")
-        computed = (
-            "" if self.replicas_computed is None else f"{self.replicas_computed} computed of "
-        )
+        computed = self.replicas_computed
         return [
             *lines,
             f"ID codes: {self.code_dimensions} numbers each",
-            f"replicas: {computed}{self.replicas_asked} asked for",
+            f"replicas: {'' if computed is None else f'{computed} computed of '}"
+            f"{self.replicas_asked} asked for",
             f"bytes: Gaussians {self.bytes_gaussians:,}, memory bank {self.bytes_bank:,}",
         ]

@@ -1,0 +1,93 @@
+"""The labelled sets LERF-OVS and 3D-OVS: folders of scenes, with texts and masks of some views.
+
+LERF-OVS are the scenes of LERF that LangSplat labelled: a folder with ``images`` and ``sparse/0``
+for each scene, and ``label/<scene>/<frame>.json``, read by :mod:`slgaussian.benchmark.annotations`.
+In LangSplat the labelled frames are training views; here they are held out.
+
+A scene of 3D-OVS (https://github.com/Kunhao-Liu/3D-OVS#datasets) is a folder with ``images``,
+``sparse`` or ``poses_bounds.npy`` or both, and ``segmentations`` with ``classes.txt`` and
+``<view>/<class>.png``, read by :mod:`slgaussian.benchmark.class_masks`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from slgaussian.datasets import colmap, llff
+from slgaussian.errors import InputError, did_you_mean
+from slgaussian.scene import Scene
+
+LABELS = {"lerf_ovs": "label/{scene}", "ovs3d": "{scene}/segmentations"}
+"""Folder of the labels of a scene in that of the set, by format."""
+
+CAMERAS = {"colmap": colmap, "llff": llff}
+
+
+def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
+    """Read one scene of LERF-OVS as :func:`slgaussian.datasets.colmap.read` does.
+
+    Parameters
+    ----------
+    path : path
+        Folder of the whole set.
+    scene : str
+        A folder in it, such as figurines.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or it cannot be read.
+    """
+    return colmap.read(_find_scene(path, scene, lerf_ovs_scenes(path)))
+
+
+def read_ovs3d(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
+    """Read one scene of 3D-OVS.
+
+    Parameters
+    ----------
+    path, scene
+        As :func:`read_lerf_ovs` takes them.
+    cameras : {"colmap", "llff"}, optional
+        Where its cameras are from: the model in ``sparse`` if it is there, whatever else is, as
+        that has the lens and the principal point; or ``poses_bounds.npy``, which 3D-OVS uses.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or it cannot be read.
+    """
+    folder = _find_scene(path, scene, ovs3d_scenes(path))
+    if cameras is None:
+        cameras = "colmap" if (folder / "sparse").is_dir() else "llff"
+    if cameras not in CAMERAS:
+        raise InputError(
+            f"cameras: found {cameras!r}, expected one of {', '.join(CAMERAS)}"
+            f"{did_you_mean(cameras, CAMERAS)}"
+        )
+    return CAMERAS[cameras].read(folder)
+
+
+def lerf_ovs_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """List the scenes of LERF-OVS by name, each with what its reader takes besides the path."""
+    return _scenes_with(path, "sparse")
+
+
+def ovs3d_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """List the scenes of 3D-OVS by name, each with what its reader takes besides the path."""
+    return _scenes_with(path, "sparse", llff.FILE)
+
+
+def _scenes_with(path: str | Path, *marks: str) -> dict[str, dict[str, Any]]:
+    names = {inside.parent.name for mark in marks for inside in Path(path).glob(f"*/{mark}")}
+    return {name: {"scene": name} for name in sorted(names)}
+
+
+def _find_scene(path: str | Path, scene: str, known: dict[str, Any]) -> Path:
+    if scene not in known:
+        raise InputError(
+            f"{path}: has no scene {scene!r}; found {', '.join(known) or 'none'} (give the folder "
+            "of the whole set)"
+        )
+    return Path(path) / scene
