@@ -7,9 +7,9 @@ import os
 import platform
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,20 @@ import pyarrow as pa
 from prefect import flow
 from prefect.states import State
 
-from flows import kept
-from flows.artifact_table import write_artifacts
-from flows.labelled import labelled_scenes
-from flows.manifest import manifest
-from flows.room_scenes import THIRDS, room_scene, seeds
-from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
+from flows.config import SceneSettings, Settings
+from flows.read_config import settled
+from flows.results import check_places, field_place, manifest, write_artifacts, write_fields
+from flows.runners.batches import Failure, Outcome, SceneTask, map_scenes, map_shown, write_failures
 from flows.runners.progress import Progress
-from flows.runners.publishing import publish_markdown, publish_table
-from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.runners.session import (
+    check_folder,
+    completed,
+    publish_markdown,
+    publish_table,
+    run_session,
+    stages_to_refresh,
+    writing,
+)
 from flows.runners.task_runners import Workers, open_workers
 from flows.scene import (
     STAGES,
@@ -35,7 +40,7 @@ from flows.scene import (
     method_task_name,
     scene_task,
 )
-from flows.settings import SceneSettings, Settings, settled
+from flows.scenes import THIRDS, labelled_scenes, room_scene, seeds
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
@@ -77,16 +82,6 @@ LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 
 
 @dataclass(frozen=True)
-class Cost:
-    """What the field of a scene cost when it was made: Gaussians that were predicted, those that it
-    kept, and seconds of its stages."""
-
-    gaussians: int
-    kept: int
-    seconds: float
-
-
-@dataclass(frozen=True)
 class RunResult:
     """What a run leaves.
 
@@ -99,15 +94,12 @@ class RunResult:
     report : Path or None
     ready : str
         A command that asks the field of one of the scenes; empty if none has a field.
-    costs : {scene: Cost}
-        Of the scenes that went through.
     """
 
     results: list[SceneResult]
     failures: list[Failure]
     report: Path | None
     ready: str
-    costs: dict[str, Cost] = field(default_factory=dict)
 
     @property
     def look(self) -> str:
@@ -153,7 +145,7 @@ def check(config: Settings, store: ArtifactStore) -> None:
     stages_to_refresh(config, REFRESHABLE)
     store.check_writable()
     check_folder(config.out)
-    kept.check_places([scene.name for scene in scenes], config.out)
+    check_places([scene.name for scene in scenes], config.out)
 
 
 def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
@@ -169,16 +161,11 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     for scene, data in refs.manifest.get("data", {}).items():
         for name, why in data["left_out"].items():
             progress.note(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
-    try:
+    with writing(config.out):
         results = _write(config, store, refs, progress.note)
-    except OSError as error:
-        raise InputError(
-            f"{config.out}: cannot write the results ({error.strerror}); they are kept in the "
-            "store, so make room there, or choose another folder with -o, and run again"
-        ) from error
     progress.summary()
     page = None if refs.report is None else config.out / "report.html"
-    return RunResult(results, refs.failures, page, _example(refs, config.out), refs.costs)
+    return RunResult(results, refs.failures, page, _example(refs, config.out))
 
 
 def _compute(
@@ -194,32 +181,26 @@ def _compute(
         ours = map_scenes(
             [scene_task(config, method, scene) for scene in scenes], workers, progress
         )
-    others = rest = Outcome()
-    if tasks := baseline_tasks(config, method, scenes, ours.refs):
-        others = _map(tasks, 1, "answers", workers, verbose)
+    tasks = baseline_tasks(config, method, scenes, ours.refs)
+    others = map_shown(tasks, workers, 1, "answers", verbose)
     complete = [scene for scene in scenes if scene.name in ours.refs]
     by_names, refused = sweep_tasks(variants, complete)
-    if by_names:
-        rest = _map(list(by_names.values()), SWEPT, "settings", workers, verbose)
-    rest = replace(rest, failures=[*rest.failures, *refused])
-    refs = _gathered(config, scenes, variants, ours, others, rest)
-    if refs.answers:
-        last = [_report_task(refs), SceneTask("this machine", check_numerics, (), "numerics")]
-        made = _map(last, 1, "last tasks", workers, verbose)
+    swept = map_shown(list(by_names.values()), workers, SWEPT, "settings", verbose)
+    swept.failures += refused
+    refs = _gather(config, scenes, variants, ours, others, swept)
+    if refs.scored:
+        failures = [asdict(failure) for failure in refs.failures]
+        arguments = refs.scored, refs.manifest, failures
+        last = [
+            SceneTask("all scenes", report, arguments, first="report"),
+            SceneTask("this machine", check_numerics, (), "numerics"),
+        ]
+        made = map_shown(last, workers, 1, "last tasks", verbose)
         refs.outcomes.append(made)
         refs.failures += made.failures
         refs.report = made.refs.get("all scenes", {}).get("report")
         refs.hard_cases = made.refs.get("this machine", {}).get("numerics")
     return refs
-
-
-def _map(
-    tasks: list[SceneTask], stages: int, unit: str, workers: Workers, verbose: bool
-) -> Outcome:
-    with Progress(len(tasks), stages, verbose, unit=unit) as progress:
-        outcome = map_scenes(tasks, workers, progress)
-    progress.summary()
-    return outcome
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -248,23 +229,28 @@ def _write(
 ) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
-    write_atomic(out / "failures.parquet", failures_file(made.failures))
+    write_failures(out, made.failures)
     write_artifacts(out, store, made.outcomes)
     results, times, costs = [], [], []
-    for scene, ref in made.results():
+    scored = [(one.scene, ref) for one in made.scored for ref in (one.answer, *one.others.values())]
+    for scene, ref in scored:
         arrays = store.get(ref)
         result = result_from_arrays(arrays, ref.meta["times"], with_images=False)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
         times.append((result.method, scene, result.times))
-        build = {"build_seconds": made.built_in(scene, result.method)}
+        shared = made.build_seconds[scene, ""]
+        build = {"build_seconds": made.build_seconds.get((scene, result.method), shared)}
         # Results that a store has from an earlier version say nothing of it.
         costs += [{**row, **build} for row in ref.meta.get("costs", ())]
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
     write_costs(costs, out)
-    lost = [load_spec("attribution").schema.empty_table(), *map(store.get, made.lost.values())]
+    lost = [
+        load_spec("attribution").schema.empty_table(),
+        *(store.get(one.attribution) for one in made.scored),
+    ]
     write_table("attribution", pa.concat_tables(lost), out)
     files = {"manifest.json": _json(made.manifest)}
     if settings.pairs is not None:
@@ -292,7 +278,7 @@ def _write(
         else:
             # That of an earlier run is not about these scenes.
             (out / name).unlink(missing_ok=True)
-    kept.write_fields(store, made.fields, settings.built_by.encoder.places(), out, tell)
+    write_fields(store, made.fields, settings.built_by.encoder.places(), out, tell)
     return results
 
 
@@ -302,13 +288,13 @@ def _example(made: _Refs, out: Path) -> str:
     Of the first scene whose answer is known to be right, or else of the first that has one. A field
     without is drawn.
     """
-    asked = {scene: ref.meta["example"] for scene, ref in made.answers.items()}
+    asked = {one.scene: one.answer.meta["example"] for one in made.scored}
     examples = {scene: example for scene, example in asked.items() if example is not None}
     known = [scene for scene, example in examples.items() if example["iou"] is not None]
     scene = next(iter([*known, *examples, *made.fields]), None)
     if scene is None:
         return ""
-    folder = kept.place(scene, out)
+    folder = field_place(scene, out)
     with suppress(ValueError):  # it is not below the working folder
         folder = folder.relative_to(Path.cwd())
     if scene not in examples:
@@ -323,125 +309,78 @@ def _json(content: dict[str, Any]) -> bytes:
 
 @dataclass
 class _Refs:
-    """What the flow made.
+    """What the pipelines of a run made.
 
-    By scene: ``fields`` are those of all scenes that came so far, ``answers`` our results,
-    ``others`` by method those of baselines and of other settings, ``truths`` what they were scored
-    against, ``lost`` what lost ours, and ``costs`` what their fields cost; ``swept`` what the
-    fields of other settings cost, by scene and method. ``stages`` says what each stage took when
-    its artifacts were made, which for cached ones is long ago, and ``machines`` on which
-    processors, with the number of artifacts. ``hard_cases`` are those of this
-    machine, and ``outcomes`` have all that was made.
+    ``scored`` are the scenes that went through, with other methods and settings; ``fields``, by
+    scene, those of all that came so far. ``build_seconds`` are what a field took, by scene and the
+    method with other settings, empty for the field that all share; ``stages`` what each stage took
+    when its artifacts were made, which for cached ones is long ago, and ``machines`` on which
+    processors, with the number of artifacts. ``hard_cases`` are those of this machine, and
+    ``outcomes`` have all that was made.
     """
 
+    scored: list[Scored]
     fields: dict[str, ArtifactRef]
-
-    answers: dict[str, ArtifactRef]
-    others: dict[str, dict[str, ArtifactRef]]
-    truths: dict[str, ArtifactRef]
-    lost: dict[str, ArtifactRef]
-    costs: dict[str, Cost]
-    failures: list[Failure]
+    build_seconds: dict[tuple[str, str], float]
     stages: dict[str, StageCost]
     machines: dict[str, int]
     manifest: dict[str, Any]
+    failures: list[Failure]
     outcomes: list[Outcome]
-    swept: dict[tuple[str, str], Cost]
     report: ArtifactRef | None = None
     hard_cases: ArtifactRef | None = None
 
-    def built_in(self, scene: str, method: str) -> float:
-        """Return the seconds in which the field of a scene was built that a method asks."""
-        return self.swept.get((scene, method), self.costs[scene]).seconds
 
-    def results(self) -> Iterator[tuple[str, ArtifactRef]]:
-        """All results with their scene, ours first in each."""
-        for scene, ref in self.answers.items():
-            yield scene, ref
-            for other in self.others[scene].values():
-                yield scene, other
-
-
-def _gathered(
+def _gather(
     settings: Settings,
     scenes: Sequence[SceneSettings],
     variants: Sequence[Combination],
-    outcome: Outcome,
-    more: Outcome,
-    rest: Outcome,
+    ours: Outcome,
+    others: Outcome,
+    swept: Outcome,
 ) -> _Refs:
-    through = [scene.name for scene in scenes if scene.name in outcome.refs]
     rows = chosen_baselines(settings.against)
-    others = {
-        scene: {
-            method: more.refs[job][baselines.name]
-            for method in rows
-            if (job := method_task_name(scene, method)) in more.refs
-        }
-        for scene in through
-    }
-    swept = {
-        (scene, one.name): rest.refs[called]
-        for scene in through
-        for one in variants
-        if (called := method_task_name(scene, one.name)) in rest.refs
-    }
+    scored, build_seconds = [], {}
+    for scene in (scene.name for scene in scenes if scene.name in ours.refs):
+        refs, results = ours.refs[scene], {}
+        build_seconds[scene, ""] = _seconds_to_build(refs)
+        for method in rows:
+            if made := others.refs.get(method_task_name(scene, method)):
+                results[method] = made[baselines.name]
+        for one in variants:
+            if made := swept.refs.get(method_task_name(scene, one.name)):
+                results[one.name] = made["benchmark"]
+                build_seconds[scene, one.name] = _seconds_to_build(made)
+        own = refs["benchmark"], refs["truth"], refs["attribution"]
+        scored.append(Scored(scene, *own, results, refs["field"].meta["account"]))
     costs = {
-        stage.name: StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
+        stage.name: StageCost.of(refs[stage.name].meta for refs in ours.refs.values())
         for stage in STAGES
     }
     stages = [*STAGES, report]
     if rows:
-        own = (ref.meta for by_method in others.values() for ref in by_method.values())
-        costs[baselines.name] = StageCost.of(own)
+        costs[baselines.name] = StageCost.of(
+            refs[baselines.name].meta for refs in others.refs.values()
+        )
         stages.append(baselines)
-    for (scene, method), refs in swept.items():
-        others[scene][method] = refs["benchmark"]
-    started = outcome.partial | outcome.refs
-    fields = {
-        scene.name: started[scene.name]["field"]
-        for scene in scenes
-        if "field" in started.get(scene.name, {})
-    }
+    started, outcomes = ours.partial | ours.refs, [ours, others, swept]
+    made_on = Counter(
+        ref.meta.get("processor", "an unknown processor")
+        for outcome in outcomes
+        for refs in outcome.refs.values()
+        for ref in refs.values()
+    )
     return _Refs(
-        fields,
-        {scene: outcome.refs[scene]["benchmark"] for scene in through},
-        others,
-        {scene: outcome.refs[scene]["truth"] for scene in through},
-        {scene: outcome.refs[scene]["attribution"] for scene in through},
-        {scene: _cost(outcome.refs[scene]) for scene in through},
-        [*outcome.failures, *more.failures, *rest.failures],
+        scored,
+        {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))},
+        build_seconds,
         costs,
-        _machines(outcome, more, rest),
-        manifest(settings, scenes, stages, outcome.refs, rows | {v.name: v.row for v in variants}),
-        [outcome, more, rest],
-        {names: _cost(refs) for names, refs in swept.items()},
+        dict(made_on),
+        manifest(settings, scenes, stages, ours.refs, rows | {v.name: v.row for v in variants}),
+        [failure for outcome in outcomes for failure in outcome.failures],
+        outcomes,
     )
 
 
-def _machines(*outcomes: Outcome) -> dict[str, int]:
-    """On which processors the artifacts of jobs that went through were made."""
-    refs = (ref for one in outcomes for by_stage in one.refs.values() for ref in by_stage.values())
-    return dict(Counter(ref.meta.get("processor", "an unknown processor") for ref in refs))
-
-
-def _cost(refs: Mapping[str, ArtifactRef]) -> Cost:
-    seconds = sum(refs[stage].meta["seconds"] for stage in BUILDING)
-    account = refs["field"].meta["account"]
-    return Cost(account["gaussians_made"], account["gaussians_kept"], seconds)
-
-
-def _report_task(made: _Refs) -> SceneTask:
-    scenes = [
-        Scored(
-            scene,
-            answer,
-            made.truths[scene],
-            made.lost[scene],
-            made.others[scene],
-            made.fields[scene].meta["account"],
-        )
-        for scene, answer in made.answers.items()
-    ]
-    failures = [asdict(failure) for failure in made.failures]
-    return SceneTask("all scenes", report, (scenes, made.manifest, failures), first="report")
+def _seconds_to_build(refs: Mapping[str, ArtifactRef]) -> float:
+    return sum(refs[stage].meta["seconds"] for stage in BUILDING)

@@ -1,17 +1,21 @@
-"""What people name as sources of clips: folders of any format, chunks, camera files, rooms."""
+"""Sources of clips: folders of any format, chunks, camera files, rooms; and chunks of them."""
 
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from flows.corpus_settings import PackSettings
-from flows.room_scenes import seeds
+from flows.config import PackSettings
+from flows.runners.progress import Progress
+from flows.scenes import seeds
 from slgaussian.datasets import colmap, re10k, re10k_text
 from slgaussian.errors import InputError
-from tasks.packed import PosedFolder, Room
+from slgaussian.kernels import threads
+from tasks.chunks import PosedFolder, Room
+from tasks.context import StageEvent
 
 ROOMS = "procedural:"
 """How made-up rooms are asked for, with their first and last seed after it."""
@@ -69,12 +73,9 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
             return [PosedFolder(file.stem, file) for file in texts]
     if re10k_text.is_camera_file(path):
         return [PosedFolder(path.stem, path)]
-    return [PosedFolder(_scene_folder(path).name, path)]
-
-
-def _scene_folder(path: Path) -> Path:
-    """The folder by which a scene is called: that above a file of cameras or a COLMAP model."""
-    return colmap.scene_folder((path.parent if path.is_file() else path).resolve())
+    # A scene is called as the folder above a file of cameras or a COLMAP model.
+    folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
+    return [PosedFolder(folder.name, path)]
 
 
 def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:
@@ -146,3 +147,59 @@ def is_chunks(source: str) -> bool:
     return (
         "://" in source or source.endswith(CHUNK) or (path.is_dir() and any(path.glob(f"*{CHUNK}")))
     )
+
+
+@dataclass
+class Packed:
+    """The chunks that were written, how many clips are in them, and why others are not."""
+
+    chunks: list[str] = field(default_factory=list)
+    clips: int = 0
+    left_out: list[str] = field(default_factory=list)
+
+
+def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
+    """Add every source as one clip to the folder of chunks ``out``, in new chunks.
+
+    A clip whose name is there already is left as it is. A source that cannot be read, or of which a
+    view cannot, is left out by itself.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        As :func:`sources_of` takes them, none of them chunks.
+    out : path
+    settings : PackSettings
+
+    Raises
+    ------
+    InputError
+        If a source has no such form, two have one name, or the folder cannot be written.
+    """
+    there = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
+    scenes = [one.holds for one in sources_of(sources, settings) if one.name not in there]
+    packed = Packed()
+    if not scenes:
+        return packed
+    threads.limit()
+
+    def clips() -> Iterator[re10k.Clip]:
+        for scene in scenes:
+            assert not isinstance(scene, str)  # no chunk
+            start = time.perf_counter()
+            progress.update(StageEvent(scene.name, "pack", "running"))
+            try:
+                clip = re10k.clip_of(scene.scene(), scene.url())
+            except InputError as error:
+                packed.left_out.append(str(error))
+                progress.update(StageEvent(scene.name, "pack", "failed", str(error)))
+                continue
+            seconds = time.perf_counter() - start
+            progress.update(StageEvent(scene.name, "pack", "completed", seconds=seconds))
+            packed.clips += 1
+            yield clip
+
+    with Progress(len(scenes), 1) as progress:
+        packed.chunks = re10k.write(out, clips(), int(settings.chunk_mb * 1e6))
+    progress.summary()
+    return packed

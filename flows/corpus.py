@@ -16,13 +16,12 @@ import pyarrow.parquet as pq
 from prefect import flow
 from prefect.states import State
 
-from flows.artifact_table import write_artifacts
-from flows.corpus_settings import CorpusSettings
-from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
-from flows.runners.progress import Progress
-from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.config import CorpusSettings
+from flows.read_config import settled
+from flows.results import write_artifacts
+from flows.runners.batches import Failure, Outcome, SceneTask, map_shown, write_failures
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
-from flows.settings import settled
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pair_selection import Bounds
@@ -31,12 +30,10 @@ from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import Framing, known_chunk
+from tasks.chunks import Framing, known_chunk, pairs, views
 from tasks.context import current_run
-from tasks.lessons import lessons
-from tasks.pairs import pairs
 from tasks.predictions import predictions
-from tasks.views import views
+from tasks.samples import lessons
 
 INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")
@@ -47,13 +44,9 @@ FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run leaves: how many rows each table has, refs by chunk and stage, and what failed.
-
-    ``outcome`` has all that was made.
-    """
+    """What a run leaves: how many rows each table has, what failed, and all that was made."""
 
     rows: dict[str, int]
-    refs: dict[str, dict[str, ArtifactRef]]
     failures: list[Failure]
     outcome: Outcome
 
@@ -153,21 +146,10 @@ def _prepare(
         for chunk in chunks
     ]
     refresh = stages_to_refresh(config, stages)
-    with (
-        open_workers(config.runner, config.workers, store, refresh) as workers,
-        Progress(len(chunks), len(stages), verbose=verbose, unit="chunks") as progress,
-    ):
-        outcome = map_scenes(tasks, workers, progress)
-    try:
-        prepared = _write(config.out, store, outcome, stages, withdrawn)
-    except OSError as error:
-        raise InputError(
-            f"{config.out}: cannot write the tables ({error.strerror or error}); what they are "
-            "made of is kept in the store, so make room there, or choose another folder with -o, "
-            "and run again"
-        ) from error
-    progress.summary()
-    return prepared
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
+        outcome = map_shown(tasks, workers, len(stages), "chunks", verbose)
+    with writing(config.out):
+        return _write(config.out, store, outcome, stages, withdrawn)
 
 
 def _write(
@@ -188,9 +170,9 @@ def _write(
         _write_sheets(out / "sheets", store, refs, withdrawn)
     failures = [failure for failure in failures if failure.scene not in withdrawn]
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
-    write_atomic(out / "failures.parquet", failures_file(failures))
+    write_failures(out, failures)
     write_artifacts(out, store, [outcome])
-    return Prepared(rows, refs, failures, outcome)
+    return Prepared(rows, failures, outcome)
 
 
 def _write_sheets(

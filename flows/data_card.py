@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from flows.clip_sources import Source
-from flows.dataset_settings import DatasetSettings, SetSettings
+from flows.config import DatasetSettings, SetSettings
 from flows.runners.batches import Failure
 from slgaussian import __version__, datasets
 from slgaussian.benchmark.pictures import (
@@ -33,7 +33,7 @@ from slgaussian.datasets import licences
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
-from tasks.packed import Room
+from tasks.chunks import Room
 
 CARD, SHEET = "README.md", "sheet.jpg"
 
@@ -66,7 +66,15 @@ def write_card(
     """
     samples = TrainingSet(out)
     write_atomic(out / SHEET, encode_jpeg(_sheet(samples), SHEET_WIDE))
-    page = _template().render(
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["cell"] = lambda text: " ".join(str(text).split()).replace("|", "\\|")
+    template = environment.from_string((files("flows") / "data_card.md.j2").read_text("utf-8"))
+    page = template.render(
         **_counts(out, samples.rows),
         size=f"{settings.size[0]}x{settings.size[1]}",
         settings=settings,
@@ -82,15 +90,6 @@ def write_card(
         index=INDEX,
     )
     write_atomic(out / CARD, page.encode())
-
-
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )  # fmt: skip
-    environment.filters["cell"] = lambda text: " ".join(str(text).split()).replace("|", "\\|")
-    return environment.from_string((files("flows") / "data_card.md.j2").read_text("utf-8"))
 
 
 def _counts(out: Path, rows: pa.Table) -> dict[str, Any]:
@@ -195,32 +194,24 @@ def _asked(settings: DatasetSettings) -> dict[str, Any]:
 
 
 def _sheet(samples: TrainingSet) -> np.ndarray:
-    """Some samples, evenly over the set: their views, labels over them, and depth."""
+    """Draw some samples, evenly over the set: each view, labels over it, and its depth."""
     count = min(SHEET_ROWS, len(samples))
     tiles: list[tuple[str, np.ndarray]] = []
-    columns = 0
     for index in np.linspace(0, len(samples) - 1, count).round().astype(int).tolist():
         item = samples[index]
-        row = samples_row(item)
-        columns = len(row)
-        tiles += row
-    return contact_sheet(tiles, SHEET_SIDE, columns)
-
-
-def samples_row(item: Mapping[str, Any]) -> list[tuple[str, np.ndarray]]:
-    """A sample as pictures with captions: each view, its labels over it, and its depth."""
-    views: list[tuple[str, np.ndarray]] = []
-    depths = [item[role]["depth"].numpy() for role in ("context", "target")]
-    near, far = depth_range(*[depth[depth > 0] for depth in depths])
-    for role in ("context", "target"):
-        own = item[role]
-        for number, image in enumerate(own["image"].numpy().transpose(0, 2, 3, 1)):
-            image = np.ascontiguousarray(image)
-            labels = own["labels"][number].numpy().astype(np.int32)
-            caption = f"{role} {number}"
-            views += [
-                (item["sample"] if not views else caption, image),
-                (f"{(labels == 0).mean():.0%} without an id", paint_labels(labels, image)),
-                (f"depth of {caption}", paint_depth(own["depth"][number].numpy(), near, far)),
-            ]
-    return views
+        depths = [item[role]["depth"].numpy() for role in ("context", "target")]
+        near, far = depth_range(*[depth[depth > 0] for depth in depths])
+        caption = item["sample"]
+        for role, depth in zip(("context", "target"), depths, strict=True):
+            own = item[role]
+            for number, image in enumerate(own["image"].numpy().transpose(0, 2, 3, 1)):
+                image = np.ascontiguousarray(image)
+                labels = own["labels"][number].numpy().astype(np.int32)
+                unlabelled = f"{(labels == 0).mean():.0%} without an id"
+                tiles += [
+                    (caption or f"{role} {number}", image),
+                    (unlabelled, paint_labels(labels, image)),
+                    (f"depth of {role} {number}", paint_depth(depth[number], near, far)),
+                ]
+                caption = ""
+    return contact_sheet(tiles, SHEET_SIDE, len(tiles) // count)

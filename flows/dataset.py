@@ -16,33 +16,27 @@ from prefect import flow
 from prefect.states import State
 
 from flows.clip_sources import Source, sources_of
-from flows.corpus_settings import PackSettings
+from flows.config import DatasetSettings, PackSettings, SetSettings
 from flows.data_card import write_card
-from flows.dataset_settings import DatasetSettings, SetSettings
-from flows.runners.batches import Failure, Outcome, SceneTask, failures_file, map_scenes
-from flows.runners.progress import Progress
-from flows.runners.session import check_folder, completed, run_session, stages_to_refresh
+from flows.read_config import settled
+from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import Workers, open_workers
-from flows.settings import settled
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
 from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.datasets.scene_grouping import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
-from slgaussian.io import KnownFile, write_atomic
+from slgaussian.io import KnownFile
 from slgaussian.kernels.seeding import held_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.all_masks import all_masks
 from tasks.choices import choices
-from tasks.chunks import Framing, known_chunk
+from tasks.chunks import Framing, PosedFolder, Room, known_chunk, packed, views
 from tasks.context import current_run
 from tasks.example import example
-from tasks.framed import Frames, framed
-from tasks.geometry import geometry
-from tasks.packed import PosedFolder, Room, packed
-from tasks.supervision import supervision
-from tasks.views import views
+from tasks.samples import Frames, all_masks, framed
+from tasks.scene import geometry, supervision
 
 SAMPLES = (framed, geometry, all_masks, supervision, example)
 """The stages of a sample."""
@@ -115,22 +109,17 @@ def build(
         chosen = [one for one in chosen if one.row["clip"] not in withdrawn]
         finished = _finish(config, workers, chosen, places, failures, verbose)
     failures.sort(key=lambda failure: (failure.scene, failure.stage, failure.reason))
-    write_atomic(config.out / "failures.parquet", failures_file(failures))
+    write_failures(config.out, failures)
     if not finished:
         raise InputError(
             f"{config.out}: no sample is left of {len(sources)} sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
         )
     versions = {stage.name: stage.version for stage in stages}
-    try:
+    with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
         of_sample = {one.row["sample"]: one.source for one in chosen}
         write_card(config.out, config, of_sample, failures, versions)
-    except OSError as error:
-        raise InputError(
-            f"{config.out}: cannot be written ({error.strerror or error}); what it is made of is "
-            "kept in the store, so make room there, or choose another folder, and run again"
-        ) from error
     return TrainingSetResult(
         samples=len(finished),
         places=len({one.place for one in finished}),
@@ -169,17 +158,6 @@ def make_example(
     return example(sample, base, ids, bank, known, images, with_gaussians)
 
 
-def _map(
-    tasks: Sequence[SceneTask], stages: int, unit: str, workers: Workers, verbose: bool
-) -> Outcome:
-    if not tasks:
-        return Outcome()
-    with Progress(len(tasks), stages, verbose=verbose, unit=unit) as progress:
-        outcome = map_scenes(tasks, workers, progress)
-    progress.summary()
-    return outcome
-
-
 def _choose(
     settings: DatasetSettings,
     workers: Workers,
@@ -196,7 +174,7 @@ def _choose(
     of_scenes = [SceneTask(s.name, choose_of_scene, (s.holds, *asked), packed.name) for s in scenes]
     refs: dict[str, dict[str, ArtifactRef]] = {}
     for tasks, stages, unit in ((of_files, 2, "chunks"), (of_scenes, 3, "scenes")):
-        outcome = _map(tasks, stages, unit, workers, verbose)
+        outcome = map_shown(tasks, workers, stages, unit, verbose)
         refs |= outcome.refs
         failures += outcome.failures
     owners: dict[str, str] = {}
@@ -261,7 +239,7 @@ def _finish(
         given = (one.chunk, frames, framing, settings.built_by, settings.trust_cameras, known)
         stored = settings.images, settings.gaussians
         tasks.append(SceneTask(row["sample"], make_example, (*given, *stored), framed.name))
-    outcome = _map(tasks, len(SAMPLES), "samples", workers, verbose)
+    outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
     failures += outcome.failures
     abouts = {name: own[example.name].meta["about"] for name, own in outcome.refs.items()}
     for about in abouts.values():

@@ -16,7 +16,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.runners.publishing import publish_markdown
+from flows.runners.session import publish_markdown
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
@@ -53,23 +53,22 @@ class History:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise SpecError(f"{file}: cannot be read ({error!r:.200}); delete it") from error
 
-    def last(self) -> dict[str, Any] | None:
-        """Read the last record; None if there is none."""
-        numbers = self.numbers()
-        return self.read(numbers[-1]) if numbers else None
-
     def begin(self) -> dict[str, Any]:
         """Begin a record, after that of one that was ended from outside is closed."""
         self.folder.mkdir(exist_ok=True)
-        last = self.last()
-        if last is not None and last["outcome"] == "on":
+        numbers = self.numbers()
+        if numbers and (last := self.read(numbers[-1]))["outcome"] == "on":
             reason = (
                 f"retraining {last['number']}, begun {last['begun']}, was ended from outside; the "
                 "next goes on with what it made"
             )
             self.end(last | {"outcome": "failed", "messages": [reason]}, None)
-        number = max(self.numbers(), default=0) + 1
-        record = {"number": number, "begun": _now(), "outcome": "on", "messages": []}
+        record = {
+            "number": max(numbers, default=0) + 1,
+            "begun": datetime.now(UTC).isoformat(timespec="seconds"),
+            "outcome": "on",
+            "messages": [],
+        }
         self._write(record)
         return record
 
@@ -88,22 +87,19 @@ class History:
                     file.unlink()
         publish_markdown(ARTIFACT, markdown_of(record), f"Retraining {number}")
 
-    def last_clips(self) -> pa.Table:
-        """Return the clips of the last retraining that knew them; an empty table at first."""
-        spec = load_spec("clips")
-        for number in reversed(self.numbers()):
-            if self.read(number).get("clips"):
-                file = self._clips_of(number)
-                return decode_table(file.read_bytes(), spec, str(file), "delete this file")
-        return spec.schema.empty_table()
+    def known(self) -> tuple[pa.Table, set[str]]:
+        """Return the clips of the last retraining that knew them, and names of what it left out.
 
-    def left_out(self) -> set[str]:
-        """Return the names of what was left out in the last retraining that knew them."""
+        An empty table and none at first.
+        """
+        spec = load_spec("clips")
         for number in reversed(self.numbers()):
             record = self.read(number)
             if record.get("clips"):
-                return set(record["left out"])
-        return set()
+                file = self._clips_of(number)
+                table = decode_table(file.read_bytes(), spec, str(file), "delete this file")
+                return table, set(record["left out"])
+        return spec.schema.empty_table(), set()
 
     def _clips_of(self, number: int) -> Path:
         return self.folder / f"{number:06d}.clips.parquet"
@@ -144,7 +140,3 @@ def _cell(text: str) -> str:
 def first_names(names: Sequence[str]) -> dict[str, Any]:
     """Return how many names there are, and the first :data:`NAMES`."""
     return {"count": len(names), "first": list(names[:NAMES])}
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

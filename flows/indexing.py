@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from flows.corpus_settings import IndexSettings
+from flows.config import IndexSettings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.datasets.labelled_sets import LABELS
-from slgaussian.datasets.pair_selection import Bounds, Pair, Rule, Surrounding, Views, surround
+from slgaussian.datasets.pair_selection import Bounds, Rule, Views, surround
 from slgaussian.datasets.published import SETS
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
@@ -98,11 +98,15 @@ def _surrounded(
     barred = {place[view] for view in views.values() if view in place}
     around = surround(clip, list(asked.values()), barred, rule)
     for frame, found in zip(asked, around, strict=True):
-        if found.pair is None:
+        if (pair := found.pair) is None:
             out[frame] = found.reason
-        else:
-            context = tuple(names[i] for i in found.pair.context)
-            out[frame] = context, (views[frame],), frames[frame], _measured(found, found.pair)
+            continue
+        known_by = {
+            "overlap": pair, "baseline": pair, "cover": found, "aside": found, "score": pair,
+        }  # fmt: skip
+        measured = {name: round(getattr(of, name), 4) for name, of in known_by.items()}
+        context = tuple(names[i] for i in pair.context)
+        out[frame] = context, (views[frame],), frames[frame], measured
     order = [frame for frame in dict.fromkeys([*frames, *known]) if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
 
@@ -127,17 +131,6 @@ def _views_of(
         elif not frames[frame]:
             out[frame] = "nothing is labelled in it"
     return views, out
-
-
-def _measured(found: Surrounding, pair: Pair) -> dict[str, float]:
-    values = {
-        "overlap": pair.overlap,
-        "baseline": pair.baseline,
-        "cover": found.cover,
-        "aside": found.aside,
-        "score": pair.score,
-    }
-    return {name: round(value, 4) for name, value in values.items()}
 
 
 def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:

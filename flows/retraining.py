@@ -17,15 +17,15 @@ import pyarrow.compute as pc
 from prefect import flow
 from prefect.states import State
 
-from flows import corpus, dataset
+from flows import corpus
+from flows.config import RetrainSettings, Training
 from flows.history import History, first_names
+from flows.read_config import settled
 from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
-from flows.settings import settled
 from flows.training import Parted, parted, read_lessons, train_on
-from flows.training_settings import GrowingSet, RetrainSettings, Training
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.datasets.new_clips import Changes, changes, clips_of, drift
+from slgaussian.datasets.new_clips import changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.encoding import table_digest
@@ -159,19 +159,18 @@ def _learn_what_is_new(
 ) -> pa.Table:
     """Take the steps of a retraining, put down in its record; returns the clips that there are."""
     prepared = corpus.supervise(config, store, verbose)
-    before = history.last_clips()
+    before, left_out_before = history.known()
     clips = clips_of(read_table(config.out / corpus.FILES["views"]))
     left_out = {failure.scene: failure.reason for failure in prepared.failures}
     found = changes(before, clips, left_out.keys())
     record["changes"] = {kind: first_names(names) for kind, names in asdict(found).items()}
-    new = sorted(left_out.keys() - history.left_out())
+    new = sorted(left_out.keys() - left_out_before)
     record["left out"] = sorted(left_out)
     record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
-    record["drift"] = [asdict(one) for one in drift(before, _arrived(clips, found))]
+    record["drift"] = [
+        asdict(one) for one in drift(before, _clips_named(clips, {*found.arrived, *found.changed}))
+    ]
 
-    messages = []
-    if config.training_set is not None:
-        messages.append(_build_set(config, config.training_set, store, verbose, record))
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
     learnt = learn(
         lessons, config, store, verbose,
@@ -180,7 +179,7 @@ def _learn_what_is_new(
     versions = Versions(config.models)
     used = versions.current()
     record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}
-    messages.insert(0, learnt.message)
+    messages = [learnt.message]
     if learnt.version is not None:
         record["version"] = learnt.version.number
         record["scores"] = learnt.version.facts["scores"]["iou"]
@@ -202,37 +201,12 @@ def _learn_what_is_new(
     return clips
 
 
-def _build_set(
-    config: RetrainSettings,
-    growing: GrowingSet,
-    store: ArtifactStore,
-    verbose: bool,
-    record: dict[str, Any],
-) -> str:
-    """Bring the training set up to date; returns a message. Without it, the work goes on."""
-    try:
-        made = dataset.build(config.dataset_settings(growing), store, verbose)
-    except InputError as error:
-        record["training set"] = {"failed": str(error)}
-        return f"the training set was not built: {error}"
-    counts = {name: getattr(made, name) for name in ("samples", "places", "shards", "new_shards")}
-    record["training set"] = {**counts, "left out": len(made.failures), "out": str(growing.out)}
-    message = f"training set: {made.samples} samples of {made.places} places"
-    new = f", {made.new_shards} of {made.shards} shards new" if made.new_shards else ""
-    return message + new
-
-
 def _outcome(learnt: Learnt, left_out: bool) -> str:
     if learnt.regressed:
         return "regressed"
     if learnt.version is None:
         return "left out" if left_out else "nothing new"
     return "promoted" if learnt.version.promoted else "refused"
-
-
-def _arrived(clips: pa.Table, found: Changes) -> pa.Table:
-    names = {*found.arrived, *found.changed}
-    return clips.filter(pa.array([clip in names for clip in clips["clip"].to_pylist()], pa.bool_()))
 
 
 def learn(
@@ -291,7 +265,9 @@ def learn(
         None if forgotten else incumbent,
         BY,
         rival=incumbent,
-        clips=None if clips is None else _learnt(clips, lessons),
+        clips=None
+        if clips is None
+        else _clips_named(clips, set(lessons.learnt["clip"].to_pylist())),
     )
     done = "put to use" if added.promoted else "kept, not used"
     anew = ""
@@ -326,9 +302,8 @@ def few(names: Sequence[str]) -> str:
     return f"{', '.join(names[:FEW])}{more}"
 
 
-def _learnt(clips: pa.Table, lessons: Parted) -> pa.Table:
-    learnt = pa.array(sorted(set(lessons.learnt["clip"].to_pylist())))
-    return clips.filter(pc.is_in(clips["clip"], learnt))
+def _clips_named(clips: pa.Table, names: Collection[str]) -> pa.Table:
+    return clips.filter(pc.is_in(clips["clip"], pa.array(sorted(names), pa.string())))
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from flows.config import SceneSettings, Settings
 from flows.runners.batches import SceneTask
-from flows.settings import SceneSettings, Settings
 from slgaussian.benchmark.baselines import ROWS, Row
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
@@ -24,13 +24,8 @@ from slgaussian.storage.store import ArtifactRef
 from tasks.attribution import attribution
 from tasks.baselines import baselines
 from tasks.benchmark import benchmark
-from tasks.field import field
-from tasks.geometry import geometry
-from tasks.ingest import Photographs, ingest
-from tasks.masks import masks
 from tasks.numerics import numerics
-from tasks.supervision import supervision
-from tasks.truth import Labels, truth
+from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, supervision, truth
 
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
 """The stages of :func:`score_scene`, in their order."""

@@ -15,9 +15,10 @@ from prefect.flows import EntrypointType
 from prefect.runner import Runner
 from pydantic import ValidationError
 
+from flows.config import RetrainSettings
+from flows.read_config import anchored_config
 from flows.retraining import retrain
-from flows.runners.child import import_path
-from flows.training_settings import RetrainSettings, anchored_config
+from flows.runners.server import import_path
 from slgaussian.errors import InputError
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flows.benchmark import LEFT, scenes_of
+from flows.config import SceneSettings, Settings
 from flows.indexing import label_places
 from flows.runners.session import check_folder
 from flows.scene import evaluation, judged_at, labels, photographs
-from flows.settings import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
 from slgaussian.benchmark.evaluate import SceneResult

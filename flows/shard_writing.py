@@ -73,8 +73,7 @@ def write_shards(
         left = [one for one in finished if one.split == split and one.name not in rows]
         for number, batch in enumerate(_batches(left, shard_bytes), max(numbers, default=-1) + 1):
             shard = f"{split}-{number:06d}.tar"
-            _write(out / shard, batch, store)
-            rows |= {row["sample"]: row for row in _places(shard, batch)}
+            rows |= {row["sample"]: row for row in _write(out / shard, batch, store)}
             new += 1
     spec = load_spec("training_set")
     table = [_row(one, rows[one.name], spec.schema.names) for one in finished]
@@ -134,23 +133,18 @@ def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]
         yield batch
 
 
-def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> None:
-    """One sample in memory at a time."""
+def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> list[dict[str, Any]]:
+    """Write a shard, one sample in memory at a time; return where in it each lies."""
+    offset, places = 0, []
     with atomic_path(file) as name, open(name, "wb") as shard:
         for one in batch:
             shard.write(store.get(one.ref)["tar"].tobytes())
+            size, digest = one.ref.meta["length"], one.ref.meta["sha256"]
+            place = {"shard": file.name, "offset": offset, "bytes": size, "digest": digest}
+            places.append({"sample": one.name, **place})
+            offset += size
         shard.write(END)
-
-
-def _places(shard: str, batch: Sequence[Finished]) -> Iterator[dict[str, Any]]:
-    """Where in a new shard each sample lies."""
-    offset = 0
-    for one in batch:
-        size, digest = one.ref.meta["length"], one.ref.meta["sha256"]
-        yield {
-            "sample": one.name, "shard": shard, "offset": offset, "bytes": size, "digest": digest,
-        }  # fmt: skip
-        offset += size
+    return places
 
 
 def _row(one: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:

@@ -11,18 +11,10 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
+from flows.config import TABLES, MethodSettings, SceneSettings, Settings
+from flows.read_config import checked, layered, preset_values, refuse_idle
 from flows.runners.batches import Failure, SceneTask
 from flows.scene import answer_scene, evaluation, labels, method_task_name, photographs
-from flows.settings import (
-    TABLES,
-    MethodSettings,
-    SceneSettings,
-    Settings,
-    checked,
-    layered,
-    preset_values,
-    refuse_idle,
-)
 from slgaussian import datasets
 from slgaussian.benchmark.baselines import Row
 from slgaussian.datasets import context_views

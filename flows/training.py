@@ -13,14 +13,13 @@ import pyarrow as pa
 from prefect import flow
 from prefect.states import State
 
-from flows.artifact_table import write_artifacts
+from flows.config import Training, TrainSettings
 from flows.data_card import CARD
+from flows.results import write_artifacts
 from flows.runners.batches import Outcome, SceneTask, compute_scene
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
-from flows.runners.session import check_folder, completed, run_session
-from flows.set_lessons import read_set
-from flows.training_settings import Training, TrainSettings
+from flows.runners.session import check_folder, completed, run_session, writing
 from slgaussian import __version__
 from slgaussian.datasets.training_set import INDEX, SPLITS
 from slgaussian.errors import InputError, SpecError
@@ -33,10 +32,8 @@ from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.judge import judge
-from tasks.learning import branch_from_arrays
-from tasks.train import train as train_stage
-from tasks.training_report import training_report
+from tasks.training import branch_from_arrays, judge, read_set, training_report
+from tasks.training import train as train_stage
 
 FILES = {
     "weights": "branch.safetensors",
@@ -96,15 +93,10 @@ class Trained:
             "judgements": encode_table(self.judgements, load_spec("judgements")),
             "report": self.report,
         }
-        try:
+        with writing(out):
             for name, data in contents.items():
                 write_atomic(out / FILES[name], data)
             write_artifacts(out, store, [*before, self.outcome])
-        except OSError as error:
-            raise InputError(
-                f"{out}: cannot write the results ({error.strerror}); they are kept in the store, "
-                "so make room there, or choose another folder with -o, and run again"
-            ) from error
 
 
 @flow(name="slgaussian-train", persist_result=False)
@@ -147,7 +139,7 @@ def lessons_in(settings: TrainSettings, store: ArtifactStore) -> tuple[Parted, s
     ------
     InputError
         As :func:`read_lessons` and :func:`parted`; of a training set as
-        :func:`flows.set_lessons.read_set`, or if a share is to be held out, which it says itself.
+        :func:`tasks.training.read_set`, or if a share is to be held out, which it says itself.
     """
     if not (settings.lessons / INDEX).is_file():
         table = read_lessons(settings.lessons / "lessons.parquet", store)

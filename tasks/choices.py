@@ -12,9 +12,8 @@ from slgaussian.datasets.shards import key_of
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
-from tasks.chunks import left_out
+from tasks.chunks import known_views, left_out
 from tasks.context import RunContext
-from tasks.pairs import known_views
 from tasks.stage import stage
 
 
@@ -22,7 +21,7 @@ from tasks.stage import stage
 def choices(run: RunContext, views: ArtifactRef, bounds: Bounds, targets: int) -> ArtifactRef:
     """Samples with so many targets of the clips of a chunk: spec ``choices``.
 
-    As :func:`tasks.pairs.pairs`, whose samples have three. A clip that has no sample is named in
+    As :func:`tasks.chunks.pairs`, whose samples have three. A clip that has no sample is named in
     ``meta["left_out"]``.
     """
     rows: list[dict[str, Any]] = []

@@ -1,22 +1,37 @@
-"""Chunks as inputs of stages: known by content, and read through one door."""
+"""Chunks of clips: read and packed, what is known of their views, and which make samples."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import fsspec
+import numpy as np
+import pyarrow as pa
 from fsspec.implementations.local import LocalFileSystem
 
-from slgaussian.datasets import re10k
+from slgaussian import datasets
+from slgaussian.datasets import licences, re10k, re10k_text
+from slgaussian.datasets.pair_selection import Bounds, Views, choose
+from slgaussian.datasets.recognise import posed_scene, recognise
+from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import CHANGED, KnownFile, file_stamp
+from slgaussian.predict.distance import typical_depths
+from slgaussian.scene import Scene, View
+from slgaussian.storage.provenance import saying
 from slgaussian.storage.remote import explained, troubles
+from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
+from tasks.scene import known_by, told_of
+from tasks.stage import stage
 
 STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
 """Where file systems of fsspec say which version of a file it is."""
@@ -129,7 +144,206 @@ class Framing:
     far: float | None = None
 
 
+def framed_views(clip: re10k.Clip, frames: Sequence[int], framing: Framing) -> tuple[View, ...]:
+    """Frames of a clip, decoded and framed; InputError if one cannot be decoded."""
+    height, width = framing.size
+    found = [clip.view(frame).resized(height, width) for frame in frames]
+    return tuple(replace(v, camera=v.camera.ranged(framing.near, framing.far)) for v in found)
+
+
 def left_out(scene: str, error: InputError) -> dict[str, str]:
     """What ``meta["left_out"]`` of a stage's ref says of an item that it could not do."""
     reason = " ".join(str(error).split())
     return {"scene": scene, "kind": type(error).__name__, "reason": reason}
+
+
+@dataclass(frozen=True)
+class PosedFolder:
+    """A folder or file with the cameras of one scene, or with photographs alone.
+
+    Attributes
+    ----------
+    name : str
+        What its clip is called.
+    path : Path
+    """
+
+    name: str
+    path: Path
+
+    def identity(self) -> dict[str, Any]:
+        """What it is known by: its name, and what is in its files."""
+        format, place = recognise(self.path)
+        if format == "photographs":  # whose cameras take long to find
+            inputs = known_by(datasets.inputs(format, place, ())[0], {}, place)
+        else:
+            scene, _ = posed_scene(self.path)
+            files = [file for name in scene.cameras for file in scene.sources(name)]
+            inputs = known_by(dict.fromkeys(files), scene.cameras, place)
+        return {"name": self.name, "format": format, **inputs}
+
+    def scene(self) -> Scene:
+        """The scene; InputError if there is none."""
+        return replace(posed_scene(self.path)[0], name=self.name)
+
+    def url(self) -> str:
+        """Address of the video that it is from, if it says so."""
+        format, place = recognise(self.path)
+        return re10k_text.read_cameras(place)[0] if format == "re10k_text" else ""
+
+    def origin(self) -> tuple[str, str]:
+        """Where it is from, and its licence, as far as they are known."""
+        return self.url(), licences.stated(self.path)
+
+
+@dataclass(frozen=True)
+class Room:
+    """A made-up room by its seed, with options of the format ``procedural``."""
+
+    name: str
+    options: Mapping[str, Any]
+
+    def scene(self) -> Scene:
+        """The room."""
+        return replace(datasets.load("procedural", **self.options), name=self.name)
+
+    def url(self) -> str:
+        """None: it is of no video."""
+        return ""
+
+    def origin(self) -> tuple[str, str]:
+        """Where it is from, and its licence."""
+        return datasets.SOURCES["procedural"]
+
+
+@stage("packed", version=2)  # to be raised too when other cameras are found in photographs
+def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
+    """The scene of a source as a chunk of one clip: spec ``packed``.
+
+    ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
+    ``meta["left_out"]`` which photographs could not be read.
+    """
+    scene = source.scene()
+    bad: list[dict[str, str]] = []
+
+    def pass_over(error: InputError) -> None:
+        bad.append(left_out(source.name, error))
+
+    clip = re10k.clip_of(scene, source.url(), pass_over)
+    unplaced = scene.found.get("left_out", {})
+    bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
+    data = np.frombuffer(re10k.encoded([clip]), np.uint8)
+    meta = {"cameras": told_of(scene.cameras.values()), "left_out": bad}
+    with saying(*source.origin()):
+        return run.store.put("packed", {"torch": data}, meta)
+
+
+ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
+"""Columns of the table that hold a camera, as a row of a chunk has it without its two zeros."""
+
+
+@stage("views", version=1)
+def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
+    """What is known of all views of a chunk: spec ``views``.
+
+    A frame that cannot be decoded, or whose pose is none, is left out by itself and named in
+    ``meta["left_out"]``, as is a clip without any.
+    """
+    rows: list[dict[str, Any]] = []
+    bad: list[dict[str, str]] = []
+    clips = read_chunk(run, chunk)
+    for clip in clips.values():
+        found, failed = _views(clip)
+        if not found:
+            none = f"clip {clip.key!r}: none of its {len(clip.images)} frames can be used"
+            failed.append(left_out(clip.key, InputError(none)))
+        rows += found
+        bad += failed
+    table = pa.Table.from_pylist(rows, schema=load_spec("views").schema)
+    return run.store.put("views", table, {"clips": len(clips), "views": len(rows), "left_out": bad})
+
+
+def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    rows, bad, greys, cameras = [], [], [], []
+    for frame, (data, numbers) in enumerate(zip(clip.images, clip.cameras, strict=True)):
+        try:
+            grey, (width, height) = glance(data)
+            camera = re10k.camera_of(numbers, width, height)
+        except InputError as error:
+            named = InputError(f"clip {clip.key!r}, frame {frame}: {error}")
+            bad.append(left_out(clip.key, named))
+            continue
+        mean, clipped = exposure(grey)
+        greys.append(grey)
+        cameras.append(camera.resized(*grey.shape[::-1]))
+        rows.append(
+            {
+                "clip": clip.key,
+                "frame": frame,
+                "timestamp": int(clip.timestamps[frame]),
+                "digest": hashlib.sha256(data).hexdigest(),
+                "width": width,
+                "height": height,
+                **dict(zip(ROW, np.delete(numbers, (4, 5)).tolist(), strict=True)),
+                "blur": blur(grey),
+                "mean": mean,
+                "clipped": clipped,
+            }
+        )
+    for row, depth in zip(rows, typical_depths(greys, cameras).tolist(), strict=True):
+        row["depth"] = None if np.isnan(depth) else depth
+    return rows, bad
+
+
+@stage("pairs", version=1)
+def pairs(run: RunContext, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
+    """Samples of the clips of a chunk: spec ``pairs``.
+
+    The photographs are not read again. A clip that has no sample is named in ``meta["left_out"]``.
+    """
+    rows: list[dict[str, Any]] = []
+    bad: list[dict[str, str]] = []
+    known = run.store.get(views).to_pylist()
+    for clip, own in groupby(known, key=lambda row: row["clip"]):
+        try:
+            rows += _samples(clip, list(own), bounds)
+        except InputError as error:
+            bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
+    table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
+    return run.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
+
+
+def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
+    """What is known of the views of a clip, of rows of spec ``views``."""
+
+    def column(name: str) -> np.ndarray:
+        return np.array([view[name] for view in views], np.float64)
+
+    numbers = np.insert([[view[name] for name in ROW] for view in views], (4, 4), 0, axis=1)
+    cameras = [
+        re10k.camera_of(row, view["width"], view["height"])
+        for row, view in zip(numbers, views, strict=True)
+    ]
+    return Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))
+
+
+def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:
+    frames = [view["frame"] for view in views]
+    rows = []
+    for pair in choose(known_views(views), bounds):
+        context = [frames[i] for i in pair.context]
+        targets = [frames[i] for i in pair.targets]
+        rows.append(
+            {
+                "sample": f"{clip}_{context[0]:04d}_{context[1]:04d}",
+                "clip": clip,
+                "context_0": context[0],
+                "context_1": context[1],
+                **{f"target_{i}": frame for i, frame in enumerate(targets)},
+                "overlap": pair.overlap,
+                "baseline": pair.baseline,
+                "depth": pair.depth,
+                "score": pair.score,
+            }
+        )
+    return rows

@@ -18,10 +18,10 @@ from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
 from slgaussian.storage.encoding import Arrays, packed
 from slgaussian.storage.store import ArtifactRef
-from tasks.all_masks import read_everywhere
 from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
 from tasks.context import RunContext
-from tasks.geometry import read_geometry
+from tasks.samples import read_everywhere
+from tasks.scene import read_geometry
 from tasks.stage import stage
 
 SAVED: dict[str, dict[str, Any]] = {
@@ -47,7 +47,7 @@ def example(
     Parameters
     ----------
     sample, gaussians, labels, bank : ArtifactRef
-        Of the stages before; ``labels`` of :func:`tasks.all_masks.all_masks`.
+        Of the stages before; ``labels`` of :func:`tasks.samples.all_masks`.
     known : mapping
         What is known of it already, which is kept with it. Its ``sample`` is what members are
         called.

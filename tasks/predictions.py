@@ -14,10 +14,9 @@ from slgaussian.io import KnownFile
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
-from tasks.chunks import Framing, left_out, read_chunk
+from tasks.chunks import Framing, framed_views, left_out, read_chunk
 from tasks.context import RunContext
-from tasks.framed import framed_views
-from tasks.geometry import geometry
+from tasks.scene import geometry
 from tasks.stage import stage
 
 

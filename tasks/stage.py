@@ -1,14 +1,18 @@
 """A stage: a Prefect task around a function from refs and settings to one artifact, and its cache.
 
-Results are not left to Prefect. A record of Prefect's names the code that reads it back, pickle
-among it, whatever serializer the task has: who may write to the store could have any code run. So
-records are ours (:mod:`slgaussian.storage.records`), and a stage whose result is found ends in a
-state that Prefect's page shows as ``Cached``.
+A result is known by a key: what it depends on, in one canonical form, or an error. Results are not
+left to Prefect. A record of Prefect's names the code that reads it back, pickle among it, whatever
+serializer the task has: who may write to the store could have any code run. So records are ours
+(:mod:`slgaussian.storage.records`), and a stage whose result is found ends in a state that
+Prefect's page shows as ``Cached``.
 """
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import json
+import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -21,12 +25,69 @@ from prefect.states import Completed, State
 from prefect.utilities.annotations import quote
 
 from slgaussian.benchmark.resident_memory import Peak
+from slgaussian.components.component import Component
+from slgaussian.errors import InputError
+from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Made, making
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
 from tasks.context import RunContext, StageEvent, current_run
-from tasks.keys import cache_key, canonical
+
+
+def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
+    """The key ``<stage>/v<version>/<sha256>`` of one piece of work.
+
+    Two keys are equal if and only if stage, version and the content of the arguments are: the order
+    of keys, the process and the places of files and of the store play no part.
+
+    Raises
+    ------
+    InputError
+        If an argument has no canonical form (see :func:`canonical`).
+    """
+    content = {name: canonical(value, name) for name, value in arguments.items()}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return f"{stage}/v{version}/{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def canonical(value: Any, name: str = "value") -> Any:
+    """``value`` as plain JSON data; refs become their spec and digest, tuples become lists.
+
+    A dataclass is its fields. What comes from outside, as files and the parts of the method, says
+    itself what it is known by: it has a method ``identity`` that returns such data.
+
+    Raises
+    ------
+    InputError
+        For anything whose identity is not its plain content: arrays (pass a ref), paths (the file
+        may change; hash it when it is ingested), sets, generators, NaN and objects. A guess here
+        would be a stale result later.
+    """
+    if value is None or isinstance(value, (bool, str)) or type(value) is int:
+        return value
+    if type(value) is float and math.isfinite(value):
+        return value
+    if isinstance(value, ArtifactRef):
+        return {"spec": value.spec, "digest": value.digest}
+    if isinstance(value, KnownFile):
+        return value.digest
+    if isinstance(value, Component):
+        return {value.name: canonical(value.identity(), name)}
+    if hasattr(value, "identity"):
+        return canonical(value.identity(), name)
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {field.name: getattr(value, field.name) for field in fields(value)}
+        return canonical(own, name)
+    if isinstance(value, (list, tuple)):
+        return [canonical(item, f"{name}[{i}]") for i, item in enumerate(value)]
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        # In one order, whether it was just made or read from a record: files say it as it stands.
+        return {key: canonical(value[key], f"{name}.{key}") for key in sorted(value)}
+    raise InputError(
+        f"{name}: {type(value).__name__} {value!r:.60} cannot be part of a cache key; expected "
+        "plain numbers, text, lists, tables with text keys, or artifact refs"
+    )
 
 
 class StageResult:
@@ -46,7 +107,7 @@ class Stage:
     It is called with all parameters of the function but the first, the :class:`RunContext`.
     Artifacts go in as :class:`ArtifactRef`, so that Prefect's page has an edge from the stage that
     made each; files from outside and components of the method as what knows its content
-    (:func:`tasks.keys.canonical`).
+    (:func:`tasks.stage.canonical`).
 
     Returns the ref of the result. Its ``meta`` has ``settings`` and the digests of its ``inputs``,
     the ``seconds`` of wall time and ``processor_seconds`` that the function took without those of

@@ -32,7 +32,7 @@ from benches.common.markdown_tables import table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, SHEETS, built, labelled, read
 from benches.scores.seed_spread import score
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.cameras.check import agree
 from slgaussian.cameras.matches import find_features, match

@@ -24,7 +24,7 @@ from scipy.special import expit
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, built, labelled, read
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads

@@ -24,7 +24,7 @@ import numpy as np
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, labelled, read
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.build import build_field
 from slgaussian.components.method import Method

@@ -28,8 +28,9 @@ import pyarrow as pa
 from benches.common.pages import publish
 from benches.common.process_cost import CLI, costing
 from benches.pipeline.chunk_stages import chunk_stages, settings_of
+from flows.config import CorpusSettings
 from flows.corpus import SUPERVISE
-from flows.corpus_settings import CorpusSettings, make_corpus_settings
+from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pair_selection import Bounds
@@ -123,7 +124,7 @@ def name_of(chunk: int) -> str:
 
 def corpus_settings(folder: Path) -> CorpusSettings:
     given = {**SETTINGS, "chunks": str(folder), "out": folder.parent / "corpus"}
-    return make_corpus_settings(given, "bench")
+    return make_settings(given, "bench", CorpusSettings)
 
 
 def stages_of(

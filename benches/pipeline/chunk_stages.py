@@ -6,7 +6,7 @@ from typing import Any
 from prefect import flow
 from prefect.states import Completed, State
 
-from flows.corpus_settings import CorpusSettings
+from flows.config import CorpusSettings
 from flows.runners.batches import Outcome, SceneTask, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.task_runners import open_workers
@@ -15,14 +15,11 @@ from slgaussian.datasets import re10k
 from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import Framing, known_chunk
+from tasks.chunks import Framing, known_chunk, pairs, views
 from tasks.context import current_run
-from tasks.keys import canonical
-from tasks.lessons import lessons
-from tasks.pairs import pairs
 from tasks.predictions import predictions
-from tasks.stage import Stage
-from tasks.views import views
+from tasks.samples import lessons
+from tasks.stage import Stage, canonical
 
 
 def chunk_stages(

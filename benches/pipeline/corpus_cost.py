@@ -40,12 +40,13 @@ MACHINES = (1, 10, 100)
 
 def child(chunks: str, store: str, out: str, stages: list[str], workers: int) -> dict:
     """Run stages and say what they cost this process."""
-    from flows.corpus_settings import make_corpus_settings
+    from flows.config import CorpusSettings
+    from flows.read_config import make_settings
     from flows.runners.environment import orchestration
     from slgaussian.storage.store import ArtifactStore
 
     given = {"chunks": chunks, "out": out, "store": store, "workers": workers}
-    settings = make_corpus_settings(given, "bench")
+    settings = make_settings(given, "bench", CorpusSettings)
     begun = time.perf_counter()
     with orchestration(ArtifactStore(store)) as ready:
         from benches.pipeline.chunk_stages import take_chunks
@@ -56,14 +57,14 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
         before = held("VmHWM") / 2**20
         made = take_chunks(settings, stages[-1])
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    last = [refs[stages[-1]].meta for refs in made.refs.values()]
+    last = [refs[stages[-1]].meta for refs in made.outcome.refs.values()]
     return {
         "wall": wall,
         "cpu": cpu,
         "start_up": start_up,
         "work": sum(meta["seconds"] for meta in last),
         "all_work": sum(
-            refs[stage].meta["seconds"] for refs in made.refs.values() for stage in stages
+            refs[stage].meta["seconds"] for refs in made.outcome.refs.values() for stage in stages
         ),
         "peak": held("VmHWM") / 2**20,
         "idle": before,
@@ -74,8 +75,8 @@ def child(chunks: str, store: str, out: str, stages: list[str], workers: int) ->
 
 def learning(chunks: str, store: str, out: str, workers: int) -> dict:
     """Retrain, with whatever of it is not done yet, and say what it cost this process."""
+    from flows.read_config import read_retraining
     from flows.runners.environment import orchestration
-    from flows.training_settings import read_retraining
     from slgaussian.storage.store import ArtifactStore
 
     places = {"chunks": chunks, "out": out, "models": f"{out}/models", "store": store}
@@ -111,8 +112,8 @@ def apart(what: Callable[..., dict], *words: object) -> dict:
 
 def packed(work: Path, walk: Path, rooms: int) -> tuple[dict[str, Path], float]:
     """The two corpora, made unless they are there, and seconds to pack one room."""
-    from flows.corpus_settings import PackSettings
-    from flows.packing import pack
+    from flows.clip_sources import pack
+    from flows.config import PackSettings
     from slgaussian.datasets import nerfstudio, re10k
 
     small = PackSettings(chunk_mb=10)

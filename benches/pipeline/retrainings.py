@@ -31,7 +31,7 @@ from benches.common.machine import measured
 from benches.common.process_cost import CLI
 from flows.retraining import STATUS
 from slgaussian import datasets
-from slgaussian.datasets import TrainingSet, re10k
+from slgaussian.datasets import re10k
 from slgaussian.semantic.versions import Versions
 
 CONFIG = """\
@@ -44,12 +44,6 @@ size = "72x96"
 replicas = 1
 held_out = 0.4
 steps = 20
-
-[training_set]
-out = "set"
-size = "72x96"
-targets = 1
-most = 2
 """
 
 
@@ -146,10 +140,6 @@ def wrongs(retrainings: Retrainings, there: set[str], gone: str, changed: str) -
     last = versions.all()[-1]
     if gone in {clip for table in versions.learnt(last) for clip in table["clip"].to_pylist()}:
         found.append(f"version {last.number} has learnt {gone}")
-    of_set = {about["clip"] for about in TrainingSet(work / "set").rows.to_pylist()}
-    found += [f"the training set has {clip}, which is not there" for clip in of_set - there]
-    if not of_set:
-        found.append("the training set is empty")
     left = [str(file) for file in work.rglob("*.tmp") if ".prefect" not in file.parts]
     return found + [f"left behind: {file}" for file in left]
 

@@ -31,7 +31,6 @@ from pathlib import Path
 
 from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
-from flows.runners.log_file import BEFORE
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"
@@ -105,12 +104,10 @@ class Recorder:
 def digests(path: Path) -> dict[str, str]:
     """Return the SHA-256 of a file, or of each file under a folder, by relative path.
 
-    The log of the run before is left out: a folder has one or not, by how often it was written to.
     Of a file with times in it only its presence counts; of ``artifacts.parquet`` the stages and
     the digests of their artifacts.
     """
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
-    files = [file for file in files if file.name != BEFORE]
     return {str(p.relative_to(path)) if p != path else p.name: _digest(p) for p in files}
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import SETS, SHEETS, built, over_seeds, read, truth_of
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import Answering

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from flows.demo import ROOMS, demo_scenes
-from flows.labelled import labelled_scenes
-from flows.room_scenes import room_scene
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
+from flows.scenes import ROOMS, demo_scenes, labelled_scenes, room_scene
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.baselines.inputs import Inputs

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.settings import Method
+from flows.config import Method
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:

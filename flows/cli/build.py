@@ -14,16 +14,13 @@ import typer
 
 from flows.cli import options
 from flows.cli.run import run_scenes
-from flows.settings import make_settings
-from slgaussian import __version__
+from flows.read_config import make_settings
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
     from slgaussian.cameras.estimated import EstimatedCameras
-    from slgaussian.datasets.sparse import SparseModel
     from slgaussian.field import SemanticField
 
-MAKER = "Cameras found from photographs by slgaussian"
 MASKS = "masks.json"
 """File of a folder of masks with what made them."""
 LOOK = "look.jpg"
@@ -47,7 +44,7 @@ def demo(
     slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
     slgaussian demo --preset fast --store /data/slg -o fast
     """
-    from flows.demo import demo_scenes
+    from flows.scenes import demo_scenes
 
     values = options.settings_from(ctx, scenes=demo_scenes())
     run_scenes("demo", make_settings(values, "demo"), verbose)
@@ -127,7 +124,7 @@ def choose_word(field: SemanticField) -> str | None:
 def cameras(
     photos: options.Photos,
     out: Annotated[
-        str | None, typer.Option("--out", "-o", help="transforms.json, or FOLDER/ for COLMAP.")
+        Path | None, typer.Option("--out", "-o", help="transforms.json, in nerfstudio's form.")
     ] = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -139,23 +136,27 @@ def cameras(
 
     \b
     slgaussian cameras a.jpg b.jpg -o transforms.json
-    slgaussian cameras photos/ -o model/
     slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
     """
     from flows.cli.photographs import report_cameras
-    from slgaussian.datasets import nerfstudio, sparse, unposed
+    from slgaussian.datasets import nerfstudio, unposed
 
-    place = None if out is None else Path(out)
-    model = place is not None and (str(out).endswith("/") or place.is_dir())
-    if place is not None:
-        _check_place(place, model)
+    if out is not None:
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            ours = not out.exists() or f'"{nerfstudio.OWN}"'.encode() in out.read_bytes()
+        except OSError as error:
+            message = f"{out}: cannot be written ({error.strerror}); choose another"
+            raise InputError(message) from None
+        if not ours:
+            raise InputError(
+                f"{out}: is there already, and not written by `slgaussian cameras`; choose another "
+                "place, or remove it"
+            )
     files = unposed.named(photos)
     estimate = unposed.find(files)
-    if place is not None:
-        if model:
-            sparse.write_text(place, _model(estimate), f"{MAKER} {__version__}.")
-        else:
-            nerfstudio.write(place, files, estimate)
+    if out is not None:
+        nerfstudio.write(out, files, estimate)
         turned = [name for name, file in files.items() if unposed.is_turned(file)]
         if turned:
             more = f" and {len(turned) - 1} more" if turned[1:] else ""
@@ -170,24 +171,6 @@ def cameras(
         typer.echo(out)
 
 
-def _check_place(place: Path, model: bool) -> None:
-    """Make the folder, and check that a file that is there was written by this command."""
-    from slgaussian.datasets.nerfstudio import OWN
-
-    file, mark = (place / "cameras.txt", f"# {MAKER}") if model else (place, f'"{OWN}"')
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        ours = not file.exists() or mark.encode() in file.read_bytes()
-    except OSError as error:
-        message = f"{place}: cannot be written ({error.strerror}); choose another"
-        raise InputError(message) from None
-    if not ours:
-        raise InputError(
-            f"{file}: is there already, and not written by `slgaussian cameras`; choose another "
-            "place, or remove it"
-        )
-
-
 def _pairs_text(estimate: EstimatedCameras) -> str:
     """Tabulate the pairs of photographs: matches, those that agree, angles and a verdict."""
     from flows.cli.tables import table_text
@@ -200,23 +183,6 @@ def _pairs_text(estimate: EstimatedCameras) -> str:
         views = " - ".join(pair.views)
         rows.append((views, str(pair.matches), str(pair.inliers), *angles, verdict))
     return table_text(rows, "<>>>><")
-
-
-def _model(estimate: EstimatedCameras) -> SparseModel:
-    """Return a COLMAP model: a camera for each photograph, and the points that were matched."""
-    import numpy as np
-
-    from slgaussian.datasets import sparse
-
-    cameras, images = {}, {}
-    for number, (name, camera) in enumerate(estimate.cameras.items(), 1):
-        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        k1 = estimate.k1[name]
-        lens = (k1, 0.0, 0.0, 0.0) if k1 else ()
-        kind, size = "OPENCV" if lens else "PINHOLE", (camera.width, camera.height)
-        cameras[number] = sparse.SparseCamera(kind, *size, (fx, fy, cx, cy, *lens))
-        images[number] = sparse.SparseImage(name, number, camera.w2c)
-    return sparse.SparseModel(cameras, images, estimate.points, np.zeros((0, 2), np.int64))
 
 
 @options.configured("preset", "size", *options.COMPONENTS)

@@ -10,15 +10,15 @@ from pydantic import Field
 
 from flows.cli import options
 from flows.cli.run import prepare_prefect, report_left_out, run_flow
-from flows.corpus_settings import (
+from flows.config import (
     CorpusSettings,
+    DatasetSettings,
+    Engine,
     PackSettings,
     PairSettings,
     Withdrawal,
-    make_corpus_settings,
 )
-from flows.dataset_settings import DatasetSettings, make_dataset_settings
-from flows.settings import Engine, checked
+from flows.read_config import checked, make_settings
 from slgaussian.errors import InputError
 
 SET_FIELDS = ("size", "targets", "min_confirmed", "held_out", "gaussians")
@@ -67,7 +67,7 @@ def ingest(
     check_there(sources)
     chunks, left_out = sources[0], 0
     if not any(map(is_chunks, sources)):
-        from flows.packing import pack
+        from flows.clip_sources import pack
 
         chunks = str(out / "chunks")
         packed = pack(sources, Path(chunks), settings)
@@ -85,7 +85,7 @@ def ingest(
     # The size of an ingest is that of made-up rooms, not of samples.
     fields = CorpusSettings.model_fields.keys() & settings.model_fields_set - {"size"}
     values = {name: getattr(settings, name) for name in fields} | {"chunks": chunks}
-    _prepare("ingest", make_corpus_settings(values, "ingest"), verbose)
+    _prepare("ingest", make_settings(values, "ingest", CorpusSettings), verbose)
     if left_out:
         raise typer.Exit(1)
 
@@ -108,11 +108,15 @@ def supervise(
     slgaussian supervise corpus/chunks -o corpus --proposer sam --set sam.model=models/sam
     """
     values = options.settings_from(ctx, CorpusSettings)
-    _prepare("supervise", make_corpus_settings(values, "supervise"), verbose)
+    _prepare("supervise", make_settings(values, "supervise", CorpusSettings), verbose)
 
 
 def _prepare(command: str, settings: CorpusSettings, verbose: bool) -> None:
     """Prepare a corpus, and print its tables and what was left out; exit with 1 if anything was."""
+    if "://" not in settings.chunks and not Path(settings.chunks).is_dir():
+        raise InputError(
+            f"{command}: {settings.chunks}: is no folder; expected one of chunks, or its fsspec URL"
+        )
     prepared = run_flow(command, settings, verbose)
     from flows.corpus import FILES
 
@@ -145,7 +149,12 @@ def dataset(
     slgaussian dataset set chunks/train kitchen office=walk office=office_two
     slgaussian dataset set photos --targets 1 --min-confirmed 0.5
     """
-    settings = make_dataset_settings(options.settings_from(ctx, DatasetSettings))
+    values = options.settings_from(ctx, DatasetSettings)
+    settings = make_settings(values, "dataset", DatasetSettings)
+    prepare_prefect(settings.store)
+    from flows.clip_sources import check_there
+
+    check_there(sources)
     written = run_flow("dataset", settings, verbose)
     from flows.data_card import CARD
 

@@ -19,7 +19,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from flows.cli import options
-from flows.settings import Settings, make_settings
+from flows.config import Settings
+from flows.read_config import make_settings
 from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import PACKAGE, requirements

@@ -11,7 +11,7 @@ import typer
 
 from flows.cli import options
 from flows.cli.help import Group
-from flows.settings import Method
+from flows.config import Method
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:

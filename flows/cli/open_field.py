@@ -11,7 +11,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from flows.settings import RULES, Method, checked, files_of, layered, preset_values
+from flows.config import RULES, TABLES, Method, table_of
+from flows.read_config import checked, layered, preset_values
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
@@ -49,7 +50,7 @@ def open_field(
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
     fixed = values.keys() - (RULES if rules else set()) - {encoder}
-    fixed |= {f"{encoder}.{k}" for k in places if f"{encoder}.{k}" not in files_of("encoder")}
+    fixed |= {f"{encoder}.{k}" for k in places if k not in TABLES[table_of(encoder)].files()}
     for name in sorted(fixed):
         raise InputError(
             f"{folder}: {name} is given, but the field is built, and its encoder is {encoder!r}: "

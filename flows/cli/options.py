@@ -12,8 +12,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from flows.encoder_choice import AUTO
-from flows.settings import Settings
+from flows.config import AUTO, Settings
 from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets import unposed
 from slgaussian.datasets.keyframes import choose_keyframes

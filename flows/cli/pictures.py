@@ -14,7 +14,7 @@ from slgaussian.errors import InputError
 from slgaussian.io import atomic_path, write_file
 
 PICTURES = (".png", ".jpg", ".jpeg")
-FILMS = (".mp4", ".gif")
+FILMS = (".mp4",)
 
 RATE = 15
 """Frames a second."""
@@ -63,14 +63,7 @@ def write_picture(path: Path, *images: np.ndarray) -> None:
 
 
 def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
-    """Write images uint8 [H, W, 3] of one size as a GIF or MP4; InputError if it fails."""
-    if path.suffix.lower() == ".gif":
-        # A palette a frame, so that of each only a byte a pixel is held.
-        first, *others = (Image.fromarray(frame).quantize(256) for frame in frames)
-        out, length = io.BytesIO(), round(1000 / RATE)
-        first.save(out, "GIF", save_all=True, append_images=others, duration=length, loop=0)
-        write_file(path, out.getvalue())
-        return
+    """Write images uint8 [H, W, 3] of one size as an MP4; InputError if it fails."""
     import cv2
 
     with atomic_path(path) as temporary:
@@ -88,8 +81,8 @@ def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
             # OpenCV raises nothing where it fails, so the file is read.
             if cv2.VideoCapture(draft).get(cv2.CAP_PROP_FRAME_COUNT) != written:
                 raise InputError(
-                    f"{path}: cannot be written as .mp4 by the OpenCV that is installed, or the "
-                    f"disk is full; try {path.with_suffix('.gif').name}"
+                    f"{path}: cannot be written by the OpenCV that is installed, or the disk is "
+                    "full; make room, or install opencv-contrib-python-headless anew"
                 )
             os.replace(draft, temporary)
         finally:

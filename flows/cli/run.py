@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.corpus_settings import IndexSettings, check_bounds
-from flows.settings import checked, make_settings, read_toml
+from flows.config import IndexSettings
+from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
 
 
@@ -74,7 +74,6 @@ def benchmark(
     settings = make_settings(values, "benchmark")
     if settings.data is not None and settings.pairs is None:
         chosen = checked(IndexSettings, rule, "benchmark")
-        check_bounds(chosen, "benchmark")
         prepare_prefect(settings.store)
         from flows.indexing import build_index
         from flows.runners.session import check_folder
@@ -105,8 +104,7 @@ def benchmark(
 
 def run_flow(command: str, settings: Any, verbose: bool) -> Any:
     """Run the flow of a command, which can be interrupted; return its result."""
-    from flows.runners.commands import perform
-    from flows.runners.environment import interruptible
+    from flows.runners.environment import interruptible, perform
 
     with interruptible():
         return perform(command, settings, verbose)

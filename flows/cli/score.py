@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from flows.cli import options
-from flows.settings import make_settings
+from flows.read_config import make_settings
 
 NAMED = 3
 """Of masks that are missing, or that nothing asks for, so many are named."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from flows.cli import options
-from flows.settings import Method
+from flows.config import Method
 from slgaussian.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:

@@ -131,7 +131,7 @@ def _opened(url: str | None) -> Iterator[ArtifactStore]:
     """Open a store that is there; on a terminal, show that it is read."""
     from rich.console import Console
 
-    from flows.settings import make_settings
+    from flows.read_config import make_settings
     from slgaussian.storage.store import ArtifactStore
 
     store = ArtifactStore(make_settings({} if url is None else {"store": url}, "store").store)

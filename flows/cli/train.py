@@ -9,8 +9,8 @@ import typer
 
 from flows.cli import options
 from flows.cli.run import prepare_prefect, run_flow
-from flows.settings import checked
-from flows.training_settings import RetrainSettings, TrainSettings, read_retraining
+from flows.config import RetrainSettings, TrainSettings
+from flows.read_config import checked, read_retraining
 from slgaussian.errors import InputError
 
 

@@ -15,6 +15,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -26,6 +27,7 @@ from prefect.task_runners import TaskRunner
 from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers, last_line
 from slgaussian.errors import SLGaussianError, one_line
+from slgaussian.io import write_atomic
 from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
@@ -117,13 +119,10 @@ class StoppedError(SLGaussianError):
 def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
     """Take the scenes of a pickled :class:`Batch` through their pipelines, one after the other.
 
-    It is pickled for threads too: what one task runner can send, all can.
+    It is pickled for threads too: what one task runner can send, all can. Events go to the flow if
+    it is in this process.
     """
-    return compute_batch(pickle.loads(pickled))
-
-
-def compute_batch(batch: Batch) -> list[SceneResult]:
-    """Compute a batch where its worker is; events go to the flow if it is in this process."""
+    batch: Batch = pickle.loads(pickled)
     store, enclosing = ArtifactStore(batch.root), enclosing_run()
     results = []
     for scene_task in batch.scene_tasks:
@@ -251,6 +250,18 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     return outcome
 
 
+def map_shown(
+    scene_tasks: Sequence[SceneTask], workers: Workers, stages: int, unit: str, verbose: bool
+) -> Outcome:
+    """Do :func:`map_scenes` with a progress of its own; nothing if there are no tasks."""
+    if not scene_tasks:
+        return Outcome()
+    with Progress(len(scene_tasks), stages, verbose, unit=unit) as progress:
+        outcome = map_scenes(scene_tasks, workers, progress)
+    progress.summary()
+    return outcome
+
+
 def _sendable(
     scene_tasks: Iterable[SceneTask], outcome: Outcome, progress: Progress
 ) -> list[SceneTask]:
@@ -298,6 +309,7 @@ def failures_table(failures: Sequence[Failure]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
 
 
-def failures_file(failures: Sequence[Failure]) -> bytes:
-    """Return the same as a Parquet file."""
-    return encode_table(failures_table(failures), load_spec("failures"))
+def write_failures(out: Path, failures: Sequence[Failure]) -> None:
+    """Write them to ``failures.parquet`` in a folder; OSError if that fails."""
+    data = encode_table(failures_table(failures), load_spec("failures"))
+    write_atomic(out / "failures.parquet", data)

@@ -9,24 +9,18 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 import time
-import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from slgaussian.errors import SLGaussianError
 from slgaussian.storage.specs import load_spec
 
 FILE = "log.jsonl"
-BEFORE = "log.1.jsonl"
-"""What the log of the run before is called."""
-
-LABEL = load_spec("log").label
 
 _all = logging.getLogger("slgaussian")
 _all.addHandler(logging.NullHandler())
@@ -57,107 +51,60 @@ def log(
 
 
 @contextmanager
-def log_to_file(out: Path, facts: Mapping[str, Any], verbose: bool = False) -> Iterator[None]:
-    """Keep what is logged within the block in ``out/log.jsonl``.
+def log_to_file(out: Path, verbose: bool = False, **facts: Any) -> Iterator[None]:
+    """Keep what is logged within the block in ``out/log.jsonl``, in place of an earlier log.
 
-    The file begins with the first event, so of a run that could not begin there is none, and ends
-    with how the run ended; one that ends otherwise is of a run that was killed, or is still on. The
-    file before becomes ``log.1.jsonl``. If it cannot be written, that is said once, and the run
-    goes on.
-
-    Parameters
-    ----------
-    out : Path
-        A folder that is there when the first event comes.
-    facts : mapping
-        What the first line says of the run, as plain values; never credentials.
-    verbose : bool
-        Keep also what is only for looking into a run, such as each stage that was found done.
+    Its first line has the ``facts`` of the run, as plain values and never credentials, its last how
+    the run ended; a log that ends otherwise is of a run that was killed, or is still on. If it
+    cannot be written, that is said once, and the run goes on. Finished stages that were cached are
+    logged if ``verbose``.
     """
-    file = _File(out, facts)
-    before = _all.level
+    with suppress(OSError):
+        (out / FILE).unlink(missing_ok=True)
+    file = _File(out / FILE, "a", "utf-8", delay=True, errors="backslashreplace")
+    before, start = _all.level, time.time()
     _all.addHandler(file)
     _all.setLevel(logging.DEBUG if verbose else logging.INFO)
-    start = time.perf_counter()
-
-    def ended(level: int, how: str, message: str, **facts: Any) -> None:
-        if file.stream is not None:
-            seconds = round(time.perf_counter() - start, 3)
-            log(level, "ended", message, how=how, seconds=seconds, **facts)
-
+    log(logging.INFO, "run", "begun", spec=load_spec("log").label, **facts)
+    level, how, message, defect = logging.INFO, "finished", "finished", None
     try:
         yield
     except SLGaussianError as error:
-        ended(logging.ERROR, "refused", str(error))
+        level, how, message = logging.ERROR, "refused", str(error)
         raise
     except Exception as error:
-        ended(logging.ERROR, "failed", f"unexpected {type(error).__name__}: {error}", error=error)
+        message = f"unexpected {type(error).__name__}: {error}"
+        level, how, defect = logging.ERROR, "failed", error
         raise
     except BaseException:
-        ended(logging.WARNING, "stopped", "stopped")
+        level, how, message = logging.WARNING, "stopped", "stopped"
         raise
-    else:
-        ended(logging.INFO, "finished", "finished")
     finally:
+        seconds = round(time.time() - start, 3)
+        log(level, "ended", message, defect, how=how, seconds=seconds)
         _all.setLevel(before)
         _all.removeHandler(file)
         file.close()
 
 
-class _File(logging.Handler):
-    def __init__(self, out: Path, facts: Mapping[str, Any]) -> None:
-        super().__init__()
-        self.path, self.facts = out / FILE, facts
-        self.run = uuid.uuid4().hex[:12]
-        self.stream: TextIO | None = None
-        self.lost = False
-
+class _File(logging.FileHandler):
     def emit(self, record: logging.LogRecord) -> None:
-        if self.lost:
-            return
         try:
-            if self.stream is None:
-                self._begin(record.created)
-            self._write(self._fields(record))
-        except OSError as error:
-            self.lost = True
-            print(f"{self.path}: cannot be written ({error.strerror}); going on without a log",
-                  file=sys.stderr)  # fmt: skip
-            self.close()
+            super().emit(record)
+        except OSError:  # it is opened with the first record
+            self.handleError(record)
 
-    def close(self) -> None:
-        if self.stream is not None:
-            with suppress(OSError):
-                self.stream.close()
-            self.stream = None
-        super().close()
+    def handleError(self, record: logging.LogRecord) -> None:
+        error, path = sys.exc_info()[1], self.baseFilename
+        reason = getattr(error, "strerror", None) or error
+        print(f"{path}: cannot be written ({reason}); going on without a log", file=sys.stderr)
+        _all.removeHandler(self)
 
-    def _begin(self, when: float) -> None:
-        with suppress(FileNotFoundError):
-            os.replace(self.path, self.path.with_name(BEFORE))
-        self.stream = self.path.open("w", encoding="utf-8", errors="backslashreplace")
-        self._write(
-            {**_stamp(when, "info"), "run": self.run, "event": "run", "spec": LABEL, **self.facts}
-        )
-
-    def _fields(self, record: logging.LogRecord) -> dict[str, Any]:
-        known = dict(getattr(record, "facts", {"event": "logged", "logger": record.name}))
-        fields = {
-            **_stamp(record.created, record.levelname.lower()),
-            "run": self.run,
-            **known,
-            "message": record.getMessage(),
-        }
+    def format(self, record: logging.LogRecord) -> str:
+        when = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        facts = getattr(record, "facts", {"event": "logged", "logger": record.name})
+        fields = {"time": when.replace("+00:00", "Z"), "level": record.levelname.lower(), **facts}
+        fields["message"] = record.getMessage()
         if record.exc_info:
             fields["traceback"] = logging.Formatter().formatException(record.exc_info)
-        return fields
-
-    def _write(self, fields: Mapping[str, Any]) -> None:
-        assert self.stream is not None  # begun with the first record
-        self.stream.write(json.dumps(fields, ensure_ascii=False, default=str) + "\n")
-        self.stream.flush()
-
-
-def _stamp(when: float, level: str) -> dict[str, str]:
-    told = datetime.fromtimestamp(when, UTC).isoformat(timespec="milliseconds")
-    return {"time": told.replace("+00:00", "Z"), "level": level}
+        return json.dumps(fields, ensure_ascii=False, default=str)

@@ -1,4 +1,4 @@
-"""Progress of a run: a line a scene, and below them a bar with counts, rate and time left."""
+"""Progress of a run: a line a scene, and below them a bar with counts, rate and the time left."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
+from rich.table import Column
 
 from flows.runners.log_file import log
 from slgaussian.errors import one_line
@@ -63,9 +64,15 @@ class Progress:
         self.computed: Counter[str] = Counter()
         self.cached: Counter[str] = Counter()
         self.over = threading.Event()
-        columns = TextColumn("{task.description}", markup=False), BarColumn(20)
+        line = Column(ratio=1, no_wrap=True, overflow="ellipsis")
         self.bar = RichProgress(
-            *columns, console=self.console, transient=True, disable=not self.console.is_terminal
+            TextColumn("{task.description}", markup=False, table_column=line),
+            BarColumn(20),
+            TimeRemainingColumn(compact=True),
+            console=self.console,
+            transient=True,
+            expand=True,
+            disable=not self.console.is_terminal,
         )
         self.bar_task = self.bar.add_task("", total=self.total)
 
@@ -131,16 +138,13 @@ class Progress:
         self.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
 
     def counts(self) -> str:
-        """Return counts, rate and time left in a line."""
+        """Return counts and rate in a line."""
         elapsed = max(1e-3, time.perf_counter() - self.start)
         texts = [f"{self.done}/{self.scenes} {self.unit}"] if self.scenes > 1 else []
         texts += [f"{self.failed} failed"] if self.failed else []
         texts.append(f"{self.steps}/{self.total} stages")
         if self.scenes > 1 and self.done:
             texts.append(f"{60 * self.done / elapsed:.3g} {self.unit} a minute")
-        if 0 < self.steps < self.total:
-            left = elapsed * (self.total - self.steps) / self.steps
-            texts.append(f"about {duration(left)} left")
         return ", ".join(texts)
 
     def _finished(self, event: StageEvent) -> None:
@@ -196,9 +200,7 @@ class Progress:
 
     def _show(self) -> None:
         text = f"{self.counts()}  {self._working()}"
-        width = max(20, self.console.width - 22)
-        shown = text if len(text) <= width else text[: width - 1] + "…"
-        self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=shown)
+        self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=text)
 
     def _remind(self) -> None:
         while not self.over.wait(REMIND):
@@ -234,15 +236,3 @@ def console(stream: TextIO | None = None) -> Console:
     return Console(
         file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
     )
-
-
-def duration(seconds: float) -> str:
-    """Return a time in seconds, minutes, hours or days, in two units at most."""
-    minutes = round(seconds / 60)
-    if seconds < 99.5:
-        return f"{seconds:.0f} s"
-    if minutes < 100:
-        return f"{minutes} min"
-    if minutes < 48 * 60:
-        return f"{minutes // 60} h {minutes % 60} min"
-    return f"{minutes // 1440} d {minutes % 1440 // 60} h"

@@ -1,4 +1,4 @@
-"""What every flow of this package does around its work: a log, provenance, damaged artifacts."""
+"""What every flow does around its work: log, provenance, damaged artifacts, Prefect artifacts."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from prefect.artifacts import create_markdown_artifact, create_table_artifact
 from prefect.runtime import deployment
 from prefect.states import Completed, State
 
 from flows.runners.batches import Failure
 from flows.runners.log_file import log, log_to_file
+from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import write_atomic
@@ -29,6 +32,9 @@ RESULTS: list[Any] = []
 
 NAMED = 50
 """Scenes that the message of a state names at most."""
+
+MOST_ROWS = 500
+"""Rows of a table artifact at most: Prefect keeps it in a database and shows it on one page."""
 
 
 def run_session(
@@ -54,12 +60,13 @@ def run_session(
         As ``work``, and if a damaged artifact is none that it makes.
     """
     store = ArtifactStore(config.store)
-    facts = {"command": command, "version": __version__, "store": store.root}
-    facts |= config.model_dump(include={"runner", "workers"})
+    facts = config.model_dump(include={"runner", "workers"})
+    facts |= {"command": command, "version": __version__, "store": store.root}
     if deployment.id is not None:
         threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
-    with log_to_file(config.out, facts, verbose), making(Made(command)):
+    check_folder(config.out)
+    with log_to_file(config.out, verbose, **facts), making(Made(command)):
         while True:
             try:
                 return work(store)
@@ -108,6 +115,18 @@ def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
     return frozenset(config.refresh)
 
 
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Raise InputError where results cannot be written to the output folder within the block."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot write the results ({error.strerror or error}); they are kept in the "
+            "store, so make room there, or choose another folder with -o, and run again"
+        ) from error
+
+
 def check_folder(out: Path) -> None:
     """Make the output folder; InputError now, not after the work, if it cannot be written."""
     try:
@@ -118,3 +137,23 @@ def check_folder(out: Path) -> None:
         raise InputError(
             f"{out}: cannot write there ({error.strerror}); choose another folder with -o"
         ) from error
+
+
+def publish_markdown(key: str, markdown: str, description: str = "") -> None:
+    """Create a Markdown artifact of a key, lower-case letters, digits and dashes."""
+    _publish(lambda: create_markdown_artifact(markdown, key, description or None))
+
+
+def publish_table(key: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Create a table artifact of a key, of the first :data:`MOST_ROWS` rows."""
+    _publish(lambda: create_table_artifact(list(rows[:MOST_ROWS]), key))
+
+
+def _publish(create: Callable[[], Any]) -> None:
+    """Create an artifact where the server is the user's: ours ends with the command."""
+    if NO_EVENTS in os.environ:
+        return
+    try:
+        create()
+    except Exception as error:  # a server that is gone costs the artifact, not the run
+        log(logging.WARNING, "artifact_failed", f"an artifact was not created: {error}")

@@ -51,18 +51,13 @@ NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
 cost a worker and the server some 25 ms a task, and the database 25 kB."""
 
 
-def send_no_events() -> None:
-    """Have this process keep Prefect's events to itself."""
-    EventsWorker.set_client_override(NullEventsClient)
-
-
-def send_events() -> None:
-    """Have this process tell Prefect's server of its tasks itself."""
-    EventsWorker.set_client_override(None)
+def send_events(wanted: bool) -> None:
+    """Have this process send Prefect's events to the server itself, or nowhere."""
+    EventsWorker.set_client_override(None if wanted else NullEventsClient)
 
 
 if NO_EVENTS in os.environ:
-    send_no_events()  # a worker loads this module with its first task, before any event of it
+    send_events(False)  # a worker loads this module with its first task, before any event of it
 
 
 @dataclass
@@ -149,12 +144,7 @@ def _task_runner(name: str, count: int) -> Any:
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 def roll_call(root: str, probe: str, server: str) -> None:
-    """Run :func:`check_worker` where a worker is."""
-    check_worker(root, probe, server)
-
-
-def check_worker(root: str, probe: str, server: str) -> None:
-    """Raise InputError where a worker cannot do its work.
+    """Raise InputError where a worker is that cannot do its work.
 
     Parameters
     ----------
@@ -204,7 +194,7 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
     Parameters
     ----------
     runner : str
-        As :data:`flows.settings.Runner` has it.
+        As :data:`flows.config.Runner` has it.
     store : ArtifactStore
         The one that its workers are to use.
 
@@ -221,11 +211,21 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
             "in the memory of this process; choose a folder or a bucket with --store, or the "
             "runner threads"
         )
-    if kind in ("dask", "ray"):
-        _check_installed(f"prefect_{kind}", kind)
     if address:
-        _check_server(runner)
-        place = urlsplit(runner)
+        try:
+            import_module(f"prefect_{kind}")
+        except ImportError as error:
+            raise InputError(
+                f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
+            ) from error
+        near, place = (LOOPBACK, "localhost", "::1"), urlsplit(runner)
+        server = urlsplit(os.environ.get("PREFECT_API_URL", "")).hostname
+        if place.hostname not in near and server in near:
+            raise InputError(
+                f"runner: found {runner!r}, whose workers cannot reach the Prefect server of this "
+                "run, which is on loopback; start one that they can with `prefect server start "
+                "--host 0.0.0.0`, and set PREFECT_API_URL to its address"
+            )
         try:
             socket.create_connection((place.hostname, place.port), CONNECT).close()
         except OSError as error:
@@ -251,10 +251,7 @@ def become_worker() -> None:
     And tell Prefect's server itself what it has to tell. Prefect has it told to the parent by a
     queue: a worker that is killed may hold its lock, and then the parent never ends.
     """
-    if NO_EVENTS not in os.environ:
-        send_events()
-    else:
-        send_no_events()
+    send_events(NO_EVENTS not in os.environ)
     set_api_log_sink(None)
     parent = multiprocessing.parent_process()
     assert parent is not None  # a process of a pool has one
@@ -306,60 +303,30 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
             log_to_driver=False,
             logging_level=logging.CRITICAL,
         )
+        before = signal.getsignal(signal.SIGTERM)  # which Ray takes for itself
         try:
-            with _own_signals(), _elsewhere(), warnings.catch_warnings(action="ignore"):
+            # Ray has its workers look for modules where its client is, first: an empty folder.
+            with (
+                tempfile.TemporaryDirectory() as empty,
+                chdir(empty),
+                warnings.catch_warnings(action="ignore"),
+            ):
                 try:
                     connect()
                 except ConnectionAbortedError:
                     # A process that its head forks for a client may die at once, of gRPC's threads.
                     connect()
         except Exception as error:  # Ray's own, and any
-            said = last_line(str(error))
             raise InputError(
-                f"runner: the Ray cluster at {url} refuses us ({said}); if it wants a token, give "
-                "it in RAY_AUTH_TOKEN"
+                f"runner: the Ray cluster at {url} refuses us ({last_line(str(error))}); if it "
+                "wants a token, give it in RAY_AUTH_TOKEN"
             ) from error
+        finally:
+            signal.signal(signal.SIGTERM, before)
         stack.callback(ray.shutdown)
         # Whose worker died is tried again by us, chain by chain.
         stack.enter_context(remote_options(max_retries=0))
         yield stack.enter_context(RayTaskRunner())
-
-
-@contextmanager
-def _own_signals() -> Iterator[None]:
-    """Keep what SIGTERM does, which Ray takes for itself."""
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-@contextmanager
-def _elsewhere() -> Iterator[None]:
-    """Be in an empty folder: Ray has its workers look for modules where its client is, first."""
-    with tempfile.TemporaryDirectory() as empty, chdir(empty):
-        yield
-
-
-def _check_installed(module: str, extra: str) -> None:
-    try:
-        import_module(module)
-    except ImportError as error:
-        raise InputError(
-            f"runner: {extra} is not installed ({error}); install it with {install_line(extra)}"
-        ) from error
-
-
-def _check_server(runner: str) -> None:
-    near = (LOOPBACK, "localhost", "::1")
-    server = urlsplit(os.environ.get("PREFECT_API_URL", "")).hostname
-    if urlsplit(runner).hostname not in near and server in near:
-        raise InputError(
-            f"runner: found {runner!r}, whose workers cannot reach the Prefect server of this run, "
-            "which is on loopback; start one that they can with `prefect server start --host "
-            "0.0.0.0`, and set PREFECT_API_URL to its address"
-        )
 
 
 def last_line(text: str) -> str:

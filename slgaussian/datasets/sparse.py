@@ -10,17 +10,15 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
-from slgaussian.io import write_atomic
 
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
@@ -136,29 +134,6 @@ def _checked(file: Path, read: Callable[[Path], T]) -> T:
         raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
     except _Wrong as bad:
         raise InputError(f"{file}: {bad}; it is damaged or cut short, copy it again") from None
-
-
-def write_text(folder: Path, model: SparseModel, maker: str) -> None:
-    """Write the text files of a model; points have no colour, and no image shows them.
-
-    ``maker`` goes into the first line of each, for people. InputError if they cannot be written.
-    """
-    rows: dict[str, list[Sequence[object]]] = {"cameras": [], "images": [], "points3D": []}
-    for number, camera in model.cameras.items():
-        size = camera.width, camera.height
-        rows["cameras"].append((number, camera.model, *size, *map(float, camera.params)))
-    for number, image in model.images.items():
-        turn = Rotation.from_matrix(image.w2c[:3, :3]).as_quat(canonical=True)
-        pose = *np.roll(turn, 1).tolist(), *image.w2c[:3, 3].tolist()  # w first
-        rows["images"] += [(number, *pose, image.camera, image.name), ()]
-    for number, point in enumerate(model.points.tolist(), 1):
-        rows["points3D"].append((number, *point, 128, 128, 128, 0))
-    try:
-        for kind, entries in rows.items():
-            text = "\n".join([f"# {maker}", *(" ".join(map(str, row)) for row in entries)])
-            write_atomic(folder / f"{kind}.txt", f"{text}\n".encode())
-    except OSError as bad:
-        raise InputError(f"{folder}: cannot be written ({bad.strerror}); choose another") from bad
 
 
 class _Wrong(Exception):

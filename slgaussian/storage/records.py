@@ -37,7 +37,7 @@ class Record:
 
 
 class Records:
-    """The records of a store, by the keys of :func:`tasks.keys.cache_key`."""
+    """The records of a store, by the keys of :func:`tasks.stage.cache_key`."""
 
     def __init__(self, store: ArtifactStore) -> None:
         self.store = store

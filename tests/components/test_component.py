@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from flows.settings import TABLES
+from flows.config import TABLES
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, File, expected
 from slgaussian.components.method import Method

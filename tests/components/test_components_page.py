@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from flows.cli.app import main
-from flows.settings import Settings
+from flows.config import Settings
 from slgaussian.components.catalogue import list_components
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "components.md"

@@ -5,7 +5,7 @@ import sys
 
 CODE = """
 import sys
-import flows.settings
+import flows.config
 import flows.cli.app
 print(*({"torch", "numba", "cv2", "transformers", "prefect"} & sys.modules.keys()))
 """

@@ -66,7 +66,7 @@ def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp
     for file in ("a.txt", "sub/b.txt"):
         (tmp_path / file).write_text(RED)
     code = (
-        "import json, sys; from pathlib import Path; from flows.settings import read_toml\n"
+        "import json, sys; from pathlib import Path; from flows.read_config import read_toml\n"
         "for name in ('a.toml', 'sub/b.toml'):\n"
         "    part = read_toml(Path(name), {}).part('proposer')\n"
         "    print(json.dumps([part.identity(), part.places()]))"

@@ -18,10 +18,9 @@ from slgaussian import datasets
 from slgaussian.datasets import unposed
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
+from tasks.chunks import PosedFolder, packed
 from tasks.context import RunContext, run_context
-from tasks.ingest import Photographs, ingest
-from tasks.packed import PosedFolder, packed
-from tasks.truth import Labels, truth
+from tasks.scene import Labels, Photographs, ingest, truth
 
 
 @pytest.fixture(autouse=True, scope="module")

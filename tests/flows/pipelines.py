@@ -6,8 +6,7 @@ import pytest
 
 from flows.runners.batches import SceneTask
 from slgaussian.storage.store import ArtifactRef
-from tasks.keys import canonical
-from tasks.stage import Stage
+from tasks.stage import Stage, canonical
 
 
 def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from command import score
 from PIL import Image
 
 from flows.cli import app
-from flows.settings import make_settings
+from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.storage.store import ArtifactStore
 

@@ -9,7 +9,8 @@ import torch
 from command import run, transforms, two_walls
 from PIL import Image
 
-from flows.settings import Settings, make_settings, read_toml
+from flows.config import Settings
+from flows.read_config import make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
@@ -283,7 +284,7 @@ def test_a_configuration_is_read_with_paths_from_its_folder(tmp_path):
         ('preset = "balanecd"', "preset: found 'balanecd', .*; did you mean 'balanced'"),
         ('[[scenes]]\nname = "a"', "scenes.0.context is missing"),
         ("replicas = 0", "replicas: found 0; .*greater than or equal to 1"),
-        ("size = [1, 2, 3]", "size: found .*expected height and width as in 416x576"),
+        ("size = [1, 2, 3]", "size: found .*expected height and width as in 256x256"),
         ('size = "abc"', "size: found 'abc'; expected height and width"),
         ('size = "99999x99999"', "size: .*each from 16 to 8192"),
         ("temperature = nan", "temperature: found nan"),

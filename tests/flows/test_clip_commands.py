@@ -11,8 +11,9 @@ import pytest
 from command import room_sample, run, said, save_photographs, score
 from pipelines import calls_of, keyed
 
+from flows.config import Settings
+from flows.read_config import make_settings, read_toml
 from flows.scene import scene_task
-from flows.settings import Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
@@ -23,9 +24,7 @@ from slgaussian.language.configs import CLIP
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
-from tasks.geometry import geometry
-from tasks.masks import masks
-from tasks.supervision import supervision
+from tasks.scene import geometry, masks, supervision
 from tests.language.small_clip import save_clip
 
 ROOM = {**command.ROOM, "queries": ["red basket"]}

@@ -15,7 +15,8 @@ from PIL import Image
 
 from flows import corpus
 from flows.cli.app import main
-from flows.corpus_settings import make_corpus_settings
+from flows.config import CorpusSettings
+from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
@@ -46,7 +47,7 @@ def aged(folder: Path) -> None:
 
 def settings_for(folder: Path, **more):
     values = {"chunks": str(folder / "chunks"), "out": folder / "out", "size": "72x96", **more}
-    return make_corpus_settings(values, "test")
+    return make_settings(values, "test", CorpusSettings)
 
 
 def run_flow(command: str, settings, store: ArtifactStore) -> corpus.Prepared:
@@ -249,7 +250,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
 
     with monkeypatch.context() as patched:
         patched.setattr(corpus.pq.ParquetWriter, "write_table", full)
-        with pytest.raises(InputError, match=r"cannot write the tables \(No space left on device"):
+        with pytest.raises(InputError, match=r"cannot write the results \(No space left on device"):
             run_flow("ingest", settings_for(tmp_path, chunks=chunks), store)
     assert files_below(tmp_path / "out") == {}
 

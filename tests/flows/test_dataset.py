@@ -20,9 +20,8 @@ from PIL import Image
 
 from flows import dataset, training
 from flows.cli.app import main
-from flows.dataset_settings import make_dataset_settings
-from flows.settings import checked
-from flows.training_settings import TrainSettings
+from flows.config import DatasetSettings, TrainSettings
+from flows.read_config import checked, make_settings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
@@ -61,7 +60,9 @@ def folder_of(scene, folder: Path) -> Path:
 
 def settings_for(folder: Path, *sources, **more):
     given = [str(source) for source in sources]
-    return make_dataset_settings({**SMALL, "out": folder / "set", "sources": given, **more})
+    return make_settings(
+        {**SMALL, "out": folder / "set", "sources": given, **more}, "dataset", DatasetSettings
+    )
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

@@ -9,8 +9,8 @@ pytest.importorskip("transformers")
 from command import room_sample, run, said, save_photographs
 from huggingface_hub import constants, snapshot_download
 
-from flows import encoder_choice
-from flows.settings import make_settings, read_toml
+from flows import read_config
+from flows.read_config import make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.components.pretrained import WEIGHTS, model_digest
 from slgaussian.errors import InputError
@@ -100,7 +100,7 @@ def test_a_model_that_is_given_is_taken_or_missed(model, tmp_path, capsys):
 
 
 def test_without_transformers_it_is_the_lexicon(model, monkeypatch, capsys):
-    monkeypatch.setattr(encoder_choice, "find_spec", lambda name: None)
+    monkeypatch.setattr(read_config, "find_spec", lambda name: None)
     encoder, told = chosen(capsys, clip={"model": str(model)})
     assert encoder == "lexicon" and "transformers, which is not installed" in told
 

@@ -14,7 +14,7 @@ import typer
 from command import run, said
 from typer.main import get_command
 
-from flows import settings
+from flows import config
 from flows.cli.app import app
 from flows.cli.options import settings_from
 from slgaussian import __version__
@@ -118,7 +118,7 @@ def test_choices_that_are_listed_are_those_that_are_taken():
     from slgaussian.language import query, relevancy
 
     def listed(name: str) -> set[str]:
-        return set(settings.Method.model_fields[name].examples)
+        return set(config.Method.model_fields[name].examples)
 
     assert listed("protocol") == set(query.PROTOCOLS)
     assert listed("absent") == set(relevancy.ABSENT)
@@ -131,7 +131,7 @@ def test_choices_that_are_listed_are_those_that_are_taken():
         ("slgaussian store ", {"gc", "verify"}),
         ("slgaussian field --predictor ", {"planesweep", "mvsplat"}),
         ("slgaussian field --predictor mv", {"mvsplat"}),
-        ("slgaussian demo --preset ", set(settings.PRESETS)),
+        ("slgaussian demo --preset ", set(config.PRESETS)),
         ("slgaussian field --tracker s", {"sam2-video"}),
         ("slgaussian objects ", {"list", "teach", "name", "remove", "extract"}),
         ("slgaussian benchmark --format l", {"llff", "lerf_ovs"}),

@@ -12,13 +12,12 @@ from command import run, said
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flows.corpus_settings import IndexSettings
+from flows.config import IndexSettings, SceneSettings
 from flows.indexing import build_index
-from flows.labelled import labelled_scenes
-from flows.manifest import published_as
-from flows.room_scenes import room_scene
+from flows.read_config import make_settings
+from flows.results import published_as
 from flows.scene import baseline_tasks, scene_task
-from flows.settings import SceneSettings, make_settings
+from flows.scenes import labelled_scenes, room_scene
 from slgaussian.benchmark.index import Index, read_index
 from slgaussian.datasets import re10k
 from slgaussian.datasets.published import SETS
@@ -27,8 +26,7 @@ from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
 from tasks.context import RunContext
-from tasks.ingest import Photographs, digests_of, ingest
-from tasks.truth import truth
+from tasks.scene import Photographs, digests_of, ingest, truth
 
 SIZE = (240, 160)
 FRAMES = [f"frame_{i:05d}.jpg" for i in range(1, 10)]

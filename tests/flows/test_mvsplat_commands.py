@@ -11,8 +11,9 @@ from command import ROOM, run, save_photographs, score
 from pipelines import calls_of, keyed
 
 from benches.predict.random_mvsplat_weights import recipe_weights
+from flows.config import TABLES, Settings
+from flows.read_config import make_settings, read_toml
 from flows.scene import scene_task
-from flows.settings import TABLES, Settings, make_settings, read_toml
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.errors import InputError
@@ -22,7 +23,7 @@ from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
-from tasks.geometry import geometry
+from tasks.scene import geometry
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

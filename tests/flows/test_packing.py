@@ -7,9 +7,8 @@ import pytest
 from PIL import Image
 
 from flows.cli.app import main
-from flows.clip_sources import scenes_of
-from flows.corpus_settings import PackSettings
-from flows.packing import Packed, pack
+from flows.clip_sources import Packed, pack, scenes_of
+from flows.config import PackSettings
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets import nerfstudio, re10k, unposed
 

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from command import run, said, score
 
+from flows.read_config import make_settings
 from flows.scene import STAGES, scene_task
-from flows.settings import make_settings
 from slgaussian import datasets
 from slgaussian.build import build_field
 from slgaussian.components.method import Method
@@ -29,7 +29,7 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tasks.benchmark import benchmark
-from tasks.ingest import ingest
+from tasks.scene import ingest
 
 pytestmark = pytest.mark.usefixtures("server")
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from command import run, said, save_photographs
 
-from flows import settings as settings_module
-from flows.settings import PRESETS, TABLES, Method, Settings, make_settings, read_toml
+from flows import config as settings_module
+from flows.config import PRESETS, TABLES, Method, Settings
+from flows.read_config import make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 
@@ -97,7 +98,7 @@ def test_a_size_may_be_a_bound(size, kept):
 
 @pytest.mark.parametrize("size", ["at most", "at most 3x4", "at most 312", "atmost 312x432"])
 def test_a_bound_that_is_none_is_one_sentence(size):
-    with pytest.raises(InputError, match=r"size: found .*expected height and width as in 416x576"):
+    with pytest.raises(InputError, match=r"size: found .*expected height and width as in 256x256"):
         make_settings({"size": size}, "test")
 
 

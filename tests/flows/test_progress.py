@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from flows.runners.progress import Progress, Waiting, duration
+from flows.runners.progress import Progress, Waiting
 from tasks.context import StageEvent
 
 
@@ -95,24 +95,16 @@ def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
     assert lines[4:] == ["ZeroDivisionError: a"]
 
 
-def test_counts_have_rate_and_time_left_and_the_summary_a_line_a_stage():
+def test_counts_have_a_rate_and_the_summary_a_line_a_stage():
     seen = io.StringIO()
     progress = Progress(3, 2, stream=seen)
     for scene, stage in itertools.product("ab", ("ingest", "masks")):
         state = "cached" if scene == "b" else "completed"
         progress.update(StageEvent(scene, stage, state, seconds=0.5))
     progress.start -= 60  # a minute ago
-    assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute, about 30 s left"
+    assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute"
     progress.summary()
     assert "masks        1 in 0.5 s, 1 cached\n" in seen.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0, "0 s"), (99.4, "99 s"), (99.6, "2 min"), (5900, "98 min"), (2e5, "2 d 7 h")],
-)
-def test_durations(seconds, text):
-    assert duration(seconds) == text
 
 
 def test_waiting_says_it_now_and_then_where_there_is_no_terminal():

@@ -12,7 +12,7 @@ from flows.history import ARTIFACT
 from flows.retraining import LOCK, STATUS
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
-from slgaussian.datasets import TrainingSet, re10k
+from slgaussian.datasets import re10k
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.locks import held
@@ -30,13 +30,6 @@ size = "72x96"
 replicas = 1
 held_out = {SHARE}
 steps = 2
-
-[training_set]
-out = "set"
-size = "72x96"
-targets = 1
-most = 1
-held_out = 0.0
 """
 
 
@@ -78,10 +71,6 @@ def named(folder: Path, table: str) -> set[str]:
     return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
 
 
-def clips_of_set(folder: Path) -> set[str]:
-    return {about["clip"] for about in TrainingSet(folder / "set").rows.to_pylist()}
-
-
 def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
     first, second, judged = clips
     monkeypatch.delenv(NO_EVENTS, raising=False)  # the server is the user's
@@ -104,8 +93,6 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     page = artifact()
     assert page.startswith("# Retraining 1: refused\n") and "| filled | 0." in page
     assert "| arrived | 2 | " in page
-    assert clips_of_set(tmp_path) == {first.key, judged.key}
-    assert f"training set: {made['training set']['samples']} samples of 2 places" in page
 
     # Nothing happens; then another one is on; then one is killed while something damaged came.
     assert "nothing new since version 1; no version is in use" in retrain("nothing new")
@@ -144,21 +131,17 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
         assert named(tmp_path, table) == {second.key, judged.key}
     sheets = {file.stem for file in (tmp_path / "corpus" / "sheets").iterdir()}
     assert first.key.replace(" ", "_") not in sheets and len(sheets) == 2
-    assert clips_of_set(tmp_path) == {second.key, judged.key}
 
     # What cannot be done is a failure with an artifact, and the next one is as good.
-    # A training set that cannot be built is told, and does not keep one from learning.
-    config.write_text(CONFIG.replace("targets = 1", "targets = 9"))
-    assert "the training set was not built: " in retrain("nothing new")
     config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
     assert "held_out 0.01: found" in retrain("failed")
-    assert record(tmp_path, 8)["outcome"] == "failed"
-    assert artifact().startswith("# Retraining 8: failed\n\nheld_out 0.01")
+    assert record(tmp_path, 7)["outcome"] == "failed"
+    assert artifact().startswith("# Retraining 7: failed\n\nheld_out 0.01")
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
-    assert record(tmp_path, 9)["changes"]["arrived"]["count"] == 0
+    assert record(tmp_path, 8)["changes"]["arrived"]["count"] == 0
     files = sorted(file.name for file in (tmp_path / "corpus" / "history").glob("*.parquet"))
-    assert files == ["000009.clips.parquet"]
+    assert files == ["000008.clips.parquet"]
 
 
 def test_settings_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):

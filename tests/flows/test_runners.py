@@ -14,11 +14,11 @@ from command import ROOM, run, save_photographs
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
+from flows.read_config import make_settings
 from flows.runners import task_runners
 from flows.runners.batches import failures_table
 from flows.runners.progress import Progress
-from flows.runners.task_runners import NO_EVENTS, check_worker
-from flows.settings import make_settings
+from flows.runners.task_runners import NO_EVENTS, roll_call
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
 
@@ -280,8 +280,8 @@ def test_a_worker_that_cannot_work_says_why(server, tmp_path):
     """What it is asked before it is given work."""
     store = ArtifactStore(tmp_path)
     store.write("probe", b"")
-    check_worker(store.root, "probe", server.url)
+    roll_call.fn(store.root, "probe", server.url)
     with pytest.raises(InputError, match="another store at"):
-        check_worker(store.root, "another", server.url)
+        roll_call.fn(store.root, "another", server.url)
     with pytest.raises(InputError, match=r"does not reach the server at http://127.*refused"):
-        check_worker(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")
+        roll_call.fn(store.root, "probe", f"http://127.0.0.1:{free_port()}/api")

@@ -8,8 +8,9 @@ import pytest
 from command import ROOM, room_sample, run, score
 from pipelines import calls_of, keyed
 
+from flows.config import Settings
+from flows.read_config import make_settings, read_toml
 from flows.scene import scene_task
-from flows.settings import Settings, make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
@@ -19,8 +20,7 @@ from slgaussian.field import SemanticField
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
-from tasks.geometry import geometry
-from tasks.masks import masks
+from tasks.scene import geometry, masks
 from tests.masks.small_models import save_sam, save_sam2
 
 OWN = {"preset": "langsplat", "points": 3}

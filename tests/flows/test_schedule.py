@@ -24,11 +24,11 @@ from prefect.flows import load_flow_from_entrypoint
 from prefect.utilities.callables import parameter_schema
 
 from flows.benchmark import REPORT, SCORES, score_scenes
+from flows.config import RetrainSettings
+from flows.read_config import make_settings
 from flows.retraining import retrain
 from flows.runners.task_runners import NO_EVENTS, send_events
 from flows.scene import STAGES
-from flows.settings import make_settings
-from flows.training_settings import RetrainSettings
 from slgaussian.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -106,7 +106,7 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
     from command import ROOM
 
     monkeypatch.delenv(NO_EVENTS, raising=False)  # the server is the user's
-    send_events()
+    send_events(True)
     lost = {**ROOM, "name": "lost", "options": {"seed": 1, "objects": 4, "views": 1}}
     scenes = [{**ROOM, "queries": ["red ball"]}, lost]
     places = {"out": tmp_path / "scores", "store": str(tmp_path / "store")}

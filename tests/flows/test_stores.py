@@ -14,7 +14,7 @@ import pytest
 from command import run, said
 from tiny_run import run_tiny, tiny
 
-from flows.settings import make_settings
+from flows.read_config import make_settings
 from slgaussian.errors import InputError
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -148,7 +148,7 @@ def quarters() -> np.ndarray:
 
 
 def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypatch, capsys):
-    from tasks.geometry import geometry
+    from tasks.scene import geometry
 
     store = ArtifactStore(tmp_path / "store")
     for value, version in ((1, geometry.version), (2, geometry.version + 1)):

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 from command import run, said, save_photographs, score
 
-from flows.settings import make_settings
+from flows.read_config import make_settings
 from flows.sweep import combinations
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore

@@ -5,8 +5,8 @@ import pytest
 from command import ROOM, room_sample, run, said
 from pipelines import calls_of, keyed
 
+from flows.read_config import make_settings, read_toml
 from flows.scene import scene_task
-from flows.settings import make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
@@ -15,8 +15,7 @@ from slgaussian.masks.configs import folder_digest
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_to_arrays
 from tasks.context import RunContext
-from tasks.geometry import geometry
-from tasks.masks import masks
+from tasks.scene import geometry, masks
 
 
 @pytest.fixture

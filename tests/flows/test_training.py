@@ -15,8 +15,8 @@ import pytest
 import torch
 from command import run
 
+from flows.read_config import anchored_config, read_retraining
 from flows.retraining import STATUS
-from flows.training_settings import anchored_config, read_retraining
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError

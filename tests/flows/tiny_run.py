@@ -26,7 +26,7 @@ def run_tiny(
     from tiny_flow import WORK, tiny_flow
 
     from flows.runners.batches import SceneTask, map_scenes
-    from flows.runners.commands import call_flow
+    from flows.runners.environment import call_flow
     from flows.runners.task_runners import open_workers
 
     progress = progress or Progress(len(scenes), 3, stream=stream or io.StringIO())

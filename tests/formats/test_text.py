@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from flows.corpus_settings import Withdrawal
-from flows.settings import read_values
+from flows.config import Withdrawal
+from flows.read_config import read_values
 from slgaussian.benchmark import class_masks
 from slgaussian.datasets.re10k_text import is_camera_file
 from slgaussian.formats import strict_json

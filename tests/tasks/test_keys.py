@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext, run_context
-from tasks.keys import cache_key, canonical
-from tasks.stage import stage
+from tasks.stage import cache_key, canonical, stage
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
 B = ArtifactRef("labels", "labels/bb/bb.npz", "bb")

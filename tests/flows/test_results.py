@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from command import room_sample
 
-from flows import kept
+from flows import results
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.build import build_field
 from slgaussian.components.method import Method
@@ -60,7 +60,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 
 def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
     ref, out = put_field(store, field), tmp_path / "out"
-    kept.write_fields(store, dict.fromkeys(SCENES, ref), {}, out)
+    results.write_fields(store, dict.fromkeys(SCENES, ref), {}, out)
     field.save(tmp_path / "saved")
     rows = pq.read_table(out / "fields.parquet").to_pylist()
     assert [row["scene"] for row in rows] == list(SCENES)
@@ -68,7 +68,7 @@ def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
         assert row["folder"].startswith(begins)
         assert (row["gaussians"], row["objects"]) == (len(field.gaussians), len(field.bank))
         folder = out / "fields" / row["folder"]
-        assert folder == kept.place(row["scene"], out)
+        assert folder == results.field_place(row["scene"], out)
         assert sorted(os.listdir(folder)) == sorted(os.listdir(tmp_path / "saved"))
         for file in folder.iterdir():
             assert file.read_bytes() == (tmp_path / "saved" / file.name).read_bytes()
@@ -83,12 +83,12 @@ def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
     def again(places=None) -> set[str]:
         """Files that are others now."""
         before = stamps(out / "fields")
-        kept.write_fields(store, fields, places or {}, out)
+        results.write_fields(store, fields, places or {}, out)
         after = stamps(out / "fields")
         assert before.keys() <= after.keys()
         return {name for name in after if after[name] != before.get(name)}
 
-    kept.write_fields(store, fields, {}, out)
+    results.write_fields(store, fields, {}, out)
     assert again() == set()
     room = out / "fields" / "room"
     (room / "bank.npz").unlink()
@@ -108,22 +108,22 @@ def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
     ref = put_field(store, field)
     key = f"field/v3/{'0' * 64}"
     Records(store).keep(key, ref)
-    kept.write_fields(store, {"room": ref}, {}, out)
+    results.write_fields(store, {"room": ref}, {}, out)
     assert collect(store, age=-60, delete=True).kept == 4
     assert verify(store).sound == 4
     store.remove([f"keys/field/v3/00/{'0' * 64}.json"])
     assert collect(store, age=-60, delete=True).artifacts == 4
     assert repr(SemanticField.load(out / "fields" / "room")) == repr(field)
     with pytest.raises(DamagedError, match="found nothing"):
-        kept.write_fields(store, {"room": ref}, {}, out)
+        results.write_fields(store, {"room": ref}, {}, out)
 
 
 def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
     store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
     ref = put_field(store, field)
-    kept.write_fields(store, dict.fromkeys([*SCENES, "third"], ref), {}, out)
+    results.write_fields(store, dict.fromkeys([*SCENES, "third"], ref), {}, out)
     field.save(out / "fields" / "mine")
-    kept.write_fields(store, {"third": ref}, {}, out)
+    results.write_fields(store, {"third": ref}, {}, out)
     assert sorted(os.listdir(out / "fields")) == ["mine", "third"]
     assert pq.read_table(out / "fields.parquet")["folder"].to_pylist() == ["third"]
     # A table that says otherwise leads nowhere else.
@@ -132,26 +132,26 @@ def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
     table = pq.read_table(out / "fields.parquet")
     named = table.set_column(1, "folder", [["../../elsewhere"]])
     pq.write_table(named, out / "fields.parquet")
-    kept.write_fields(store, {"third": ref}, {}, out)
+    results.write_fields(store, {"third": ref}, {}, out)
     assert elsewhere.is_dir()
-    kept.write_fields(store, {}, {}, out)
+    results.write_fields(store, {}, {}, out)
     assert sorted(os.listdir(out / "fields")) == ["mine"]
 
 
 def test_what_is_in_the_way_is_said_before_the_work(tmp_path):
-    place = kept.place("room", tmp_path)
-    kept.check_places(SCENES, tmp_path)
+    place = results.field_place("room", tmp_path)
+    results.check_places(SCENES, tmp_path)
     place.mkdir(parents=True)
-    kept.check_places(SCENES, tmp_path)
+    results.check_places(SCENES, tmp_path)
     (place / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"fields/room: exists and is not a field"):
-        kept.check_places(SCENES, tmp_path)
+        results.check_places(SCENES, tmp_path)
 
 
 def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_path):
     store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
     ref = put_field(store, field)
-    kept.write_fields(store, {"room": ref}, {}, out)
+    results.write_fields(store, {"room": ref}, {}, out)
     _, parts = about_field(store, ref)
     file, own = out / "fields/room/gaussians.npz", Path(store.path, parts["gaussians"].uri)
     assert os.path.samefile(file, own)
@@ -161,9 +161,9 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
     with open(file, "r+b") as opened:
         opened.write(data)
     with pytest.raises(DamagedError):
-        kept.write_fields(store, {"room": ref}, {}, out)
+        results.write_fields(store, {"room": ref}, {}, out)
     assert put_field(store, field) == ref
-    kept.write_fields(store, {"room": ref}, {}, out)
+    results.write_fields(store, {"room": ref}, {}, out)
     assert os.path.samefile(file, own)
     np.testing.assert_array_equal(
         SemanticField.load(file.parent).gaussians.means, field.gaussians.means

@@ -1,14 +1,12 @@
-"""Every setting of a run and its default, from a TOML file or the command line."""
+"""The configurations of the flows, as pydantic models: each field, its default, bounds and help."""
 
 from __future__ import annotations
 
-import sys
-import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -16,60 +14,69 @@ from pydantic import (
     ConfigDict,
     Field,
     StringConstraints,
-    ValidationError,
     create_model,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
-from flows.encoder_choice import AUTO, CANDIDATES, find_clip
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import BANK, KEEP, OWN
 from slgaussian.components.method import Method as BuildMethod
-from slgaussian.components.registry import KINDS, brought, find_config, names_of
+from slgaussian.components.registry import KINDS, brought, find_config
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.formats.text import read_lines
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, SeparatedConfig
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
-from slgaussian.storage.remote import check_url
+
+AUTO = "auto"
+"""The encoder that becomes one of :data:`CANDIDATES` where settings are read."""
+
+CANDIDATES = ("clip", "lexicon")
+
+PRESETS = ("fast", "balanced", "paper")
+"""Named settings, each a file in `presets`. The last is what the paper prints, see
+`docs/reference/paper.md`."""
 
 SIDES = range(16, 8193)
 """Heights and widths, in pixels, that views may be brought to."""
 
 
-def sides(value: Any) -> tuple[int, int] | None:
-    """Height and width of ``"416x576"``, as the command line gives them, or of a pair.
-
-    None if it is neither, or one is not in :data:`SIDES`.
-    """
+def _parse_sides(value: Any) -> tuple[int, int]:
+    """Height and width of ``"256x256"``, as the command line gives them, or of a pair."""
     try:
         height, width = map(int, value.split("x") if isinstance(value, str) else value)
     except (TypeError, ValueError):
-        return None
-    return (height, width) if height in SIDES and width in SIDES else None
+        height = width = 0
+    if height not in SIDES or width not in SIDES:
+        raise PydanticCustomError(
+            "size",
+            f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}",
+        )
+    return height, width
 
 
 AT_MOST = "at most "
 
 
-def _parse_size(value: Any) -> Any:
+def _parse_size(value: Any) -> tuple[int, int] | str:
     """Height and width, or words."""
     if value in ("auto", "original"):
         return value
     bound = isinstance(value, str) and value.startswith(AT_MOST)
-    found = sides(value.removeprefix(AT_MOST) if bound else value)
-    if found is None:
-        raise PydanticCustomError(
-            "size",
-            f"expected height and width as in 416x576, each from {SIDES[0]} to {SIDES[-1]}, 'at "
-            "most 416x576', 'auto' or 'original'",
-        )
+    try:
+        found = _parse_sides(value.removeprefix(AT_MOST) if bound else value)
+    except PydanticCustomError as error:
+        message = f"{error.message()}, 'at most 416x576', 'auto' or 'original'"
+        raise PydanticCustomError("size", message) from None
     return "{}{}x{}".format(AT_MOST, *found) if bound else found
 
 
+Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
 Size = Annotated[tuple[int, int] | str, BeforeValidator(_parse_size)]
 Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
@@ -96,24 +103,19 @@ def _parse_runner(value: Any) -> str:
 Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
 
-AnyModel = TypeVar("AnyModel", bound=BaseModel)
+class Config(BaseModel):
+    """Fields that are checked when they are given, and never changed."""
 
-PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. The last is what the paper prints, see
-`docs/reference/paper.md`."""
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def _table_of(component: str) -> str:
+def table_of(component: str) -> str:
     """Return the name of a component's table, for which TOML and Python take no hyphen."""
     return component.replace("-", "_")
 
 
-class QueryRules(BaseModel):
+class QueryRules(Config):
     """How queries are answered."""
-
-    model_config = ConfigDict(
-        title="How queries are answered", extra="forbid", frozen=True, allow_inf_nan=False
-    )
 
     protocol: str = Field(
         "slgaussian",
@@ -158,10 +160,6 @@ def _kind(kind: str) -> Any:
 
 class MethodSettings(QueryRules):
     """The parts of the method and their settings: what a result depends on."""
-
-    model_config = ConfigDict(
-        title="How a field is built", extra="forbid", frozen=True, allow_inf_nan=False
-    )
 
     size: Size = Field(
         "auto",
@@ -216,9 +214,9 @@ class MethodSettings(QueryRules):
     def component_values(self) -> dict[str, dict[str, Any]]:
         """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
         return {
-            name: dict(getattr(self, _table_of(name)))
+            name: dict(getattr(self, table_of(name)))
             for name in self.component_names().values()
-            if _table_of(name) in TABLES
+            if table_of(name) in TABLES
         }
 
     def rules(self) -> dict[str, Any]:
@@ -253,7 +251,7 @@ def _brought() -> Iterator[tuple[str, Any]]:
             with suppress(InputError):
                 config = find_config(kind, name)
                 if config.model_fields:
-                    yield _table_of(name), (config, config())
+                    yield table_of(name), (config, config())
 
 
 Method = create_model(
@@ -269,21 +267,8 @@ TABLES: dict[str, type[ComponentConfig]] = {
 """The settings that are the config of a component, by its name."""
 
 
-def tables_of(*kinds: str) -> tuple[str, ...]:
-    """The tables of the parts of these kinds, of all kinds if none is given."""
-    named = [_table_of(name) for kind in kinds or KINDS for name in names_of(kind)]
-    return tuple(table for table in TABLES if table in named)
-
-
-def files_of(*kinds: str) -> tuple[str, ...]:
-    """As ``table.key``, the settings that are files, folders or models of parts of these kinds."""
-    return tuple(f"{t}.{key}" for t in tables_of(*kinds) for key in TABLES[t].files())
-
-
-class SceneSettings(BaseModel):
+class SceneSettings(Config):
     """One scene: where its photographs are and which of them are what."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1)
     dataset: str = Field("scenes", min_length=1)
@@ -309,10 +294,8 @@ class SceneSettings(BaseModel):
         return {"dataset": self.dataset, "queries": self.queries, **place}
 
 
-class Engine(BaseModel):
+class Engine(Config):
     """Who does the work, and where it is kept."""
-
-    model_config = ConfigDict(title="Who does the work")
 
     store: str = Field(
         "./slg-data", description="Folder or fsspec URL that keeps the results of every stage."
@@ -333,8 +316,6 @@ class Engine(BaseModel):
 
 class Settings(Engine, Method):
     """A whole run."""
-
-    model_config = ConfigDict(title="The run")
 
     preset: str | None = Field(
         None,
@@ -368,198 +349,234 @@ class Settings(Engine, Method):
     )
     scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
 
-
-PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
-"""The settings that are paths."""
-
-URLS = ("store", "chunks")
-"""The settings that may be URLs."""
-
-
-AnySettings = TypeVar("AnySettings", bound=MethodSettings)
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        names = [scene.name for scene in self.scenes]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two scenes are called {name!r}; names must be unique")
+        return self
 
 
-def settled(settings: AnySettings) -> AnySettings:
-    """Return settings whose encoder is a real one; tell it, and the reason, if it was ``auto``."""
-    if settings.encoder != AUTO:
-        return settings
-    place, reason = find_clip(settings.clip)
-    chosen = "lexicon" if place is None else "clip"
-    print(f"encoder auto: {chosen}, as {reason}", file=sys.stderr)
-    update: dict[str, Any] = {"encoder": chosen}
-    if place is not None:
-        update["clip"] = settings.clip.model_copy(update={"model": place})
-    return settings.model_copy(update=update)
+class PackSettings(Config):
+    """How made-up rooms are photographed, and how large chunks are."""
+
+    views: int = Field(12, ge=2, description="Views of each made-up room, evenly on an arc.")
+    baseline: float = Field(
+        1.2, gt=0, description="Metres between the first and the last; the middle is 3.3 m away."
+    )
+    size: Sides = Field((360, 640), description="Their height and width, as 360x640.")
+    chunk_mb: float = Field(
+        100.0, gt=0, description="Megabytes of images after which a chunk is closed."
+    )
 
 
-def make_settings(values: dict[str, Any], source: str) -> Settings:
-    """Check ``values``; InputError in one sentence, naming ``source``, the key and what fits.
+class PairSettings(Config):
+    """What is asked of two context views."""
 
-    All of them must have an effect: none may be of a part that is not chosen.
-    """
-    settings = _validated(values, source)
-    refuse_idle(values, settings, source)
-    return settled(settings)
+    min_overlap: float = Field(
+        0.6, ge=0, le=1, description="Least share that context views see in common."
+    )
+    max_overlap: float = Field(
+        1.0, ge=0, le=1, description="Greatest share that they see in common."
+    )
+    min_baseline: float = Field(
+        0.08,
+        ge=0,
+        description="Least distance of context cameras, as a share of the depth of what they see.",
+    )
+    max_baseline: float = Field(
+        0.4, ge=0, description="Greatest distance of context cameras, likewise."
+    )
+    max_blur: float = Field(
+        0.16,
+        ge=0,
+        description="By how much a view may be more blurred than the median of its clip, 0 to 1.",
+    )
+    max_clipped: float = Field(
+        0.4, ge=0, le=1, description="Share of a view that may be black or white."
+    )
 
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Self:
+        for name in ("overlap", "baseline"):
+            low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
+            if low > high:
+                raise InputError(
+                    f"min_{name} {low:g} is above max_{name} {high:g}; no pair can fit"
+                )
+        return self
 
-def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
-    """``model(**values)``, or InputError in one sentence, naming ``source``, the key and why."""
-    for name in URLS:
-        if isinstance(values.get(name), str):
-            check_url(values[name], f"{source}: {name}")
-    try:
-        config = model(**values)
-    except ValidationError as error:
-        raise InputError(f"{source}: {_sentence(error, model)}") from error
-    if isinstance(config, MethodSettings):
-        for kind, name in config.component_names().items():
-            if name != AUTO:
-                find_config(kind, name)  # refuses a name that nobody knows before any work
-    return config
+    def bounds(self) -> dict[str, Any]:
+        """Return the fields of :class:`slgaussian.datasets.pair_selection.Bounds`.
 
-
-def _validated(values: dict[str, Any], source: str) -> Settings:
-    if values.get("preset") is not None:
-        values = layered(preset_values(values["preset"], source), values)
-    settings = checked(Settings, values, source)
-    names = [scene.name for scene in settings.scenes]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"{source}: two scenes are called {twice[0]!r}; names must be unique")
-    return settings
-
-
-def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
-    """Read a configuration, over which ``overrides`` win.
-
-    It may hold tables of parts that are not chosen, so that one is changed for another easily.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a key is unknown or a value does not fit.
-    """
-    settings = _validated(read_values(path, overrides), str(path))
-    refuse_idle(overrides, settings, "run")
-    return settled(settings)
+        That is not imported here, as it takes OpenCV with it.
+        """
+        return self.model_dump(include={*PairSettings.model_fields, "most"})
 
 
-def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
-    """The values in a TOML file, and over them, key by key of a part's table, ``overrides``.
+class IndexSettings(PairSettings):
+    """By which rule the index of a labelled set is made."""
 
-    Its relative paths are relative to the file, those given to hand not.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    try:
-        values = tomllib.loads(path.read_text("utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not valid TOML ({error})") from error
-    values = anchored(values, path.resolve().parent)
-    return layered(values, overrides)
-
-
-def preset_values(preset: Any, source: str) -> dict[str, Any]:
-    """Return the settings of the named preset.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset.
-    """
-    if preset not in PRESETS:
-        raise InputError(
-            f"{source}: preset: found {preset!r}, expected one of {', '.join(PRESETS)}"
-            f"{did_you_mean(preset, PRESETS)}"
-        )
-    file = Path(__file__).parent / "presets" / f"{preset}.toml"
-    return tomllib.loads(file.read_text("utf-8"))
+    format: str = Field(
+        "nerfstudio",
+        examples=list(FROM_FILES),
+        description="Of the data, such as lerf_ovs or ovs3d.",
+    )
+    min_cover: float = Field(
+        0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."
+    )
+    max_aside: float = Field(
+        0.3,
+        ge=0,
+        lt=0.5,
+        description="Greatest distance of a labelled frame from the middle of the context cameras, "
+        "as a share of their distance.",
+    )
 
 
-def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return ``under`` with the values of ``over``, of a part's table key by key."""
-    tables = {
-        name: {**under[name], **over[name]}
-        for name in TABLES
-        if isinstance(under.get(name), dict) and isinstance(over.get(name), dict)
-    }
-    return {**under, **over, **tables}
+class Withdrawal(Config):
+    """What must not be used any more."""
 
+    withdrawn: Path | None = Field(
+        None,
+        description="File with the keys of clips that may not be used any more, a line each.",
+    )
 
-def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A copy of settings whose relative paths are relative to ``folder``."""
-    values = _anchored(values, PATHS, folder)
-    for name in URLS:
-        if isinstance(values.get(name), str) and "://" not in values[name]:
-            values[name] = str(folder / values[name])
-    if isinstance(values.get("scenes"), list):
-        values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
-    if "training_set" in values:
-        values["training_set"] = _anchored(values["training_set"], ["out"], folder)
-    for name in TABLES.keys() & values.keys():
-        if isinstance(values[name], dict):
-            places = [
-                key
-                for key in TABLES[name].files().keys() & values[name].keys()
-                if not TABLES[name].takes_name(key) or (folder / str(values[name][key])).exists()
-            ]
-            values[name] = _anchored(values[name], places, folder)
-    return values
-
-
-def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
-    """InputError if ``given`` has the table of a part that the settings do not choose."""
-    used = set(map(_table_of, settings.component_values()))
-    if settings.encoder == AUTO:
-        used |= set(CANDIDATES)
-    for name in TABLES:
-        if name in given and name not in used:
-            chosen = ", ".join(
-                f"{part} {name!r}" for part, name in settings.component_names().items()
-            )
+    def withdrawn_clips(self) -> set[str]:
+        """The keys in the file; InputError if it cannot be read."""
+        if self.withdrawn is None:
+            return set()
+        try:
+            lines = read_lines(self.withdrawn)
+        except (OSError, UnicodeDecodeError) as error:
             raise InputError(
-                f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
-                f"{chosen}); choose it, or leave them out"
-            )
+                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, a "
+                "line each"
+            ) from error
+        return {line.strip() for line in lines if line.strip()}
 
 
-def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
-    if not isinstance(table, dict):
-        return table  # which is said where settings are checked
-    places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
-    return {**table, **{key: str(folder / place) for key, place in places.items()}}
+class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
+    """What views, samples and lessons depend on, and where they go."""
+
+    size: Sides = Field(
+        (256, 256), description="Height and width of the views of a lesson, as 256x256."
+    )
+    most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
+    chunks: str = Field(description="Folder or fsspec URL of the chunks.")
+    out: Path = Field(description="Folder for the tables and contact sheets.")
 
 
-SAID = {
-    "path_type": "expected a path, in quotes",
-    "model_type": "expected a table",
-    "too_short": "expected at least {min_length}",
-    "string_too_short": "expected some text",
-}
-"""What Pydantic says in its own terms, said in those of a configuration, by its error type."""
+class SetSettings(Config):
+    """What samples hold, which are good enough, and how they are written."""
+
+    size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
+    targets: int = Field(3, ge=1, description="Target views of a sample, between its two contexts.")
+    most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
+    max_unlabelled: float = Field(
+        1.0, ge=0, le=1, description="Share of pixels that may be without an object id."
+    )
+    min_confirmed: float = Field(
+        0.0, ge=0, le=1, description="Least share of the depth that a second view confirms."
+    )
+    held_out: float = Field(
+        0.2, ge=0, lt=1, description="Share of the places, about, that go to the split test."
+    )
+    images: Literal["jpg", "png"] = Field(
+        "jpg",
+        examples=["jpg", "png"],
+        description="How images are stored: jpg (quality 95) or png.",
+    )
+    gaussians: bool = Field(
+        False, description="Store the Gaussians too; without them it is depth alone."
+    )
+    shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is closed.")
 
 
-def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
-    # A misspelt key leaves another one missing; it is the cause, so it goes first.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
-    key = ".".join(place)
-    if first["type"] == "extra_forbidden":
-        model = SceneSettings if place[0] == "scenes" else whole
-        listed = ", ".join(model.model_fields)
-        near = did_you_mean(place[-1], model.model_fields)
-        return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
-    if isinstance(first.get("ctx", {}).get("error"), InputError):
-        return str(first["ctx"]["error"])  # of a component's config
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] in SAID:
-        message = SAID[first["type"]].format(**first.get("ctx", {}))
-    else:
-        message = first["msg"][0].lower() + first["msg"][1:]
-    return f"{key}: found {first['input']!r}; {message}"
+class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
+    """A training set, what it is made from, and where it goes."""
+
+    size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]  # not the method's
+    sources: list[str] = Field(min_length=1, description="What its clips are from.")
+    out: Path = Field(description="Folder of the training set.")
+
+
+def _parse_widths(value: Any) -> tuple[int, ...]:
+    """Channels of a list, or of text with commas between."""
+    try:
+        found = tuple(map(int, value.split(",") if isinstance(value, str) else value))
+    except (TypeError, ValueError):
+        found = ()
+    if not found or min(found) < 1:
+        raise PydanticCustomError("widths", "expected numbers from 1, as 8,16,24,32")
+    return found
+
+
+Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
+
+
+class Training(Config):
+    """What a training is besides its lessons, codes and seed."""
+
+    steps: int = Field(1500, ge=1, description="Steps of training.")
+    batch: int = Field(1, ge=1, description="Lessons of a step.")
+    rate: float = Field(3e-3, gt=0, description="Highest learning rate.")
+    corrupted: float = Field(
+        0.75, ge=0, le=1, description="Share of the steps with corrupted labels."
+    )
+    held_out: float = Field(
+        0.2, gt=0, lt=1, description="Share of the clips, about, that are kept to judge by."
+    )
+    widths: Widths | None = Field(
+        None,
+        description="Channels of the branch at full size, half, a quarter ...; if left out, those "
+        "of the weights to begin from, else 8,16,24,32.",
+    )
+    hidden: int | None = Field(
+        None, ge=1, description="Numbers of the hidden layer for each pixel; likewise, else 32."
+    )
+    device: str = Field(
+        "cpu",
+        description="Where the network computes, as PyTorch calls it: cpu; cuda and others go the "
+        "same way and have not been tried.",
+    )
+    threads: int = Field(
+        1, ge=1, description="Threads of PyTorch; on their number depend the last bits."
+    )
+
+
+# Settings that are those of other commands, declared there.
+_METHOD: dict[str, Any] = dict(Method.model_fields)
+_CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
+
+
+class TrainSettings(Training):
+    """A training on lessons that are there already."""
+
+    codes: str = Field(
+        "separated",
+        examples=["separated", "grid"],
+        description="How ID codes are drawn: separated or grid.",
+    )
+    architecture: Literal["several", "paper"] = Field(
+        "several",
+        examples=["several", "paper"],
+        description="What a branch sees of a pixel: what several views say of it, or its own view "
+        "alone (as the paper).",
+    )
+    seed: int = _METHOD["seed"]
+    store: str = _CORPUS["store"]
+    lessons: Path = Field(
+        description="Folder that `supervise` wrote, or `dataset` with --gaussians."
+    )
+    start: Path | None = Field(
+        None, description="Weights to begin from: a file, or a folder of versions."
+    )
+    out: Path = Field(description="Folder for the weights and the report.")
+
+
+class RetrainSettings(Training, CorpusSettings):
+    """A corpus that grows, and the weights that are kept of it."""
+
+    models: Path = Field(description="Folder of the versions of the weights.")

@@ -1,28 +1,116 @@
-"""Labels of the contexts and targets of all samples of a chunk, and the lessons they make."""
+"""Samples of clips: their views at one size, labels with one id for one object, and lessons."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import torch
 
 from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.components.component import Component
+from slgaussian.datasets import licences
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.io import KnownFile
+from slgaussian.labels import LabelMaps
 from slgaussian.masks.associate import associate
+from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
+from slgaussian.storage.provenance import saying
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
-from tasks.all_masks import known_alone, seen_everywhere
-from tasks.chunks import Framing, left_out, read_chunk
+from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
+from tasks.chunks import Framing, framed_views, left_out, read_chunk
 from tasks.context import RunContext
-from tasks.masks import masks
 from tasks.predictions import read_sample
+from tasks.scene import masks
 from tasks.stage import stage
+
+
+@dataclass(frozen=True)
+class Frames:
+    """A sample by the frames of its clip."""
+
+    sample: str
+    clip: str
+    context: tuple[int, ...]
+    targets: tuple[int, ...]
+
+
+@stage("framed", version=2)
+def framed(
+    run: RunContext, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
+) -> ArtifactRef:
+    """A sample of a chunk: spec ``sample``. ``meta["url"]`` is that of its video."""
+    clip = read_chunk(run, chunk)[frames.clip]
+    context = framed_views(clip, frames.context, framing)
+    targets = framed_views(clip, frames.targets, framing)
+    sample = Sample(frames.sample, context, targets)
+    licence = "" if isinstance(chunk, ArtifactRef) else licences.stated(Path(chunk.place))
+    with saying(clip.url, licence):
+        return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
+
+
+# Its version is raised with that of the stage that labels context views alone.
+@stage("all_masks", version=1000 * masks.version + 1)
+def all_masks(
+    run: RunContext,
+    sample: ArtifactRef,
+    gaussians: ArtifactRef,
+    proposer: Component,
+    tracker: Component,
+    replicas: int,
+) -> ArtifactRef:
+    """Labels of the context views: spec ``labels``; ``meta["targets"]`` is the place of the others.
+
+    The targets have the ids of the context views and no others.
+    """
+    seen = read_everywhere(run, sample, gaussians)
+    found = associate(seen, proposer.load(), tracker.load(), replicas)
+    count = len(run.read(sample, sample_from_arrays).context)
+    context = LabelMaps(found.labels[:count], found.margin[:count])
+    targets = LabelMaps(known_alone(found.labels[count:], context.labels), found.margin[count:])
+    others = run.store.put("labels", labels_to_arrays(targets))
+    meta = {
+        "objects": len(context.ids),
+        "computed": found.computed,
+        "targets": {"uri": others.uri, "digest": others.digest},
+        "parts": [others.uri],
+    }
+    return run.store.put("labels", labels_to_arrays(context), meta)
+
+
+def read_everywhere(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
+    """:func:`seen_everywhere` of stored ones; made once for all stages that ask for it."""
+
+    def make() -> list[SeenView]:
+        found = run.read(gaussians, Gaussians.from_arrays)
+        return seen_everywhere(run.read(sample, sample_from_arrays), found)
+
+    return run.once((SeenView, sample.digest, gaussians.digest), make)
+
+
+def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
+    """The contexts with the depth of their own Gaussians, the targets with rendered depth."""
+    nothing = torch.zeros(len(gaussians), 1)
+    targets = []
+    for view in sample.targets:
+        # The mean would put a surface between what is before and behind an edge.
+        depth = rasterize(gaussians, nothing, view.camera, median=True).median
+        targets.append(SeenView(view, None if depth is None else depth.numpy()))
+    return [*SceneGeometry.of(sample.context, gaussians).seen, *targets]
+
+
+def known_alone(targets: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Labels of targets without objects that no context view shows: they have no code."""
+    return np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
+
 
 SHEET_ROWS = 24
 """Most samples on a contact sheet."""

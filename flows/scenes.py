@@ -1,14 +1,69 @@
-"""The scenes of a labelled set, as an index lists them."""
+"""The scenes of a run: of a labelled set, made-up rooms, those of the demo, and listed ones."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from flows.settings import SceneSettings, Settings
+from flows.config import SceneSettings, Settings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import ScenePair, read_index
 from slgaussian.errors import InputError
+
+DATASET = "procedural"
+THIRDS = 3
+"""Into how many parts thirds of the way are parted where views are added: enough for eight."""
+_SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
+
+
+def seeds(text: str, source: str) -> range:
+    """The seeds of ``"FIRST-LAST"``, both included, or of one number.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or there is none; the sentence begins with ``source``.
+    """
+    found = _SEEDS.fullmatch(text)
+    first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
+    if first > last:
+        raise InputError(f"{source}: found no seeds in {text!r}; expected FIRST-LAST, as 0-39")
+    return range(first, last + 1)
+
+
+def room_scene(seed: int, thirds: int = 1) -> SceneSettings:
+    """A room of eight objects, seen from two places, asked from two between them.
+
+    Each third of the way between the two is parted into ``thirds``, so that there are further views
+    to choose from; the cameras of those four are the same, their noise and exposure are not.
+    """
+    first, *targets, last = (f"view_{k * thirds:02d}" for k in range(4))
+    return SceneSettings(
+        name=f"room_{seed}",
+        dataset=DATASET,
+        format="procedural",
+        options={"seed": seed, "objects": 8, "views": 3 * thirds + 1},
+        context=[first, last],
+        targets=targets,
+    )
+
+
+ROOMS = (0, 1, 2)
+"""Seeds of the procedural rooms."""
+
+
+def demo_scenes() -> list[SceneSettings]:
+    """The motorcycle stereo pair at its own size and three procedural rooms with novel views."""
+    motorcycle = SceneSettings(
+        name="motorcycle",
+        dataset="stereo",
+        format="stereo",
+        context=["left", "right"],
+        size="original",
+        queries=["red", "black", "brown wood", "grey metal", "white wall", "grey floor"],
+    )
+    return [motorcycle, *map(room_scene, ROOMS)]
 
 
 def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]:

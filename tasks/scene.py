@@ -1,13 +1,14 @@
-"""Read the photographs and cameras of one scene into the store, once."""
+"""The stages of one scene: photographs, truth, Gaussians, label maps, bank and semantic field."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,34 @@ from typing import Any
 import numpy as np
 
 from slgaussian import datasets
+from slgaussian.benchmark.annotations import Truth, label_files, read_truth
+from slgaussian.benchmark.evaluate import truth_from_instances
+from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.quality import Quality
+from slgaussian.components.component import Component
+from slgaussian.components.method import Method
 from slgaussian.datasets import licences
 from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry import SceneGeometry
 from slgaussian.io import CHANGED, file_digest
+from slgaussian.language.bank import MemoryBank
+from slgaussian.predict import Depths
 from slgaussian.predict.view_graph import usable
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
-from tasks.artifacts import sample_to_arrays
+from tasks.artifacts import (
+    labels_from_arrays,
+    labels_to_arrays,
+    put_field,
+    sample_from_arrays,
+    sample_to_arrays,
+    truth_to_arrays,
+)
 from tasks.context import RunContext
-from tasks.keys import canonical
-from tasks.stage import stage
+from tasks.stage import canonical, stage
 
 COPY = 1.0
 """Grey levels between two copies of a photograph at different sizes, at most, in the mean."""
@@ -54,7 +72,7 @@ class Photographs:
     scene: str
     format: str
     path: Path | None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     context: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
     size: tuple[int, int] | str = "auto"
@@ -202,3 +220,153 @@ def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
         with suppress(OSError, ValueError):  # which names from outside may raise
             digests[os.path.relpath(file, folder)] = file_digest(file)
     return digests
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The label files of some targets, and which categories are read of them.
+
+    ``folder`` is None where truth comes from instance ids.
+    """
+
+    folder: Path | None
+    targets: tuple[str, ...]
+    categories: tuple[str, ...]
+
+    def of_views(self, names: Sequence[str]) -> Labels:
+        """Take full names of targets, which decide in which folder their labels are looked for."""
+        return replace(self, targets=tuple(names))
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of every label file, by its path below the folder."""
+        if self.folder is None:
+            return {}
+        files = [file for target in self.targets for file in label_files(self.folder, target)]
+        return digests_of(files, self.folder)
+
+    def identity(self) -> dict[str, Any]:
+        """What truth depends on: not where the files are, but what is in them."""
+        drawn = self.folder is not None
+        return {"categories": self.categories, "drawn": drawn, "files": self.files}
+
+    def read(self, sample: Sample) -> Truth:
+        """What should be found in the targets of a sample; InputError if labels cannot be read."""
+        if self.folder is None:
+            return truth_from_instances(sample)
+        return read_truth(self.folder, self.categories, sample.targets)
+
+
+@stage("truth", version=3)
+def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
+    """What should be found in the targets: spec ``truth``."""
+    shown = run.read(sample, sample_from_arrays)
+    found = labels.read(shown)
+    return run.store.put("truth", truth_to_arrays(found, shown))
+
+
+@stage("geometry", version=10)
+def geometry(
+    run: RunContext,
+    sample: ArtifactRef,
+    predictor: Component,
+    seed: int,
+    trust_cameras: bool = False,
+) -> ArtifactRef:
+    """What the predictor makes of the context views: spec ``gaussians``.
+
+    ``meta["quality"]`` says how good the views were, ``meta["depths"]`` how many were compared of
+    how many, or None.
+    """
+    shown = run.read(sample, sample_from_arrays)
+    if "matches" in sample.meta:
+        stored = ArtifactRef("matches", **sample.meta["matches"])
+        graph = MatchGraph.from_arrays(run.store.get(stored))
+    else:  # of a clip
+        graph = MatchGraph.of(shown.context)
+    gaussians, quality, depths = predict(shown, graph, predictor, seed, trust_cameras)
+    gaussians.check()
+    meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
+    return run.store.put("gaussians", gaussians.to_arrays(), meta)
+
+
+def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:
+    """The context views and their surfaces; made once for all stages that ask for it.
+
+    Scattering Gaussians into depth takes less time than inflating a stored copy.
+    """
+
+    def make() -> SceneGeometry:
+        shown = run.read(sample, sample_from_arrays)
+        return SceneGeometry.of(shown.context, run.read(gaussians, Gaussians.from_arrays))
+
+    return run.once((SceneGeometry, sample.digest, gaussians.digest), make)
+
+
+@stage("masks", version=6)
+def masks(
+    run: RunContext,
+    sample: ArtifactRef,
+    gaussians: ArtifactRef,
+    proposer: Component,
+    tracker: Component,
+    replicas: int,
+) -> ArtifactRef:
+    """Object ids that agree across the context views: spec ``labels``.
+
+    ``meta["computed"]`` says how many copies of a view were segmented.
+    """
+    label_maps = label_views(read_geometry(run, sample, gaussians), proposer, tracker, replicas)
+    meta = {"objects": len(label_maps.ids), "computed": label_maps.computed}
+    return run.store.put("labels", labels_to_arrays(label_maps), meta)
+
+
+@stage("supervision", version=5)
+def supervision(
+    run: RunContext,
+    sample: ArtifactRef,
+    gaussians: ArtifactRef,
+    labels: ArtifactRef,
+    encoder: Component,
+    codes: Component,
+    seed: int,
+    held: str,
+) -> ArtifactRef:
+    """A code and vectors of every object: spec ``bank``.
+
+    The code images of the paper are ``bank.codes`` looked up by the label maps, so they are not
+    stored again.
+    """
+    bank = remember(
+        run.read(sample, sample_from_arrays),
+        read_geometry(run, sample, gaussians),
+        run.read(labels, labels_from_arrays),
+        encoder,
+        codes,
+        seed,
+        held,
+    )
+    return run.store.put("bank", bank.to_arrays(), {"objects": len(bank)})
+
+
+@stage("field", version=8)
+def field(
+    run: RunContext,
+    sample: ArtifactRef,
+    gaussians: ArtifactRef,
+    labels: ArtifactRef,
+    bank: ArtifactRef,
+    method: Method,
+) -> ArtifactRef:
+    """Gaussians, label maps and bank joined: spec ``field``."""
+    depths = gaussians.meta["depths"]
+    joined = lift_field(
+        run.read(sample, sample_from_arrays),
+        run.read(gaussians, Gaussians.from_arrays),
+        replace(run.read(labels, labels_from_arrays), computed=labels.meta["computed"]),
+        run.read(bank, MemoryBank.from_arrays),
+        method,
+        Quality(**gaussians.meta["quality"]),
+        None if depths is None else Depths(*depths),
+    )
+    return put_field(run.store, joined)

@@ -1,0 +1,272 @@
+"""Read and check configurations, from a TOML file or the command line; errors in one sentence.
+
+The encoder ``auto`` is settled here: CLIP where its weights are on this machine, else the lexicon.
+What is built, stored and reported knows the encoder that was taken. Nothing is downloaded for it.
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+from pydantic import BaseModel, ValidationError
+
+from flows.config import (
+    AUTO,
+    CANDIDATES,
+    PRESETS,
+    TABLES,
+    MethodSettings,
+    RetrainSettings,
+    SceneSettings,
+    Settings,
+    table_of,
+)
+from slgaussian.components.registry import find_config
+from slgaussian.errors import InputError, did_you_mean
+from slgaussian.language.configs import CLIP, ClipConfig
+from slgaussian.storage.remote import check_url
+
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+AnySettings = TypeVar("AnySettings", bound=MethodSettings)
+
+PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
+"""The settings that are paths."""
+
+URLS = ("store", "chunks")
+"""The settings that may be URLs."""
+
+
+def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
+    """``model(**values)``, over its preset; InputError in a sentence that names source and key."""
+    for name in URLS:
+        if isinstance(values.get(name), str):
+            check_url(values[name], f"{source}: {name}")
+    if "preset" in model.model_fields and values.get("preset") is not None:
+        values = layered(preset_values(values["preset"], source), values)
+    try:
+        config = model(**values)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_sentence(error, model)}") from error
+    if isinstance(config, MethodSettings):
+        for kind, name in config.component_names().items():
+            if name != AUTO:
+                find_config(kind, name)  # refuses a name that nobody knows before any work
+    return config
+
+
+@overload
+def make_settings(values: dict[str, Any], source: str) -> Settings: ...
+@overload
+def make_settings(values: dict[str, Any], source: str, model: type[AnySettings]) -> AnySettings: ...
+def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
+    """Check ``values`` as :func:`checked`, all of which must have an effect; settle the encoder."""
+    settings = checked(model, values, source)
+    refuse_idle(values, settings, source)
+    return settled(settings)
+
+
+def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
+    """Read a configuration, over which ``overrides`` win.
+
+    It may hold tables of parts that are not chosen, so that one is changed for another easily.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a key is unknown or a value does not fit.
+    """
+    settings = checked(Settings, read_values(path, overrides), str(path))
+    refuse_idle(overrides, settings, "run")
+    return settled(settings)
+
+
+def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSettings:
+    """Read a configuration of retraining likewise; ``auto`` is settled by each retraining."""
+    values = overrides if config is None else read_values(config, overrides)
+    settings = checked(RetrainSettings, values, "retrain" if config is None else str(config))
+    refuse_idle(overrides, settings, "retrain")
+    return settings
+
+
+def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
+    """The values in a TOML file, and over them, key by key of a part's table, ``overrides``.
+
+    Its relative paths are relative to the file, those given to hand not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    try:
+        values = tomllib.loads(path.read_text("utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid TOML ({error})") from error
+    values = anchored(values, path.resolve().parent)
+    return layered(values, overrides)
+
+
+def preset_values(preset: Any, source: str) -> dict[str, Any]:
+    """Return the settings of the named preset.
+
+    Raises
+    ------
+    InputError
+        If there is no such preset.
+    """
+    if preset not in PRESETS:
+        raise InputError(
+            f"{source}: preset: found {preset!r}, expected one of {', '.join(PRESETS)}"
+            f"{did_you_mean(preset, PRESETS)}"
+        )
+    file = Path(__file__).parent / "presets" / f"{preset}.toml"
+    return tomllib.loads(file.read_text("utf-8"))
+
+
+def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return ``under`` with the values of ``over``, of a part's table key by key."""
+    tables = {
+        name: {**under[name], **over[name]}
+        for name in TABLES
+        if isinstance(under.get(name), dict) and isinstance(over.get(name), dict)
+    }
+    return {**under, **over, **tables}
+
+
+def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A copy of settings whose relative paths are relative to ``folder``."""
+    values = _anchored(values, PATHS, folder)
+    for name in URLS:
+        if isinstance(values.get(name), str) and "://" not in values[name]:
+            values[name] = str(folder / values[name])
+    if isinstance(values.get("scenes"), list):
+        values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
+    for name in TABLES.keys() & values.keys():
+        if isinstance(values[name], dict):
+            places = [
+                key
+                for key in TABLES[name].files().keys() & values[name].keys()
+                if not TABLES[name].takes_name(key) or (folder / str(values[name][key])).exists()
+            ]
+            values[name] = _anchored(values[name], places, folder)
+    return values
+
+
+def anchored_config(config: RetrainSettings) -> RetrainSettings:
+    """Return a config that means the same in any working folder, with the store that it names."""
+    values = config.model_dump(exclude_unset=True) | {"store": config.store}
+    return RetrainSettings(**anchored(values, Path.cwd()))
+
+
+def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
+    if not isinstance(table, dict):
+        return table  # which is said where settings are checked
+    places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
+    return {**table, **{key: str(folder / place) for key, place in places.items()}}
+
+
+SAID = {
+    "path_type": "expected a path, in quotes",
+    "model_type": "expected a table",
+    "too_short": "expected at least {min_length}",
+    "string_too_short": "expected some text",
+}
+"""What Pydantic says in its own terms, said in those of a configuration, by its error type."""
+
+
+def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
+    # A misspelt key leaves another one missing; it is the cause, so it goes first.
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
+    key = ".".join(place)
+    if first["type"] == "extra_forbidden":
+        model = SceneSettings if place[0] == "scenes" else whole
+        listed = ", ".join(model.model_fields)
+        near = did_you_mean(place[-1], model.model_fields)
+        return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
+    if isinstance(first.get("ctx", {}).get("error"), InputError):
+        return str(first["ctx"]["error"])  # of a component's config
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    if first["type"] in SAID:
+        message = SAID[first["type"]].format(**first.get("ctx", {}))
+    else:
+        message = first["msg"][0].lower() + first["msg"][1:]
+    return f"{key}: found {first['input']!r}; {message}"
+
+
+def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
+    """InputError if ``given`` has the table of a part that the settings do not choose."""
+    used = set(map(table_of, settings.component_values()))
+    if settings.encoder == AUTO:
+        used |= set(CANDIDATES)
+    for name in TABLES:
+        if name in given and name not in used:
+            chosen = ", ".join(
+                f"{part} {name!r}" for part, name in settings.component_names().items()
+            )
+            raise InputError(
+                f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
+                f"{chosen}); choose it, or leave them out"
+            )
+
+
+def settled(settings: AnySettings) -> AnySettings:
+    """Return settings whose encoder is a real one; tell it, and the reason, if it was ``auto``."""
+    if settings.encoder != AUTO:
+        return settings
+    place, reason = find_clip(settings.clip)
+    chosen = "lexicon" if place is None else "clip"
+    print(f"encoder auto: {chosen}, as {reason}", file=sys.stderr)
+    update: dict[str, Any] = {"encoder": chosen}
+    if place is not None:
+        update["clip"] = settings.clip.model_copy(update={"model": place})
+    return settings.model_copy(update=update)
+
+
+def find_clip(config: ClipConfig) -> tuple[str | None, str]:
+    """Find the CLIP to take; None if there is none on this machine; and the reason."""
+    from slgaussian.components.hub_cache import cached_models
+
+    model, tokenizer = str(config.model), config.tokenizer
+    if find_spec("transformers") is None:
+        return None, "CLIP needs the package transformers, which is not installed"
+    if _usable(model, tokenizer):
+        return model, f"{model} is on this machine"
+    if model != CLIP:
+        return None, f"{model} is no whole CLIP with its tokenizer on this machine"
+    others = [name for name, folder in cached_models() if _usable(folder, tokenizer)]
+    if len(others) == 1:
+        return others[0], f"{others[0]} is the one CLIP in the hub's cache"
+    if others:
+        names = ", ".join(others)
+        return None, f"the hub's cache holds several of CLIP ({names}); name one as clip.model"
+    return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
+
+
+def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
+    """Whether a CLIP and its tokenizer are here with all their files, as far as names tell."""
+    from slgaussian.components.hub_cache import local_place
+    from slgaussian.components.pretrained import CONFIG, find_model, find_tokenizer, read_json
+
+    try:
+        here = Path(local_place(place))
+        if not here.exists():
+            return False
+        found = find_model(here)
+        words = Path(found.folder if tokenizer is None else local_place(tokenizer))
+        if not words.is_dir():
+            return False
+        find_tokenizer(words)
+        if found.checkpoint is not None:
+            return True
+        return read_json(found.folder / CONFIG).get("model_type") == "clip"
+    except InputError:
+        return False

@@ -1,0 +1,281 @@
+"""What a run leaves beside scores: fields, the table of its artifacts, and its manifest."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from flows.config import TABLES, Method, SceneSettings, Settings
+from flows.runners.batches import Outcome
+from slgaussian import __version__, datasets
+from slgaussian.benchmark.annotations import categories_of, frame_names
+from slgaussian.benchmark.baselines import Row
+from slgaussian.benchmark.outputs import file_name, write_table
+from slgaussian.benchmark.protocols import PROTOCOLS
+from slgaussian.datasets.photographs import stored_size
+from slgaussian.datasets.published import Found, standing
+from slgaussian.errors import InputError
+from slgaussian.io import file_sha256, write_atomic
+from slgaussian.kernels import threads
+from slgaussian.storage import field_folder
+from slgaussian.storage.encoding import encode_table
+from slgaussian.storage.housekeeping import SIDE_BY_SIDE
+from slgaussian.storage.provenance import software
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.tables import read_table
+from tasks.artifacts import about_field
+from tasks.stage import Stage
+
+FIELDS = "fields"
+"""Folder of the fields, and their table."""
+
+
+def field_place(scene: str, out: Path) -> Path:
+    """The folder of a scene's field."""
+    return out / FIELDS / file_name(scene)
+
+
+def check_places(scenes: Iterable[str], out: Path) -> None:
+    """Raise InputError now, not after the work, where something else is in a field's place."""
+    for scene in scenes:
+        field_folder.check_free(field_place(scene, out))
+
+
+def write_fields(
+    store: ArtifactStore,
+    fields: Mapping[str, ArtifactRef],
+    places: Mapping[str, str],
+    out: Path,
+    tell: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Write the fields by scene below folder ``out``, and a table of them.
+
+    Their files are links to those in the store where there can be any: of all that a run leaves
+    they are by far the largest. What is there already stays as it is; fields that an earlier run
+    left and this one has not are taken away. ``places`` are those of the encoder's files, and
+    ``tell`` is told of what takes time.
+
+    Raises
+    ------
+    DamagedError
+        If an artifact is gone or damaged.
+    InputError
+        If something is in the way, or the store does not answer.
+    OSError
+        If a folder cannot be written.
+    """
+    for folder in _earlier(out) - {file_name(scene) for scene in fields}:
+        if (out / FIELDS / folder / field_folder.ABOUT).is_file():
+            shutil.rmtree(out / FIELDS / folder)
+    rows = [
+        {
+            "scene": scene,
+            "folder": file_name(scene),
+            "gaussians": ref.meta["gaussians"],
+            "objects": ref.meta["objects"],
+        }
+        for scene, ref in fields.items()
+    ]
+    write_table(FIELDS, pa.Table.from_pylist(rows, schema=load_spec(FIELDS).schema), out)
+
+    def look(scene: str) -> _FieldFolder | None:
+        about, parts = about_field(store, fields[scene])
+        one = _FieldFolder(field_place(scene, out), about.to_json(places), parts)
+        return None if one.is_there(store) else one
+
+    missing = [one for one in store.at_once(look, list(fields)) if one is not None]
+    if missing and not store.near:
+        tell(f"copying {len(missing)} fields from {store.root}")
+    store.at_once(lambda one: one.write(store), missing, SIDE_BY_SIDE)
+
+
+def _earlier(out: Path) -> set[str]:
+    """The folders that the table of an earlier run names; none if it is no such table."""
+    try:
+        table = read_table(out / f"{FIELDS}.parquet", ["folder"])
+        return {name for name in table["folder"].to_pylist() if file_name(name) == name}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
+        return set()
+
+
+@dataclass(frozen=True)
+class _FieldFolder:
+    """A field in its folder: ``text`` is that of ``field.json``."""
+
+    folder: Path
+    text: str
+    parts: Mapping[str, ArtifactRef]
+
+    def is_there(self, store: ArtifactStore) -> bool:
+        """Whether it is as :meth:`write` left it."""
+        try:
+            same = (self.folder / field_folder.ABOUT).read_text("utf-8") == self.text
+        except (OSError, ValueError):
+            return False
+        return same and all(
+            store.is_laid_out(ref, self.folder / field_folder.FILES[spec])
+            for spec, ref in self.parts.items()
+        )
+
+    def write(self, store: ArtifactStore) -> None:
+        """Write it whole, or not at all."""
+        field_folder.write(
+            self.folder, self.text, lambda spec, file: store.lay_out(self.parts[spec], file)
+        )
+
+
+def write_artifacts(out: Path, store: ArtifactStore, outcomes: Sequence[Outcome]) -> None:
+    """Write the table of all that jobs made, those that failed among them, to folder ``out``.
+
+    OSError if it cannot be written.
+    """
+    spec = load_spec("artifacts")
+    rows = [row for outcome in outcomes for row in _rows(outcome, store)]
+    table = pa.Table.from_pylist(rows, schema=spec.schema)
+    spec.check_table(table, str(out / "artifacts.parquet"))
+    write_atomic(out / "artifacts.parquet", encode_table(table, spec))
+
+
+def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
+    for scene, stages in sorted((outcome.partial | outcome.refs).items()):
+        for stage, ref in stages.items():
+            of_stage = {
+                "scene": scene,
+                "stage": stage,
+                "stage_version": ref.meta["stage_version"],
+                "cached": ref.meta.get("cached", False),
+            }
+            yield of_stage | {
+                "inputs": sorted(_digests(ref.meta)),
+                "spec": ref.spec,
+                "uri": ref.uri,
+                "digest": ref.digest,
+                "bytes": ref.meta.get("bytes", _size(store, ref.uri)),
+                "seconds": ref.meta["seconds"],
+                "processor": ref.meta.get("processor"),
+            }
+            for uri in ref.meta.get("parts", ()):
+                yield of_stage | {
+                    "spec": uri.split("/")[0],
+                    "uri": uri,
+                    "digest": Path(uri).stem,
+                    "part_of": ref.digest,
+                    "inputs": [],
+                    "bytes": _size(store, uri),
+                }
+
+
+def _digests(meta: Mapping[str, Any]) -> set[str]:
+    """Of all artifacts that a stage was given, wherever they stand among its arguments."""
+    found = set(meta.get("inputs", {}).values())
+    waiting = [meta.get("settings", {})]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Mapping):
+            if value.keys() == {"spec", "digest"}:
+                found.add(value["digest"])
+            waiting += value.values()
+        elif isinstance(value, list):
+            waiting += value
+    return found
+
+
+def _size(store: ArtifactStore, uri: str) -> int | None:
+    stamp = store.stamp(uri)
+    return None if stamp is None else int(stamp.split()[0])
+
+
+def manifest(
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    stages: Sequence[Stage],
+    refs: Mapping[str, Mapping[str, ArtifactRef]],
+    others: Mapping[str, Row],
+) -> dict[str, Any]:
+    """The manifest of a run, as plain data.
+
+    ``refs`` are what the ``stages`` made by scene, of those scenes that went through, and
+    ``others`` the methods beside ours.
+    """
+    shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
+    own = {name: shown[name] for name in shown if name not in TABLES} | settings.identity
+    weights = {
+        f"{part.name}.{key}": known.digest
+        for part in settings.built_by.components
+        for key, known in part.files.items()
+    }
+    return {
+        "spec": load_spec("manifest").label,
+        "slgaussian": __version__,
+        "seed": settings.seed,
+        "settings": own,
+        "methods": {name: _described(row) for name, row in others.items()},
+        "protocols": [protocol.label for protocol in PROTOCOLS.values()],
+        "weights": weights,
+        "index": {}
+        if settings.pairs is None
+        else {"file": settings.pairs.name, "sha256": file_sha256(settings.pairs)},
+        "stages": {stage.name: stage.version for stage in stages},
+        "packages": software(),
+        "kernels": threads.kernels(),
+        "data": {
+            scene.name: _data(scene, refs[scene.name]) for scene in scenes if scene.name in refs
+        },
+    }
+
+
+def _described(row: Row) -> str:
+    own = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
+    name = f"{row.method} of {row.brought_by}" if row.brought_by else row.method
+    return f"{name} ({own})" if own else name
+
+
+def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:
+    """What a scene is, and what was read of it: files, and the digests of what they amount to."""
+    # Sorted: what comes from a record of the store has lost its order.
+    files, labels = (
+        dict(sorted(refs[stage].meta["settings"][of]["files"].items()))
+        for stage, of in (("ingest", "photographs"), ("truth", "labels"))
+    )
+    return {
+        "dataset": scene.dataset,
+        "format": scene.format,
+        "scene": scene.options.get("scene", ""),
+        "options": {name: str(value) for name, value in scene.options.items()},
+        "context": scene.context,
+        "targets": scene.targets,
+        "published": published_as(scene),
+        "cameras": refs["ingest"].meta["cameras"],
+        "left_out": refs["ingest"].meta["left_out"],
+        "sample": refs["ingest"].digest,
+        "truth": refs["truth"].digest,
+        "files": files,
+        "labels": labels,
+    }
+
+
+def published_as(scene: SceneSettings) -> dict[str, str]:
+    """Which published scene its labels and photographs are of: fields of ``Standing``, or none."""
+    if scene.labels is None or scene.path is None:
+        return {}
+    asked, sizes = {}, {}
+    try:
+        for target in scene.targets:
+            frame = Path(target).stem
+            asked[frame] = categories_of(scene.labels, target)
+            files, _ = datasets.inputs(scene.format, scene.path, [target], **scene.options)
+            for file in files:
+                if file.stem == frame and (size := stored_size(file)):
+                    sizes[frame] = size
+        frames = frame_names(scene.labels)
+    except (InputError, OSError):  # results that are there outlive their data
+        return {}
+    name = str(scene.options.get("scene") or scene.labels.name)
+    known = standing(Found(scene.format, name, asked, frames, sizes))
+    return {} if known is None else asdict(known)

@@ -1,0 +1,266 @@
+"""Train the semantic branch on stored lessons, judge it on others, and report."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+
+from slgaussian.benchmark.reports import training
+from slgaussian.benchmark.reports.training import Example
+from slgaussian.datasets.training_set import TrainingSet
+from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.seeding import rng_for
+from slgaussian.scene import Camera
+from slgaussian.semantic import Lifting
+from slgaussian.semantic.branch import Branch, BranchLifting, load_branch, save_branch
+from slgaussian.semantic.corruption import corrupt
+from slgaussian.semantic.evaluation import label_iou, novel_labels
+from slgaussian.semantic.hard import Filled, HardIndex
+from slgaussian.semantic.lesson import GEOMETRY, Lesson
+from slgaussian.semantic.training import Progress
+from slgaussian.semantic.training import train as train_branch
+from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.storage.encoding import Arrays
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.context import RunContext
+from tasks.samples import row_of
+from tasks.stage import stage
+
+
+class StoredLessons(Sequence[Lesson]):
+    """The lessons that a table of spec ``lessons`` lists, each read when it is asked for."""
+
+    def __init__(self, store: ArtifactStore, table: pa.Table) -> None:
+        self.store = store
+        self.clips: list[str] = table["clip"].to_pylist()
+        places = zip(table["uri"].to_pylist(), table["digest"].to_pylist(), strict=True)
+        self.refs = [ArtifactRef("lesson", *place) for place in places]
+
+    def __len__(self) -> int:
+        return len(self.refs)
+
+    def __getitem__(self, index: int) -> Lesson:  # type: ignore[override]  # no slices are asked
+        return Lesson.from_arrays(self.store.get(self.refs[index]))
+
+
+def branch_to_arrays(branch: Branch) -> Arrays:
+    """A branch as spec ``weights``."""
+    return {"safetensors": np.frombuffer(save_branch(branch), np.uint8)}
+
+
+def branch_from_arrays(arrays: Arrays) -> Branch:
+    """Inverse of :func:`branch_to_arrays`."""
+    # Read through a file, as what is given by hand is: metadata come from files alone.
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "branch.safetensors"
+        file.write_bytes(arrays["safetensors"].tobytes())
+        return load_branch(file)
+
+
+@stage("train", version=2, unkeyed=("checkpoints",))
+def train(
+    run: RunContext,
+    lessons: ArtifactRef,
+    start: ArtifactRef | None,
+    settings: TrainingSettings,
+    checkpoints: Path,
+) -> ArtifactRef:
+    """Weights of the semantic branch: spec ``weights``.
+
+    ``start`` are weights to begin from. ``checkpoints`` is a local folder in which an interrupted
+    training of this very key goes on.
+    ``meta["metrics"]`` is the place of the metrics in the store.
+    """
+
+    def tell(progress: Progress) -> None:
+        run.report(
+            f"step {progress.step} of {progress.steps}, loss {progress.loss:.4f}, "
+            f"{progress.rate:.1f} a second, about {progress.seconds_left:.0f} s left"
+        )
+
+    store = run.store
+    folder = checkpoints / run.key
+    trained = train_branch(
+        StoredLessons(store, store.get(lessons)),
+        settings,
+        folder,
+        None if start is None else branch_from_arrays(store.get(start)),
+        tell,
+    )
+    metrics = store.put("metrics", trained.metrics)
+    meta = {"metrics": {"uri": metrics.uri, "digest": metrics.digest}, "parts": [metrics.uri]}
+    ref = store.put("weights", branch_to_arrays(trained.branch), meta)
+    shutil.rmtree(folder)
+    return ref
+
+
+LABELS = ("as found", "corrupted")
+"""What liftings are shown."""
+
+
+@stage("judge", version=2)
+def judge(
+    run: RunContext,
+    lessons: ArtifactRef,
+    branch: ArtifactRef,
+    before: ArtifactRef | None,
+    codes: str,
+    seed: int,
+) -> ArtifactRef:
+    """Scores of the branch, of the weights ``before`` it and of controls: spec ``judgements``."""
+    store = run.store
+    shown = StoredLessons(store, store.get(lessons))
+    lifts = liftings(store, branch, before)
+    rows: list[dict[str, Any]] = []
+    for index, (clip, lesson) in enumerate(zip(shown.clips, shown, strict=True)):
+        run.report(f"lesson {index + 1} of {len(shown)}")
+        for kind in LABELS:
+            labels = labels_of(lesson, kind, seed)
+            for name, iou in label_iou(lesson, lifts, labels, codes, seed).items():
+                known = None if math.isnan(iou) else iou
+                row = {"sample": lesson.sample, "clip": clip, "labels": kind, "lifting": name}
+                rows.append({**row, "iou": known})
+    table = pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
+    return store.put("judgements", table, {"lessons": len(shown)})
+
+
+def liftings(
+    store: ArtifactStore, branch: ArtifactRef, before: ArtifactRef | None
+) -> dict[str, Lifting]:
+    """A branch and, if it began from other weights, those; and the controls."""
+    refs = {"before": before, "branch": branch}
+    trained = {
+        name: branch_from_arrays(store.get(ref)) for name, ref in refs.items() if ref is not None
+    }
+    untrained = Branch(trained["branch"].architecture)
+    learnt = {name: BranchLifting(branch) for name, branch in trained.items()}
+    return {"hard": HardIndex(), "filled": Filled(), "identity": BranchLifting(untrained), **learnt}
+
+
+def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:
+    """Labels of the context views of a kind of :data:`LABELS`, int32 [V, H, W]."""
+    if kind == "as found":
+        return lesson.labels
+    return corrupt(lesson.labels, rng_for(seed, lesson.content, "corrupted"))
+
+
+SHOWN = "corrupted"
+"""The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
+
+
+@stage("training_report", version=3)
+def training_report(
+    run: RunContext,
+    judgements: ArtifactRef,
+    lessons: ArtifactRef,
+    branch: ArtifactRef,
+    codes: str,
+    seed: int,
+    manifest: Mapping[str, Any],
+) -> ArtifactRef:
+    """The page of a training: spec ``report``.
+
+    ``lessons`` are those held out, and ``codes`` and ``seed`` those of the judgements.
+    """
+    store = run.store
+    rows = store.get(judgements)
+    held_out = StoredLessons(store, store.get(lessons))
+    page = training.training_report(
+        store.get(ArtifactRef("metrics", **branch.meta["metrics"])),
+        rows,
+        _examples(held_out, liftings(store, branch, None), rows, codes, seed),
+        manifest,
+    ).as_html()
+    return store.put("report", {"html": np.frombuffer(page.encode(), np.uint8)})
+
+
+def _examples(
+    lessons: StoredLessons,
+    lifts: Mapping[str, Lifting],
+    judgements: pa.Table,
+    codes: str,
+    seed: int,
+) -> list[Example]:
+    """The lessons of the greatest, middle and least gain over no branch."""
+    ious: dict[str, dict[str, float]] = {}
+    for row in judgements.to_pylist():
+        own = ious.setdefault(row["sample"], {})
+        if row["labels"] == SHOWN and row["iou"] is not None:
+            own[row["lifting"]] = row["iou"]
+    places = {sample: index for index, sample in enumerate(ious)}
+    known = [sample for sample, own in ious.items() if own]
+    known.sort(key=lambda sample: (ious[sample]["hard"] - ious[sample]["branch"], sample))
+    chosen = dict.fromkeys(known[i] for i in (0, len(known) // 2, -1)) if known else {}
+    lifts = {name: lift for name, lift in lifts.items() if name in ("hard", "branch")}
+    made = []
+    for sample in chosen:
+        lesson = lessons[places[sample]]
+        shown = labels_of(lesson, SHOWN, seed)
+        found = novel_labels(lesson, lifts, shown, codes, seed)
+        middle = len(lesson.targets) // 2
+        made.append(
+            Example(
+                sample,
+                SHOWN,
+                shown[0],
+                lesson.targets[middle],
+                {name: views[middle] for name, views in found.items()},
+                ious[sample],
+            )
+        )
+    return made
+
+
+def read_set(folder: Path, split: str, store: ArtifactStore) -> pa.Table:
+    """Put the samples of a split into the store as lessons; a table of spec ``lessons``.
+
+    The clip of a lesson is the place of the sample: what is judged is judged by places.
+
+    Raises
+    ------
+    InputError
+        If the split has no sample.
+    SpecError
+        If a sample is damaged or has no Gaussians.
+    """
+    samples = TrainingSet(folder, split)
+    rows: list[dict[str, Any]] = []
+    for index in range(len(samples)):
+        lesson = lesson_of(samples, index)
+        ref = store.put("lesson", lesson.to_arrays())
+        rows.append({**row_of(lesson, ref), "clip": samples.rows["place"][index].as_py()})
+    table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
+    return table.sort_by("sample")
+
+
+def lesson_of(samples: TrainingSet, index: int) -> Lesson:
+    """One sample as a lesson; SpecError as :func:`read_set`."""
+    members = samples.members(index)
+    geometry, labels, gaussians = (
+        samples.arrays(index, name, members) for name in ("geometry", "labels", "gaussians")
+    )
+    count = len(geometry["confirmed"])
+    height, width = geometry["depth"].shape[1:]
+    cameras = tuple(
+        Camera(K, c2w, width, height, near or None, far or None)
+        for K, c2w, (near, far) in zip(
+            geometry["K"], geometry["c2w"], geometry["near_far"].tolist(), strict=True
+        )
+    )
+    kept = {name: torch.from_numpy(gaussians[name]) for name in GEOMETRY}
+    return Lesson(
+        samples.rows["sample"][index].as_py(),
+        Gaussians(**kept, sh=torch.zeros(len(kept["means"]), 0, 3)),
+        labels["labels"][:count],
+        cameras[count:],
+        labels["labels"][count:],
+    )
